@@ -51,7 +51,7 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
 
 
 def _on_new_body(job: DrapeJob, number: int) -> DrapeJob:
-    """The job with a body that no other job has, as in a data set: the draper caches data per body."""
+    """The job on a slightly moved body: the draper caches data per body, and a data set has a new body per job."""
     return replace(job, body=replace(job.body, vertices=job.body.vertices + SHIFT * number))
 
 

@@ -1,7 +1,7 @@
 """A model of making a data set on many GPUs: cost, bottleneck, and a simulation of failing machines.
 
-Times in seconds, sizes in bytes. A *part* is the work of one ``gcd generate --shard I/N``; a machine makes parts until
-none is left.
+Times in seconds, sizes in bytes. A *part* is the work of one ``gcd generate --shard I/N``; a machine takes parts from a
+common queue until it is empty.
 """
 
 import math
@@ -86,7 +86,7 @@ class Bill:
     requests: int
     compute_usd: float
     store_usd: float
-    """Price of its requests and its first month."""
+    """Price of the write requests and of the first month of storage."""
     index: int
     """Bytes of ``index-train.npz``."""
     manifest: int
@@ -141,7 +141,7 @@ class Fleet:
     again: float = 180.0
     """Time from a failure to the next garment of the part: another machine, its start, its processes."""
     kept: int = SHARD_SIZE
-    """Garments stored safely at once: a shard with an object store; a whole part if a failure loses the disk."""
+    """Garments per unit of safe storage: a shard in an object store; a whole part if a failure loses the disk."""
     slow_share: float = 0.0
     """Share of machines that are permanently slow."""
     slow_rate: float = 0.5
@@ -171,7 +171,7 @@ class Run:
 def expected_seconds(fleet: Fleet, part: int) -> float:
     """Expected time for a part on one machine of normal rate.
 
-    Garments stored safely at once are repeated until no failure interrupts them: with failure rate λ, a stretch of
+    Each stretch of ``kept`` garments is repeated until no failure interrupts it: with failure rate λ, a stretch of
     t seconds takes (1/λ + R)(exp(λt) - 1), where R is the delay after each failure.
     """
     stretches = _stretches(part, fleet.kept)
@@ -190,7 +190,7 @@ def _stretches(part: int, kept: int) -> list[tuple[int, int]]:
 
 
 def simulate(fleet: Fleet, garments: int, part: int, *, seed: int = 0) -> Run:
-    """Simulate one run over parts of ``part`` garments. Raises ``ConfigError`` for fewer than one."""
+    """Simulate one run over parts of ``part`` garments. Raises ``ConfigError`` if either number is below 1."""
     import simpy
 
     if min(garments, part) < 1:

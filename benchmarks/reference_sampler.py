@@ -1,4 +1,4 @@
-"""GarmentCode's sampler, reimplemented from its rules: what it draws, and what it accepts.
+"""GarmentCode's sampler, reimplemented from its rules: distributions and reject tests.
 
 Each parameter is drawn independently; a design that fails a test is redrawn as a whole. Patterns are ours, with
 GarmentCode's faults left in.

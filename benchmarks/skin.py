@@ -17,7 +17,10 @@ __all__ = ["skin_crossings"]
 
 
 def skin_crossings(body: Body) -> int:
-    """Number of edges of trunk, arms and legs that pass through the skin; heads, hands and feet are folded anyway."""
+    """Number of edges of trunk, arms and legs that pass through the skin.
+
+    Heads, hands and feet are excluded: their skin folds into itself in every body of the model.
+    """
     faces, edges = _skin()
     corners = body.vertices[faces].astype(np.float32)
     device = resolve_device("cpu")

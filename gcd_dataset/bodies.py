@@ -1,4 +1,4 @@
-"""Stored people: one body shape in two poses with its measures; and the mesh that all bodies of a set share."""
+"""People of a body set: shape, two poses and measures of each; and the mesh that all bodies of a set share."""
 
 import hashlib
 from dataclasses import dataclass

@@ -95,14 +95,14 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
     if not lists.keys() >= LIMBS:
         names = ", ".join(shown(name[:LONGEST_NAME]) for name in islice(lists, 9)) or "nothing"
-        raise BodyError(f"{path}: names {names}: name left_arm, right_arm, left_leg and right_leg")
+        raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
         vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), ids)
         if max(vertices, default=0) >= n_vertices:
             raise BodyError(
-                f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
-                "give the segmentation of this mesh"
+                f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, but {mesh} has "
+                f"{n_vertices} vertices: give the segmentation of this mesh"
             )
         if not vertices and name in LIMBS:
             raise BodyError(f"{path}: {name} has no vertices: list the vertices of the limb")
@@ -112,7 +112,7 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
 
 def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
     if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # isinstance(True, int) holds
-        raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
+        raise BodyError(f"{path}: {name} is not a list of vertex ids: give whole numbers, 0 or more")
     return ids
 
 

@@ -18,12 +18,12 @@ from gcd_dataset.records import Panel
 
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
-TOUCH = 0.01  # cm: two edges may touch this far from their shared corner; further off they cross
+TOUCH = 0.01  # cm: a contact within this distance of a shared corner is not a crossing
 SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
-FEW = 64  # edges: panels with more are swept; for fewer, comparing all pairs is fastest
+FEW = 64  # edges: larger panels are swept; up to this size, comparing all pairs is faster
 AT_ONCE = 1 << 19  # pairs of edges compared at once: 30 MB
 MOST_CROSSINGS = 100  # reported for one panel
-APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
+APART = 1e-6  # cm between boxes, rad between sectors: a smaller gap may be a rounding error
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +51,10 @@ def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:
 def find_crossings(
     panels: Sequence[Panel], hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Sequence[Sequence[float]]
 ) -> Iterator[tuple[int, Crossing]]:
-    """Number of a panel and crossing, panel by panel: first edges that meet themselves, then pairs of edges.
+    """(panel number, crossing), panel by panel: first edges that meet themselves, then pairs of edges.
 
-    ``hulls``: ``edge_hulls`` of each panel; ``lengths``: of its edges [cm]. The broad phase runs over all panels
-    together. At most ``MOST_CROSSINGS`` for one panel.
+    ``hulls``: ``edge_hulls`` of each panel; ``lengths``: edge lengths of each panel [cm]. The broad phase runs over all
+    panels together. Yields at most ``MOST_CROSSINGS`` for one panel.
     """
     for number, singles, pairs in _broad_phase(hulls):
         for crossing in islice(_narrow_phase(panels[number], singles, pairs, lengths[number]), MOST_CROSSINGS):

@@ -8,11 +8,11 @@
     ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
     ├── DrapeError          a drape that cannot start (a garment without faces)
     ├── ShardError          a data set on disk that is broken, foreign or too new
-    │   └── RemoteError      a server that does not answer, refuses, or sends something else
+    │   └── RemoteError      a server that does not answer, refuses, or sends wrong bytes
     │       ├── MissingError a file or repository that the server does not have
     │       └── RefusedError a file or repository that the server denies access to
-    ├── ConfigError         options that contradict each other, or need what this machine lacks
-    ├── TransformError      a transform that failed on a garment; its own error is the cause
+    ├── ConfigError         options that contradict each other, or that this machine cannot serve
+    ├── TransformError      a transform that raised on a garment; ``__cause__`` is the original error
     └── OutputError         a file or folder that cannot be written
 
 Messages are one line: file or object, fault, remedy. ``gcd`` prints them unchanged.
@@ -120,11 +120,11 @@ class RefusedError(RemoteError):
 
 
 class ConfigError(GcdError):
-    """Options that contradict each other, or need what this machine lacks."""
+    """Options that contradict each other, or that this machine cannot serve: a missing GPU or package."""
 
 
 class TransformError(GcdError):
-    """A transform that failed on a garment; ``__cause__`` is its own error."""
+    """A transform that raised on a garment; ``__cause__`` is the original error."""
 
 
 class OutputError(GcdError):

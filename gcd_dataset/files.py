@@ -148,8 +148,8 @@ def make_folder(path: Path | str) -> Path:
         raise OutputError(f"{shown(str(path))}: names no folder: give a folder name")
     if URL.match(str(path)):
         raise OutputError(
-            f"{shown(str(path))}: a URL, where a local folder is needed: give a folder; a function that takes URLs "
-            "takes them as str, not as Path"
+            f"{shown(str(path))}: a URL, but a local folder is needed: give a folder; functions that accept URLs "
+            "expect them as str, not as Path"
         )
     with writing_to(path):
         path.mkdir(parents=True, exist_ok=True)

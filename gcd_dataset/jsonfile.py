@@ -140,7 +140,7 @@ def found(value: Any) -> str:
 
 
 def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")
 
 
 def _finite(text: str) -> float:
@@ -154,7 +154,7 @@ def _unique(items: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(table) < len(items):
         keys = [key for key, _ in items]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"key {shown(twice[:40])} stands twice in one object")
+        raise ValueError(f"key {shown(twice[:40])} occurs twice in one object")
     return table
 
 

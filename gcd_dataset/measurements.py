@@ -1,6 +1,6 @@
 """A tailor's measures: each is one field of ``Measurements``, with its meaning, unit and formula.
 
-Names and meanings are those of GarmentCode's measurement files. To add a measure, add a field: bodies are then measured
+Names and meanings follow GarmentCode's measurement files. To add a measure, add a field: bodies are then measured
 for it (``generator.body.measure``), files and shards store it, and garments can use it.
 
 >>> MEASURE["hips_line"].unit, MEASURE["hip_inclination"].unit
@@ -65,10 +65,10 @@ class Tape(Protocol):
         """Tape over the back of a level section, from side to side."""
 
     def down_spine(self, upper: str, lower: str) -> float:
-        """Tape down the upright section of the spine."""
+        """Tape down the sagittal section of the spine."""
 
     def over_breast(self, level: str, facing: tuple[float, float], over: float) -> float:
-        """Tape over the right breast's upright section, from the shoulder to the height of the landmark ``level``.
+        """Tape over the right breast's sagittal section, from the shoulder to the height of the landmark ``level``.
 
         It runs over skin whose normal (forward, up) has a cosine of at least ``over`` with ``facing``.
         """

@@ -13,10 +13,10 @@ SKIN, CLOTH = (205, 196, 188, 255), (120, 150, 190, 255)
 
 
 def obj_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> bytes:
-    """Wavefront OBJ [cm]: one vertex list, texture coordinates in the panels' planes [cm], one group a panel.
+    """Wavefront OBJ [cm]: one vertex list, texture coordinates in the panels' planes [cm], one group per panel.
 
     Vertices keep the order of the mesh. White space in a panel's name becomes an underscore, since OBJ would read
-    several groups.
+    the words as several groups.
     """
     lines = ["# gcd_dataset: centimetres, y up; vt: panel-plane coordinates in centimetres"]
     lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in vertices]

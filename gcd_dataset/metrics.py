@@ -31,7 +31,7 @@ DISTANCE_SCALE = 20.0  # cm: a distance that costs as much as outlines without o
 ANGLE_SCALE = np.pi / 2  # rad: a rotation that costs as much as outlines without overlap
 FAR = 40.0  # cm: panels further apart match only if their outlines are alike
 ALIKE = 0.5  # least intersection over union of outlines that are alike
-SMALLEST_AREA = 1.0  # cm²: a panel to sew is larger
+SMALLEST_AREA = 1.0  # cm²: a smaller panel cannot be sewn
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
 
 
 def mean_scores(scores: Sequence[PatternScore]) -> PatternScore:
-    """The mean of each score. Raises ``ValueError`` for none."""
+    """The mean of each score. Raises ``ValueError`` for an empty sequence."""
     if not scores:
         raise ValueError("no scores to take the mean of")
     return PatternScore(*np.mean([astuple(score) for score in scores], axis=0).tolist())

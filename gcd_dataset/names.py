@@ -28,8 +28,8 @@ def require_name(name: object, source: str) -> str:
     if isinstance(name, str) and _is_safe(name):
         return name
     raise ShardError(
-        f"{source}: {ascii(name)[:LONGEST]} cannot be a file's name: give one of letters, digits "
-        f"and _ . - ( ) +, of {LONGEST} bytes at most, that begins with a letter or digit"
+        f"{source}: {ascii(name)[:LONGEST]} cannot be a file's name: use letters, digits "
+        f"and _ . - ( ) +, at most {LONGEST} bytes, beginning with a letter, a digit or _"
     )
 
 

@@ -3,7 +3,7 @@
 Machines differ in the last digits of a number: with other instructions (AVX2, AVX-512) or another BLAS or C library,
 the numbers of a pattern move by up to 2e-11 cm, 1e-13 cm on average. Numbers are therefore rounded to steps of 1e-4
 before hashing. A number half-way between two steps, a tie, may still be rounded up by one machine and down by another:
-expected once for every 150 pairs of machines in the 230,000 patterns of a large data set, once for 40,000 pairs in
+this is expected for one in 150 pairs of machines with a data set of 230,000 patterns, and for one in 40,000 pairs with
 1,000 patterns. ``PatternHash`` records the ties and their effect on the hash; ``agrees`` accepts the hash of a machine
 that rounded a tie the other way.
 
@@ -32,7 +32,7 @@ from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 
 __all__ = ["STEP", "PatternHash", "hash_pattern"]
 
-STEP = 1e-4  # cm; of a quaternion 1
+STEP = 1e-4  # cm; unitless for quaternions
 NEAR = 1e-5  # steps: 1e-9 cm, fifty times the greatest difference observed between machines
 MOST_TIES = 6  # ties of one pattern: 2^6 roundings are hashed
 LARGEST = 1e15  # steps
@@ -66,7 +66,7 @@ class PatternHash:
 
     value: int = 0
     ties: tuple[int, ...] = ()
-    """Differences to ``value`` on machines that round one or more ties of one pattern the other way."""
+    """Differences from ``value`` on machines that round one or more ties of one pattern the other way."""
     count: int = 0
     """Number of patterns."""
 

@@ -67,7 +67,7 @@ def prefetch(
             room.release()
             yield item  # type: ignore[misc]
     finally:
-        error = None  # its traceback refers to this frame and to those of all callers
+        error = None  # break a cycle: its traceback refers to this frame and to the frames of all callers
         atexit.unregister(close)
         close()
 

@@ -174,7 +174,7 @@ class Edge:
     end: int
     curve: Curve = LINE
     label: EdgeRole | str = ""
-    """Role of the edge in the drape, empty for none; a label of a file that names no role stays text."""
+    """Role of the edge in the drape, empty for none; a label in a file that matches no role stays a string."""
     name: str = ""
     """Name of the edge in its garment's program; not part of a specification file."""
 
@@ -219,7 +219,7 @@ class Panel(Record):
     edges: tuple[Edge, ...]
     placement: Placement
     label: PanelRole | str = ""
-    """The part of the body that it covers, empty if unknown; a label of a file that names no role stays text."""
+    """Part of the body that the panel covers, empty if unknown; a label that matches no role stays a string."""
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
@@ -299,7 +299,7 @@ class BoxMesh(Record):
     corners: Int[np.ndarray, "f 3"]
     """Rows of ``uv`` at each face's corners."""
     uv_vertex: Int[np.ndarray, " c"]
-    """The vertex each row of ``uv`` belongs to."""
+    """Vertex of each row of ``uv``."""
     panel_id: Int[np.ndarray, " f"]
     """Row of ``panel_names`` for each face."""
     panel_names: tuple[str, ...]

@@ -36,5 +36,5 @@ def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Gene
 
 def _natural(number: int, name: str) -> int:
     if number < 0:
-        raise ValueError(f"{name} is {number}: random streams are keyed by numbers of 0 and more")
+        raise ValueError(f"{name} is {number}: random streams need keys of 0 or more")
     return int(number)

@@ -37,10 +37,10 @@ __all__ = [
     "write_pattern",
 ]
 
-UNITS_IN_METER = 100  # of written files: centimetres
-NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row (pattern-format)
+UNITS_IN_METER = 100  # files are written in centimetres
+NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row
 UNPLACED = [0.0, 0.0, 0.0]  # default translation and rotation of a panel
-LARGEST_UNIT = 1e6  # units_in_meter lies between its inverse and this
+LARGEST_UNIT = 1e6  # upper bound of units_in_meter; its inverse is the lower bound
 MOST_NAMES = 40  # in a message
 NAMES = {
     PanelRole.LEG: ("pant", "skirt", "leg", "trouser", "short"),
@@ -73,7 +73,7 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     """The pattern of a parsed specification; ``source`` names it in errors.
 
     Panels without a translation or rotation are placed at the origin; a file without stitches gives a pattern without
-    seams. Raises ``SpecError`` with the panel and edge that does not follow the format.
+    seams. Raises ``SpecError`` naming the panel and edge that break the format.
     """
     at = JsonPath(source or name)
     at.require_flat(spec)
@@ -115,7 +115,7 @@ def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
     """Panel names in the order that numbers a mesh: columns from the wearer's right to left, upward, back to front.
 
     A panel's position is the midpoint of the side of its bounding box that hangs highest. Panels within 10 cm of the
-    first panel of a column, or of a row in it, belong to it (pattern-format, section 6).
+    first panel of a column, or of a row in it, belong to it.
     """
     hung = sorted((_hanging_point(panel), panel.name) for panel in panels)
     ordered = []

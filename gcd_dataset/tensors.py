@@ -143,7 +143,7 @@ class PatternTensor(Record):
     stitches: Int[np.ndarray, "s 3"]
     """Columns of ``StitchColumn``."""
     panel_names: tuple[str, ...]
-    """One for each row of ``panels``."""
+    """Name of each row of ``panels``."""
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
@@ -303,17 +303,19 @@ def _require_sound(tensor: PatternTensor) -> None:
     if len(tensor.panel_names) != len(tensor.panels):
         raise PatternError(f"{len(tensor.panel_names)} panel names for {len(tensor.panels)} panels: give one each")
     if tensor.loops[-1] != len(tensor.edges):
-        raise PatternError(f"panels count {tensor.loops[-1]} edges, there are {len(tensor.edges)}: mend N_EDGES")
+        raise PatternError(
+            f"N_EDGES adds up to {tensor.loops[-1]}, but there are {len(tensor.edges)} edges: mend N_EDGES"
+        )
     numbered = (
-        (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches name edges"),
-        (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels name labels"),
-        (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges name labels"),
-        (tensor.edges[:, EdgeColumn.KIND], len(CurveKind), "edges name kinds"),
-        (tensor.edges[:, EdgeColumn.VERTEX], len(tensor.edges), "edges name vertices"),
+        (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches refer to edges"),
+        (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels refer to labels"),
+        (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges refer to labels"),
+        (tensor.edges[:, EdgeColumn.KIND], len(CurveKind), "edges refer to kinds"),
+        (tensor.edges[:, EdgeColumn.VERTEX], len(tensor.edges), "edges refer to vertices"),
     )
     for numbers, count, what in numbered:
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, there are {count}: mend the rows")
+            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, but there are {count}: mend the rows")
 
 
 def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> Panel:

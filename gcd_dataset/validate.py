@@ -28,7 +28,7 @@ MOST_NAMES = 40  # in a message
 MOST_PANELS = 500  # of a garment; published and sampled garments have up to 24, a quilt a hundred
 MOST_EDGES = 2000  # of a panel: 10 m in steps of half a centimetre; published and sampled panels have up to 36
 WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment are shorter than LONG
-LONG = 60.0  # cm: above the median edge of a garment, below that of a garment scaled by ten
+LONG = 60.0  # cm: between the median edge of a garment and the median edge of a garment scaled by ten
 HIGH = 400.0  # cm: higher than any panel hangs
 LOW = 25.0  # cm: only shoes, or a garment scaled by a tenth, have their top so low
 TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
@@ -121,7 +121,7 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     for number, edges in edge_lengths.items():
         faults[number] += _short_edges(pattern.panels[number], edges)
         if (outline := sum(edges)) > LONGEST_OUTLINE:
-            figure = f"its outline has {outline / 100:.0f} m: check units_in_meter, and how its curves bend"
+            figure = f"its outline is {outline / 100:.0f} m long: check units_in_meter, and the curvature of its edges"
             faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
             del drawn[number]
     for number, fault in _crossings(pattern.panels, drawn, edge_lengths):
@@ -157,7 +157,7 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
         if not panel.name.strip():
             yield Fault(Rule.PANEL_NAME, "", None, f"panel {number} of {len(panels)} has no name: give it one")
         elif not panel.name.isprintable():
-            yield Fault(Rule.PANEL_NAME, panel.name, None, "it holds a character that does not print: take it out")
+            yield Fault(Rule.PANEL_NAME, panel.name, None, "it holds an unprintable character: remove it")
     for name, count in Counter(panel.name for panel in panels if panel.name.strip()).items():
         if count > 1:
             yield Fault(Rule.PANEL_NAME, name, None, f"{count} panels have this name: give each its own")
@@ -186,18 +186,19 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
             yield Fault(Rule.OPEN_LOOP, panel.name, index, figure)
         chord = dist(points[edge.start], points[edge.end])
         if chord == 0.0:
-            yield Fault(Rule.NO_LENGTH, panel.name, index, "its ends are one point: take it out, or move a vertex")
+            yield Fault(Rule.NO_LENGTH, panel.name, index, "its ends coincide: remove it, or move a vertex")
         elif isinstance(edge.curve, Arc):
             try:
                 curve_length(*panel.edge_ends(index), edge.curve)
             except PatternError:
-                figure = f"radius {edge.curve.radius:.4g} cm, chord {chord:.4g} cm: {chord / 2:.4g} cm or more will do"
+                figure = f"radius {edge.curve.radius:.4g} cm, chord {chord:.4g} cm: give {chord / 2:.4g} cm or more"
                 yield Fault(Rule.ARC_RADIUS, panel.name, index, figure)
 
 
 def _may_be_large(drawn: Mapping[int, Complex[np.ndarray, "e 4"]]) -> list[int]:
     """The panels to check for size: none if all coordinates are far below the limit, as in usual patterns."""
-    if drawn and np.abs(np.concatenate(list(drawn.values()))).max() < LARGEST / 4:  # a circle fits in twice its chord
+    # In the hull of a large arc the inner points lie at least one radius from the ends: its diameter is below LARGEST.
+    if drawn and np.abs(np.concatenate(list(drawn.values()))).max() < LARGEST / 4:
         return []
     return list(drawn)
 
@@ -262,7 +263,7 @@ def _probable_unit(size: float, units: float, scale: float | None) -> str:
         likely = min(off, key=lambda unit: off[unit])
         if off[likely] < log(10) and not isclose(units, UNITS[likely]):
             drawn = size * units / UNITS[likely]
-            return f"drawn in {likely} it has {drawn:.3g} cm: set properties.units_in_meter to {UNITS[likely]:g}"
+            return f"in {likely} it would be {drawn:.3g} cm: set properties.units_in_meter to {UNITS[likely]:g}"
     return f"check properties.units_in_meter, which is {units:g}"
 
 
@@ -357,7 +358,7 @@ def _crosswise(
         return
     left, right = panels[seam.left.panel], panels[seam.right.panel]
     if left is not right and left.placement == right.placement:
-        return  # drawn on one sheet and never placed: the positions carry no information
+        return  # drawn on one sheet and never placed: their positions are meaningless
     starts = "the starts of both meet" if seam.right_wrong else "the start of one meets the end of the other"
     figure = (
         f"stitch {number} with panel {shown(right.name)}, edge {seam.right.edge}: {starts}, {joined / 2:.1f} cm apart "

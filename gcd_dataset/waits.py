@@ -31,12 +31,12 @@ Item = TypeVar("Item")
 
 
 class Wait(NamedTuple):
-    """Idle time and total time of one stage, or summed over several."""
+    """Idle time and total time of one stage, or their sums over several laps or processes."""
 
     idle: float
     """Seconds spent waiting."""
     over: float
-    """Seconds in total, idle ones included."""
+    """Total seconds: waiting and working."""
 
 
 Waits = Mapping[str, Wait]

@@ -1,4 +1,4 @@
-"""Worker processes that end with this process, however it ends."""
+"""Worker processes that end with this process, even if it is killed."""
 
 import multiprocessing
 import os
@@ -24,9 +24,9 @@ __all__ = ["parallel_map", "parallel_map_chunks", "streams", "without_main_modul
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-KILLED = "a worker process was killed, by lack of memory perhaps: go on with fewer --workers"
+KILLED = "a worker process was killed, perhaps for lack of memory: continue with fewer --workers"
 UNSTARTED = (
-    "a worker process could not start, see above: a script that asks for workers begins its work under "
+    "a worker process could not start, see above: a script that uses workers must start them under "
     'if __name__ == "__main__":'
 )
 AHEAD = 2  # tasks submitted for each process, so that none is idle while the consumer is busy
@@ -168,7 +168,7 @@ def _spawn_context() -> SpawnContext:
 
 @contextmanager
 def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of processes that ignore Ctrl-C and end with the block, or with this process however it ends."""
+    """A pool of processes that ignore Ctrl-C and end with the block, or with this process, even if it is killed."""
     context = _spawn_context()
     lifeline, parent_end = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(lifeline,))

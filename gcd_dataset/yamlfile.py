@@ -11,7 +11,7 @@ __all__ = ["LARGEST_YAML", "require_shallow", "strict_yaml"]
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
 DEEPEST = 64  # levels; libyaml crashes the process when its stack overflows
-DEEPEST_BYTES = 1000  # open brackets, or columns of indentation: libyaml's stack takes tens of thousands
+DEEPEST_BYTES = 1000  # open brackets, or columns of indentation; libyaml's stack overflows at tens of thousands
 BLOCK_START = re.compile(rb"^[ ?:-]{64,}", re.MULTILINE)
 OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: in YAML 1.1 070 is 56, and 1:50 is 110
 
@@ -54,7 +54,7 @@ class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
         if len(table) < len(node.value):
             names = [key.value for key, _ in node.value]
             repeated = next((key for key, _ in node.value if names.count(key.value) > 1), node)
-            raise _refused("a key that stands twice: take one of them out", repeated)
+            raise _refused("a repeated key: remove one of the entries", repeated)
         return table
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:

@@ -17,7 +17,7 @@ HUES = (
 )  # fmt: skip
 PALETTE = (*HUES, *((0.5 * r + 0.42, 0.5 * g + 0.42, 0.5 * b + 0.42) for r, g, b in HUES))
 """Panel colours by panel index, in renders and flat drawings; RGB, each 0 to 1."""
-FLAT_LIGHTENING = 0.55  # share of white mixed in: edges and names stand out on it
+FLAT_LIGHTENING = 0.55  # share of white mixed in, so that edges and names stand out
 GOLDEN_RATIO = 0.618034
 
 

@@ -1,4 +1,4 @@
-"""Estimates of draping time, from measured figures; logged before a long wait."""
+"""Estimates of draping time, fitted to measurements; logged before long runs."""
 
 __all__ = ["core_seconds"]
 

@@ -40,10 +40,10 @@ class Fitting:
     """One pattern draped on one body."""
 
     pattern: Pattern
-    """The pattern as draped, completed by the assumptions."""
+    """The pattern as draped: missing values are filled with the assumed ones."""
     body: Body
     assumed: tuple[str, ...]
-    """Values missing from the file that were assumed, a sentence each with the reason."""
+    """One sentence for each value that the file lacks: the assumed value and the reason."""
     box_mesh: BoxMesh
     drape: Drape
     mesh_seconds: float
@@ -52,7 +52,7 @@ class Fitting:
 
     @property
     def row(self) -> dict[str, Any]:
-        """The entry of a report: sizes, outcome, crossings, stretch and times."""
+        """The entry of a report: number of vertices, outcome, frames, crossings, stretch and times."""
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -119,10 +119,10 @@ def _work(
 def _dress(
     pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]]
 ) -> tuple[Dressing, tuple[Body, Measurements]]:
-    """The pattern with its panels placed, and the body and measures it was placed on."""
+    """The pattern with its panels placed, and the body and measures for which they are placed."""
     legs_apart = has_legs(pattern)
     dressing = dress(pattern, *wearer(legs_apart))
-    if has_legs(dressing.pattern) and not legs_apart:  # without placements in the file, legs show only now
+    if has_legs(dressing.pattern) and not legs_apart:  # openings show legs once ``dress`` has placed them
         legs_apart = True
         dressing = dress(pattern, *wearer(legs_apart))
     for sentence in dressing.assumed:

@@ -39,7 +39,7 @@ class SheetPanel:
 
     @property
     def orientation(self) -> float:
-        """1 for an outline counter-clockwise on the sheet, -1 for clockwise: the cloth's wrong side is up."""
+        """1 for an outline counter-clockwise on the sheet; -1 for clockwise, with the cloth's wrong side up."""
         (x, y), (next_x, next_y) = self.outline.T, np.roll(self.outline, -1, axis=0).T
         return float(np.copysign(1.0, (x * next_y - next_x * y).sum()))
 
@@ -111,7 +111,7 @@ def _widest_stretch(outline: Float[np.ndarray, "n 2"], shares: Sequence[float]) 
         level = low[1] + share * (high[1] - low[1])
         crossings = _crossings(outline, level)
         for left, right in zip(crossings[::2], crossings[1::2], strict=False):
-            if right - left > 1.05 * best:  # among nearly equal stretches the first wins
+            if right - left > 1.05 * best:  # the first of nearly equal stretches is kept
                 best, centre = float(right - left), np.array([0.5 * (left + right), level])
     return centre, best
 

@@ -26,11 +26,12 @@ from gcd_dataset.workers import streams
 __all__ = ["AHEAD", "READY", "LastDesign", "make", "produce"]
 
 DEFAULT = MakeConfig()
-# Samples begun and not yet finished in a worker: twice those at its draper, so that the draper stays busy while the
-# others wait for a sample on its next attempt.
+# Samples in work in a worker: twice the number at its draper, so that the draper stays busy while finished samples wait
+# for an earlier one on its next attempt.
 AHEAD = 2 * AT_ONCE
-# Finished samples buffered in a worker. Designs go round-robin, so that one slow design holds up all workers: simulated
-# with 14 workers, a buffer of 24 samples reaches 0.77 of the drapers' rate, 48 reaches 0.90 and 72 reaches 0.97.
+# Finished samples buffered in a worker. Designs are dealt round-robin and yielded in order, so one slow design blocks
+# all workers. In a simulation with 14 workers, a buffer of 24 samples reaches 0.77 of the drapers' rate, 48 samples
+# reach 0.90, and 72 reach 0.97.
 READY = 3 * AT_ONCE
 
 Made = TypeVar("Made")
@@ -87,9 +88,9 @@ def produce(
     process; ``indices`` must be finite then, and ``finished`` must pickle (a module-level function).
     ``ahead``: samples in work before the first is yielded; default: one batch of the draper.
     ``finished``: maps a sample to the result yielded for it, such as ``encode_sample``; default: the sample itself.
-    ``known``: maps an index to a result that exists already and is yielded instead; ``None``: make the sample.
-    ``last``: cache of the last design. All wearers of a design are made together; those not asked for are kept here
-    for the next call. ``pictured=False`` skips the pictures and changes nothing else.
+    ``known``: maps an index to an existing result, which is yielded; ``None`` for an index: make its sample.
+    ``last``: cache of the last design. All wearers of a design are made together; this caches the samples that were not
+    requested, for the next call. ``pictured=False`` skips the pictures and changes nothing else.
 
     Raises ``PatternError`` after ``config.max_attempts`` rejected designs of an index, ``ConfigError`` for a missing
     device, ``DrapeError`` if the draper fails, ``GcdError`` if a worker is killed.
@@ -148,7 +149,7 @@ class _Pending(Generic[Made]):
     """Results by index, until all its requests are served."""
 
     def work(self, indices: Iterable[int]) -> Iterator[Work[int]]:
-        """A ``Work`` with the index as its result for each index; without jobs if the design is in work or done."""
+        """One ``Work`` for each index, with the index as its result; without jobs if the design is in work or done."""
         for index in indices:
             self.count[index] += 1
             number = index // self.config.wearers
@@ -181,7 +182,7 @@ class _Pending(Generic[Made]):
         return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | Work[int]:
-        """Finish the requested samples of a design, or go on with the next attempt."""
+        """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:
             return self._attempt(index, (*design.rejects, failed))
@@ -225,7 +226,7 @@ class _WorkerShare:
     pictured: bool
 
     def run(self) -> Iterator[Any]:
-        """The results, in order; a thread makes the next ones while the worker sends one."""
+        """The results, in order; a thread makes the next results while the worker sends one."""
         with ExitStack() as opened:
             draper: Draper | None = None
             ahead = None
@@ -248,10 +249,10 @@ def _by_workers(
     finished: Callable[[Sample], Any],
     pictured: bool,
 ) -> Iterator[Any]:
-    """The results of workers with the designs dealt round-robin."""
+    """The results of worker processes, in the order of ``indices``; designs are dealt round-robin."""
     devices = devices_of(config) if config.stage == "drape" else ("cpu",)
     addresses = addresses_for(devices)
-    # Named, not "auto": a worker that looked for devices itself would start CUDA.
+    # Resolve "auto" here: a worker that resolves it would initialise CUDA.
     config = replace(config, device=devices_name(devices))
     shares = [
         _WorkerShare(seed, subset, config, addresses[k % len(addresses)], finished, pictured)

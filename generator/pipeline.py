@@ -164,7 +164,7 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
 def _dress_all(
     seed: int, wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig
 ) -> tuple[DressedWearer, ...] | Rejected:
-    """All wearers dressed in the design, or the rejection by the first that cannot wear it."""
+    """All wearers dressed in the design, or the rejection for the first wearer who cannot wear it."""
     dressed = []
     for wearer in wearers:
         result = _dress(seed, wearer, design, config)
@@ -179,7 +179,7 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
     if isinstance(pattern, Reject):
         return pattern
     shape = _with_arm_turn(seed, wearer, config)
-    if design.meta.bottom and design.meta.bottom.garment.legs:  # measured with legs together, dressed with legs apart
+    if design.meta.bottom and design.meta.bottom.garment.legs:  # measures: legs together; drape: legs apart
         shape = replace(shape, legs_apart=True)
     body = wearer.body if shape is wearer.shape else build_body(shape)
     try:

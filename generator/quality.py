@@ -7,10 +7,10 @@ from gcd_dataset.records import BoxMesh, Drape, Grade, Outcome, Strain
 
 __all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
 
-MAX_STRETCH = 1.4  # larger principal stretch of a panel, from which a garment is too tight to be clean
+MAX_STRETCH = 1.4  # of any panel (see ``strain_of``); a garment stretched further is too tight to be clean
 OUTLIERS = 1.0  # percent of a garment's faces left out at either end
-PANEL_OUTLIERS = 5.0  # percent of a panel's faces: a panel may have few
-THIN = 1e-6  # cm², flat area of a face without a direction
+PANEL_OUTLIERS = 5.0  # percent of a panel's faces; more, since a panel may have few faces
+THIN = 1e-6  # cm²: a face with a smaller flat area has no defined stretch
 
 
 def principal_stretches(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "f 2"]:
@@ -43,7 +43,7 @@ def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | Non
 
 
 def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, float]:
-    """The largest and the smallest stretch, but for a share of the faces [%]; 1 without faces."""
+    """The largest and the smallest stretch, without a share of the faces at either end [%]; 1 without faces."""
     if not len(stretches):
         return 1.0, 1.0
     largest, smallest = np.percentile(stretches[:, 0], 100.0 - outliers), np.percentile(stretches[:, 1], outliers)
@@ -53,9 +53,9 @@ def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, 
 def grade_of(drape: Drape, strain: Strain | None) -> Grade:
     """The grade of a drape by its outcome, crossings and stretch.
 
-    ``clean``: settled, no edge of cloth through cloth or the body, none of the body through cloth,
-    and no panel stretched beyond ``MAX_STRETCH``. ``paper``: within the limits of Korosteleva et al. (ECCV 2024), who
-    do not limit stretch. Else ``failed``.
+    ``clean``: settled, no cloth edge through cloth or the body, no body edge through cloth, and no panel stretched
+    beyond ``MAX_STRETCH``. ``paper``: within the limits of Korosteleva et al. (ECCV 2024), who do not limit stretch.
+    Else ``failed``.
     """
     if drape.outcome not in (Outcome.SETTLED, Outcome.OVERSTRETCHED):
         return Grade.FAILED

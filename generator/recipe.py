@@ -1,4 +1,4 @@
-"""``MakeConfig``: the options of samples; and the recipe: the options that decide the samples' bytes."""
+"""``MakeConfig``, the options of samples, and the recipe: those options that decide the samples' bytes."""
 
 import re
 from collections.abc import Sequence
@@ -55,50 +55,45 @@ class MakeConfig:
     bodies: Annotated[
         Bodies,
         Option(
-            "who wears them: random ones are mostly between the sexes, female and male ones are drawn as a survey "
-            "finds adults; both: samples 2i and 2i+1 are one design on the neutral body and on a random one"
+            "wearers; neutral: the mean body; random: mostly between the sexes; female, male: adults distributed as in "
+            "a survey; both: samples 2i and 2i+1 are one design on the neutral body and on a random body"
         ),
     ] = "random"
     bodies_each: Annotated[
         int,
         Option(
-            "bodies drawn for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three of them; with "
-            "both the neutral one comes before them"
+            "drawn bodies for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three bodies; bodies = "
+            "both puts the neutral body before them"
         ),
     ] = 1
     arms: Annotated[
         float,
         Option(
-            "greatest turn of both arms, up or down from the A-pose, by chance for each wearer; measures, design and "
-            "pattern are those of the A-pose",
+            "largest rotation of both arms, up or down from the A-pose, random for each wearer; measures, design and "
+            "pattern are made for the A-pose",
             unit="degrees",
         ),
     ] = 0.0
-    stage: Annotated[LastStage, Option("last step taken")] = "drape"
+    stage: Annotated[LastStage, Option("last step to run")] = "drape"
     resolution: Annotated[float, Option("length of the mesh's edges", unit="cm")] = 1.0
     device: Annotated[
         str,
-        Option(
-            "where cloth is draped and pictures are taken: cpu, cuda:0, cuda:0,1; auto: every GPU, or the CPU where "
-            "there is none"
-        ),
+        Option("device for draping and rendering: cpu, cuda:0, cuda:0,1; auto: all GPUs, or the CPU without a GPU"),
     ] = "auto"
     on_fail: Annotated[
         OnFail,
         Option(
-            "a drape that does not settle: the next design instead (for all its bodies), or the sample as it is, with "
-            "its outcome; gcd generate puts those that are kept into split failed"
+            "if a drape does not settle; retry: draw another design for all its bodies; keep: keep the sample with its "
+            "outcome, which gcd generate writes into split failed"
         ),
     ] = "retry"
     points: Annotated[int, Option("surface points of a sample")] = 8192
-    picture: Annotated[int, Option("side of the pictures; 0 for none", unit="pixels")] = 512
-    max_attempts: Annotated[int, Option("designs tried for one index; the last is kept if it only does not settle")] = (
-        30
-    )
-    design: Annotated[Overlay, Option("what designs are narrowed to")] = NO_OVERLAY
-    fabric: Annotated[
-        str, Option("what they are draped in, by its name in drape.FABRICS: denim, drill, wool_light, …")
-    ] = USUAL_FABRIC
+    picture: Annotated[int, Option("width and height of the pictures; 0 for no pictures", unit="pixels")] = 512
+    max_attempts: Annotated[
+        int, Option("designs tried for one index; the last one is kept even if its drape does not settle")
+    ] = 30
+    design: Annotated[Overlay, Option("overlay that narrows the design space")] = NO_OVERLAY
+    fabric: Annotated[str, Option("fabric, by its name in drape.FABRICS: denim, drill, wool_light, …")] = USUAL_FABRIC
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -106,7 +101,8 @@ class MakeConfig:
         for name, kind in {"bodies": Bodies, "stage": LastStage, "on_fail": OnFail}.items():
             if getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
-        object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))  # 2 is 2.0 in a recipe
+        # As a float, so that 2 and 2.0 give one recipe.
+        object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))
         object.__setattr__(self, "arms", float(self.arms))
         if not 0 <= self.arms <= MAX_ARM_TURN:
             raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MAX_ARM_TURN}")
@@ -141,7 +137,7 @@ class MakeOptions(TypedDict, total=False):
 
 
 def check_resolution(centimetres: float) -> float:
-    """The edge length [cm], if garments can be meshed with it. Raises ``ConfigError``."""
+    """The edge length itself [cm]. Raises ``ConfigError`` unless it is from ``FINEST`` to ``COARSEST``."""
     if not FINEST <= centimetres <= COARSEST:
         raise ConfigError(f"resolution is {centimetres} cm: give a length from {FINEST} to {COARSEST}")
     return centimetres

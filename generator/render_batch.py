@@ -76,7 +76,7 @@ class PendingRender:
             return self._rendered is None or self._rendered.is_complete
 
     def pictures(self) -> list[tuple[Picture, ...]]:
-        """Wait for the pictures and return the views of each scene. Call once: the buffers are reused."""
+        """Wait for the pictures and return the views of each scene. Call once: this releases the buffers."""
         with launch_lock:
             if self._rendered is not None:
                 wp.synchronize_event(self._rendered)
@@ -154,8 +154,8 @@ def _upload(scenes: Sequence[Scene], staging: _StagingBuffers) -> tuple[Scenes, 
     uploaded.colour = wp.array(linear, dtype=wp.vec3, device=device)
     uploaded.wrong_side_colour = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
     uploaded.background = wp.vec3(*_linear(np.array(PAPER) / 255))
-    # One BVH a scene: the BVH decides which of two faces a ray through their common edge hits, so that a shared one
-    # would make the picture of a scene depend on the others.
+    # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
+    # would make the picture of a scene depend on the other scenes.
     begin = first_face[np.cumsum([0, *map(len, scenes)])]
     leaf = LEAF if staging.locked else None
     trees = [
@@ -168,7 +168,7 @@ def _upload(scenes: Sequence[Scene], staging: _StagingBuffers) -> tuple[Scenes, 
 
 
 def _render(scenes: Scenes, cameras: wp.array, views: int, size: int, device: str) -> wp.array:
-    """The pictures (shot, h, w, 3) of all cameras: ``views`` of the first scene, then those of the next."""
+    """The pictures (shot, h, w, 3) of all cameras: the ``views`` of the first scene, then of the second, and so on."""
     rays = (len(cameras), size, size, SAMPLES**2)
     hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
     sides = (2, len(scenes.position))

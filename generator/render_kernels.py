@@ -9,7 +9,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 FAR = 1.0e6  # cm; length of a camera ray
-LIFT = 0.6  # cm from the surface to the start of a sky ray: without it cloth on cloth shows as dark dots at hems
+LIFT = 0.6  # cm from the surface to the start of a sky ray: without it, cloth lying on cloth darkens in dots at hems
 REACH = 16.0  # cm; surfaces further away do not occlude
 SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323
@@ -81,7 +81,7 @@ def ray_through(camera: Camera, column: float, row: float, size: float) -> wp.ve
 def cast_rays(scenes: Scenes, cameras: wp.array(dtype=Camera), views: int, samples: int,
               hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2),
               seen: wp.array2d(dtype=int)):  # fmt: skip
-    """The face that each ray hits, with barycentric coordinates; ``seen`` (side, v): the scene of seen vertices.
+    """The face that each ray hits, with barycentric coordinates; ``seen`` (side, v): the scene number of seen vertices.
 
     ``hit_face`` is -1 for a miss, and ``-2 - face`` for a hit on the wrong side. The last axis of a pixel holds its
     ``samples`` × ``samples`` rays; shots are ordered by scene, then view.
@@ -169,7 +169,7 @@ def shade(scenes: Scenes, camera: Camera, sky: wp.array2d(dtype=float), hit: int
 
 @wp.func
 def to_srgb(value: float, least: wp.array(dtype=float)) -> wp.uint8:
-    """The sRGB byte of a linear value: the number of thresholds in ``least`` up to it, by binary search."""
+    """The sRGB byte of a linear value: the number of thresholds in ``least`` not above it, by binary search."""
     low = int(0)
     high = int(LEVELS)
     while low < high:

@@ -88,7 +88,7 @@ def _loop(panel: Panel) -> str:
 
 
 def _command(start: Point, end: Point, curve: Curve) -> str:
-    """The path command for an edge, from ``start``, the current point, to ``end``."""
+    """The path command for an edge, from the current point ``start`` to ``end``."""
     match curve:
         case Quadratic(control):
             return f"Q{_point(from_frame(start, end, control))} {_point(end)}"

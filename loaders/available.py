@@ -49,7 +49,7 @@ def select_present_fields(
 
 
 def absent_at_stage(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:
-    """Absent field to the reason, for garments of a stage; ``empty``: optional fields empty in all garments."""
+    """Field to the reason for its absence, for garments of a stage; ``empty``: fields that are empty in all of them."""
     later = STAGES[STAGES.index(stage) + 1 :]
     reasons = {
         field: f"end with stage {stage}, and {field} come{'' if field.endswith('s') else 's'} with stage {other}"
@@ -60,7 +60,7 @@ def absent_at_stage(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:
 
 
 def absent_when_empty(is_empty: Callable[[str], bool], available: Iterable[str]) -> dict[str, str]:
-    """Absent field to the reason, by which stored fields are empty in all garments.
+    """Field to the reason for its absence, judged by the stored fields that are empty in all garments.
 
     ``available``: the stored fields; ``is_empty`` is called for these alone.
     """

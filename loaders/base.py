@@ -139,7 +139,7 @@ class Garments(Dataset[Item], ABC):
         return (self[index] for index in indices)
 
     def select(self, indices: Iterable[int]) -> "Garments":
-        """A data set of the garments at ``indices``, in this order. Raises ``IndexError``."""
+        """A data set of the garments at ``indices``, in this order. Raises ``IndexError`` for an index out of range."""
         return SelectedGarments(self, [self._position(index) for index in indices])
 
     def __repr__(self) -> str:
@@ -147,7 +147,7 @@ class Garments(Dataset[Item], ABC):
         return f"{type(self).__name__}({description}: {', '.join(self.fields)})"
 
     def tell_wait(self) -> None:
-        """Log once the time to make a garment, if it is seconds."""
+        """Log once how long a garment takes to make, if it takes seconds."""
 
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
@@ -242,7 +242,7 @@ class SelectedGarments(Garments):
 def load_items(dataset: Any, indices: Sequence[int]) -> list[Any]:
     """The items at some indices, in one call where the data set has ``__getitems__``.
 
-    A note on an error names the indices.
+    An error gets a note that names the indices.
     """
     if not hasattr(dataset, "__getitems__"):
         return [_load_item(dataset, index) for index in indices]

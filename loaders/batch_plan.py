@@ -24,8 +24,8 @@ Collate: TypeAlias = Callable[[list[Any]], Any]
 Cursor: TypeAlias = Any
 """How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
 
-BATCHES_AHEAD = 2  # batches
-END = object()  # of a stream
+BATCHES_AHEAD = 2  # batches that a thread prefetches
+END = object()  # default of ``next`` at the end of a stream
 
 
 class BatchPlan(Protocol):
@@ -146,7 +146,7 @@ class IndexedPlan:
         return cursor
 
     def annotate(self, batch: Any, start: int, number: int) -> Any:
-        """With ``pad="repeat"`` a dict gets the entry ``repeated``, bool [B]: true for garments that fill up."""
+        """With ``pad="repeat"`` a dict gets ``repeated``, bool [B]: true for garments that fill up the epoch."""
         if self._sampler.pad == "repeat" and isinstance(batch, MutableMapping):
             positions = self._rank_share.positions(start)[(number - 1) * self._batch_size : number * self._batch_size]
             end = self._sampler.order.end(start)
@@ -169,7 +169,7 @@ class IndexedPlan:
 
 
 class BatchMaker(Dataset):
-    """Makes a batch from its indices, in the training process or a worker; a note on an error names the garments.
+    """Makes a batch from its indices, in the training process or a worker; errors get a note that names the garments.
 
     Items are loaded without users' code where possible (see ``user_code.py``). Users' code runs with the global random
     streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are untouched.
@@ -325,7 +325,7 @@ class StreamPlan(IterableDataset):
         return len(self._stream)
 
     def _items(self, start: StreamCursor) -> Iterator[Any]:
-        """The items of a pass from a cursor on."""
+        """The items that follow a cursor, to the end of its pass."""
         with isolated_rng() as random_state:
             random_state.seed(self._seed, start.epoch)
             if callable(begin_at := getattr(self._stream, "begin_at", None)):

@@ -45,7 +45,7 @@ class _Entry:
         if batch is None:
             return self
         if self._name not in batch:
-            raise AttributeError(f"the batch has no {self._name}: load the fields that it needs")
+            raise AttributeError(f"the batch has no {self._name}: load the fields that {self._name} needs")
         return batch[self._name]
 
 
@@ -128,7 +128,7 @@ class _Batch(dict[str, Any]):
 
 
 class PackedBatch(_Batch):
-    """Concatenated garments; garment k has rows ``ptr[k]`` to ``ptr[k + 1]`` of a field, ``ptr`` its ``<field>_ptr``.
+    """Concatenated garments; garment k has rows ``ptr[k]`` to ``ptr[k + 1]`` of a field; ``ptr`` is ``<field>_ptr``.
 
     Row numbers index the arrays of the whole batch.
     """
@@ -243,7 +243,7 @@ class PaddedBatch(_Batch):
 def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Int[Tensor, " b+1"]:
     """For the row numbers in ``field``: start of each garment's rows in ``target``, and the end of the last.
 
-    Raises ``ConfigError`` if the target is not in the batch, or differs between draped and undraped garments.
+    Raises ``ConfigError`` if the target is not in the batch, and for draped and undraped garments in one batch.
     """
     if target != "vertices":
         if f"{target}_ptr" not in batch:

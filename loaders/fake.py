@@ -73,7 +73,7 @@ class FakeGarments(Garments):
         """Raise ``ShardError`` unless garment ``index`` has the same bytes when made twice."""
         position = self._position(index)
         if self._members(position, ()) != self._members(position, ()):
-            raise ShardError(f"fake garment {position} has other bytes each time it is made")
+            raise ShardError(f"fake garment {position} has different bytes each time it is made")
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return encode_sample(fake_sample(self._seed, position))

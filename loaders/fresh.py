@@ -2,7 +2,7 @@
 
 The workers are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run users' data sets and transforms,
 which may be a lambda in a script without a ``__main__`` guard, and need random streams of their own in each worker.
-They make garments by ``produce`` with the same draping processes and look-ahead as ``gcd generate``.
+They make garments with ``produce``, by the same draping processes and with the same look-ahead as ``gcd generate``.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -46,15 +46,15 @@ class FreshGarments(IterableDataset[Item]):
     [0, 0, 1, 3, 3, 2, 1, 2]
 
     For a model that consumes garments faster than they are made: each garment is used ``replay`` times, at random
-    moments while it is in the buffer; 2.5 means twice for one garment and three times for the next. After its last use
-    a new garment takes its place, so memory is bounded: ``room`` items here, and the items of 74 designs in each
-    worker, plus 48 garments of 1 MB (at 1 cm) if draping processes serve the workers. The first item comes as soon
+    moments while it is in the buffer; with ``replay=2.5`` one garment is used twice, the next three times. After its
+    last use a new garment takes its place, so memory is bounded: ``room`` items here, and the items of 74 designs in
+    each worker, plus 48 garments of 1 MB (at 1 cm) if draping processes serve the workers. The first item comes as soon
     as the first garment is made: the buffer grows by one garment with each item, up to ``room``. The order is a
     function of ``seed``, epoch and position, and of the data set, not of workers or timing.
 
     Each ``iter()`` is the next epoch: the same garments in another order, with other augmentation. An ``endless`` data
     set, such as ``MixedDataset``, supplies its following garments each epoch. ``set_epoch`` selects an epoch;
-    ``load_state_dict`` resumes within one, and of the earlier garments makes only those still in the buffer. A
+    ``load_state_dict`` resumes within one, and makes again only the earlier garments that are still in the buffer. A
     ``GarmentLoader`` calls both according to its own state.
 
     ``augment`` is applied at each use, with a random stream of its own: see ``gcd_dataset.loaders.transforms``. It gets
@@ -82,7 +82,7 @@ class FreshGarments(IterableDataset[Item]):
         self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
         self.augment = None if augment is None else require_callable("augment", augment)
         self._rate = _rate(replay)
-        self._next = self._position = 0  # where the next iter() begins; how far the current one has come
+        self._next = self._position = 0  # start of the next iter(); position in the current one
         self._iterator = 0  # number of the valid iterator
 
     @property
@@ -231,7 +231,7 @@ class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
         self._garments, self._order, self._first = garments, order, first
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
-        # Finished garments wait in the worker's private memory: a container's 64 MB of shared memory hold two a worker.
+        # Finished garments wait in private memory: shared memory, 64 MB in a container, holds two garments per worker.
         return self._made() if get_worker_info() is None else prefetch(self._made_or_error(), READY)
 
     def _made_or_error(self) -> Iterator[list[Item] | GcdError]:

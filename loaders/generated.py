@@ -66,8 +66,8 @@ class GeneratedGarments(Garments):
     If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` warns once.
 
     Raises ``ConfigError`` for options that do not fit together, fields of a later stage, and more ranks than GPUs; a
-    missing GPU raises with the first garment. ``DrapeError`` if a draping process ends: the next request starts
-    another.
+    missing GPU raises with the first garment. Raises ``DrapeError`` if a draping process ends; the next request
+    starts another.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class GeneratedGarments(Garments):
         before, after = before or self._made(position), self._made(position)
         for member, data in after.items():
             if data != before[member]:
-                raise ShardError(f"{key_of(position)}, member {member}: other bytes when it is made again")
+                raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
     def pack(self) -> None:
         """Write the cached garments of incomplete shards into shards.
@@ -239,7 +239,7 @@ class GeneratedGarments(Garments):
 
     @property
     def _cache_name(self) -> str:
-        """Name of the cache folder: one per seed, recipe, version and schema, so that garments are never confused."""
+        """Name of the cache folder: one per seed, recipe, version and schema, since garments of each differ."""
         return f"{__version__}-{SCHEMA}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -108,7 +108,7 @@ def _hetero(garment: Item | PackedBatch, data: Any) -> Any:
 
 
 def _membership(garment: Item | PackedBatch, field: str) -> dict[str, Tensor]:
-    """Of a batch: the garment of each row, and the start of each garment's rows."""
+    """For a batch: ``batch``, the garment of each row, and ``ptr``, the start of each garment; for an item nothing."""
     if not isinstance(garment, PackedBatch):
         return {}
     return {"batch": garment.owners(field), "ptr": garment[f"{field}_ptr"]}

@@ -26,9 +26,9 @@ class Hdf5Garments(Garments):
     >>> ds[0]["verts"].shape  # doctest: +SKIP
     torch.Size([14425, 3])
 
-    Each process of a ``DataLoader``, forked or spawned, opens the file itself. Shards read several times as fast: train
-    from those. ``fields`` and ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged, foreign
-    or newer file, ``ConfigError`` for a field that no garment of the file holds.
+    Each process of a ``DataLoader``, forked or spawned, opens the file itself. Shards are several times as fast: train
+    from shards. ``fields`` and ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged,
+    foreign or newer file, ``ConfigError`` for a field that no garment of the file holds.
     """
 
     reads_only = True

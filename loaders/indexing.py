@@ -52,7 +52,7 @@ def resolve_index(index: Any, length: int, what: str = "garment") -> int:
     number = require_whole_number(index, what)
     if not -length <= number < length:
         raise IndexError(
-            f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'one with some'}"
+            f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'a non-empty data set'}"
         )
     return number % length
 
@@ -68,7 +68,7 @@ def require_whole_number(index: Any, what: str = "garment") -> int:
     except (TypeError, RuntimeError):  # RuntimeError: a tensor of several elements
         pass
     given = type(index).__name__ if isinstance(index, torch.Tensor | np.ndarray) else repr(index)
-    mask = ", of a mask where it is true" if is_bool else ""
+    mask = " (for a mask: the positions of its true entries)" if is_bool else ""
     raise InvalidIndexError(f"{what} {given}: give a whole number{mask}, a name, a list of these, or a slice")
 
 

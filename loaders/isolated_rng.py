@@ -17,7 +17,7 @@ __all__ = ["isolated_rng"]
 class isolated_rng:  # noqa: N801 -- a context manager, named as functions are
     """Context manager: saves the global random states of torch (CPU), NumPy and Python, and restores them on exit.
 
-    After ``seed`` draws depend on its arguments alone. Enter it in the training thread: the streams are per process.
+    After ``seed``, draws depend on its arguments alone. Enter it in the training thread: the streams are per process.
 
     >>> with isolated_rng() as random_state:
     ...     random_state.seed(0, 7)

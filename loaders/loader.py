@@ -50,8 +50,8 @@ class GarmentLoader:
     - On a machine with a GPU batches are in pinned memory.
     - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
       is read from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``. ``FreshGarments``
-      resume without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is read by index all the
-      same.
+      resume without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is nevertheless read by
+      index.
 
     Raises ``ConfigError`` for options that do not fit together.
     """
@@ -91,7 +91,7 @@ class GarmentLoader:
             generator=torch.Generator().manual_seed(seed % (1 << 63)),
         )
         self._cursor: Cursor = self._plan.first
-        self._iterator, self._is_loaded = 0, False  # number of the valid iterator; whether a state is to resume
+        self._iterator, self._is_loaded = 0, False  # number of the valid iterator; whether to resume a loaded state
 
     def __len__(self) -> int:
         """Batches of a whole epoch. Raises ``TypeError`` for a stream without a length."""

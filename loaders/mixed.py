@@ -29,19 +29,19 @@ class MixedDataset(Garments):
     >>> [mixed.source(i) for i in range(len(mixed))]
     [(0, 3), (0, 0), (1, 1), (0, 1), (0, 4), (0, 2), (1, 0), (0, 5)]
 
-    Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order, the count of each of two data sets
-    is within one garment of its share; of each of three, within two; of more, within a few. (For three or more data
-    sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float counts as the
-    decimal that it prints as.
+    Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order, the count of each data set differs
+    from its share by at most one garment for two data sets, by at most two for three, and by a few for more. (For three
+    or more data sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float counts
+    as the decimal that it prints as.
 
     Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: until every data set has
-    been exhausted once; by then those with few garments for their weight have repeated. Indices from ``len()`` on are
+    been exhausted once; data sets with few garments for their weight repeat by then. Indices from ``len()`` on are
     the following epochs, which continue where the previous one ended. A ``GarmentLoader`` keeps this order, whatever
     its ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on
     average only.
 
     ``transform`` is called with each item, after the transform of its own data set. Raises ``ConfigError`` for data
-    sets with different fields or ``dtype``, an empty one, or weights that are not one positive number each.
+    sets with different fields or ``dtype``, an empty data set, or weights other than one positive number for each.
     """
 
     endless = True
@@ -206,7 +206,7 @@ def _integer_ratio(weights: Sequence[float]) -> tuple[int, ...]:
 
 def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) -> None:
     if len(datasets) != len(weights):
-        raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one each")
+        raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one weight for each data set")
     for number, dataset in enumerate(datasets):
         if not isinstance(dataset, Garments):
             raise ConfigError(

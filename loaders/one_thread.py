@@ -1,7 +1,7 @@
 """Copies of large arrays in the calling thread.
 
 torch's threads spin after each call and take cores from workers that make garments: with 14 workers on 16 cores, a
-loop that copied box meshes with torch received half as many.
+loop that copied box meshes with torch received half as many garments.
 """
 
 from collections.abc import Sequence

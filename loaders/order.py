@@ -95,7 +95,7 @@ class SampleOrder:
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
         self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
-            raise ConfigError("an empty data set has no order: give one with 1 garment or more")
+            raise ConfigError("an empty data set has no order: give a data set with at least one garment")
         self._is_endless = isinstance(dataset, Garments) and dataset.endless
         self._dataset_entries = dataset_entries(dataset)
 

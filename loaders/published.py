@@ -196,7 +196,7 @@ def _vertices_only(garment: PublishedGarment) -> Drape:
 
 
 def _points(garment: PublishedGarment, source: str) -> Float[np.ndarray, "n 6"]:
-    """Random points of the draped surface, seeded by the garment's name, whatever the split."""
+    """Random points of the draped surface, seeded by release and name of the garment, so equal in every split."""
     random = rng(zlib.crc32(source.encode()), 0, Stage.POINTS)
     return sample_surface(garment.vertices, garment.faces, POINTS, random)
 

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 GLOBAL = ("RANK", "WORLD_SIZE")  # environment variables of ``torchrun``
-LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # within this machine
+LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # the same within this machine
 
 # accelerate's wrappers that split the items of any sampler or stream over ranks: module and classes.
 ACCELERATE = "accelerate.data_loader", frozenset({"BatchSamplerShard", "IterableDatasetShard", "DataLoaderDispatcher"})
@@ -69,13 +69,13 @@ def gpu_of_rank(count: int) -> int | None:
     ranks = _local_rank()
     if ranks is None:
         return None
-    # Current device 0 may mean that the training never set one, but names its device for each tensor.
+    # Device 0 may also mean that the training sets no current device and names a device for each tensor.
     current = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # type: ignore[no-untyped-call]
     return current or ranks[0] % count
 
 
 def gpus_of_rank(devices: Sequence[str]) -> Sequence[str]:
-    """This rank's share of several GPUs; all of them for a process that is not a rank, or if there is one.
+    """This rank's share of several GPUs; all of them for a process that is not a rank; a single GPU is shared.
 
     Raises ``ConfigError`` for more ranks than GPUs.
     """

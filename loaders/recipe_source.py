@@ -18,7 +18,7 @@ def recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: 
     """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
 
     The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
-    recipe or split, and for options of remote sources; ``ShardError`` if it is missing and ``download=False``.
+    recipe or split, and for options of remote sources; ``ShardError`` for a missing data set with ``download=False``.
     """
     # Imported here: other sources do not need the generator.
     from gcd_dataset.generator.recipes import find_recipe

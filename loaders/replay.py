@@ -1,4 +1,4 @@
-"""The replay order of an epoch: which garment comes next when each is used several times. Pure integers."""
+"""The replay order of an epoch: which garment comes next when each is used several times, in integer arithmetic."""
 
 from collections.abc import Iterator
 from copy import deepcopy

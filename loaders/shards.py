@@ -36,7 +36,7 @@ __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
 EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
-"""File extension to the bytes of an empty member, as stored for a stage that was not made; every other is larger."""
+"""File extension to the size of an empty member [bytes], stored for a stage not made; other members are larger."""
 
 
 class GarmentDataset(Garments):
@@ -78,7 +78,7 @@ class GarmentDataset(Garments):
 
     Raises ``ShardError`` for a source without such a split, or a damaged or newer one, ``RemoteError`` for a server
     that does not answer, ``ConfigError`` for options that do not fit together, and for a field that no garment of the
-    split holds because they were not made up to that stage.
+    split holds, such as ``verts`` of garments made up to stage ``mesh``.
     """
 
     reads_only = True
@@ -163,12 +163,12 @@ class GarmentDataset(Garments):
         """
         position = self._position(index)
         if self._foreign:
-            raise ConfigError("samples of foreign archives do not tell how they were made: ask their maker")
+            raise ConfigError("samples of foreign archives have no recipe: ask the author of the archive")
         recipe = recipe_from_meta(self._members(position, (META,))[META])
         return recipe if self.source is None else {**recipe, "source": self.source}
 
     def identity(self) -> dict[str, Any]:
-        """Identity of the data set, independent of its path: length and both ends, as recipes or foreign keys."""
+        """Identity of the data set, independent of its path: length, and recipe or foreign key of both ends."""
         if not self._foreign:
             return super().identity()
         return {"length": len(self), "ends": [self._key(self._position(index)) for index in (0, -1)]}
@@ -183,7 +183,7 @@ class GarmentDataset(Garments):
         return [f"{' + '.join(splits)} of {self._parts[0].reader.store.location()}"]
 
     def _absent_fields(self) -> dict[str, str]:
-        """Absent field to the reason, from the sizes in the index."""
+        """Field to the reason for its absence, judged by the sizes in the index."""
         if self._foreign:
             return {}
         largest = {
@@ -309,8 +309,8 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 class StreamedGarments(GarmentDataset, IterableDataset):
     """The items in the order of the shards; each rank and worker reads one contiguous part.
 
-    Every garment comes once, and the parts differ by one garment at most. A shard that spans several parts is read by
-    each of their processes: in a folder from the start of its part, from a server from the start of the shard.
+    Every garment comes once, and the parts differ by one garment at most. Each process whose part overlaps a shard
+    reads it: in a folder from the start of its part, on a server from the start of the shard.
     """
 
     _ranks: tuple[int, int] | None = None

@@ -23,7 +23,7 @@ def dataset_entries(dataset: object) -> dict[str, str]:
     """State entries that identify a data set: a hash as ``dataset``, and a description for messages as ``garments``.
 
     The hash covers garments, data sets with an ``identity()`` method, and torch's ``Subset`` and ``ConcatDataset`` of
-    them; of any other data set ``dataset`` is the name of its class.
+    them; for any other data set ``dataset`` is the name of its class.
     """
     known = _identity(dataset)
     return {"dataset": known if isinstance(known, str) else _hash(known), "garments": _description(dataset, known)}
@@ -98,7 +98,7 @@ def _hash(content: Any) -> str:
 
 
 def _identity(dataset: object) -> Any:
-    """JSON that identifies a data set wherever its files are; of an unknown class its name."""
+    """JSON that identifies a data set, independent of its path; for an unknown class the name of the class."""
     if isinstance(dataset, Garments):
         return dataset.identity()
     kind = type(dataset).__qualname__

@@ -9,11 +9,11 @@ __all__ = ["seconds_each", "tell_wait"]
 
 logger = logging.getLogger("gcd_dataset")
 
-LOGGED_FROM = 2.0  # s
+LOGGED_FROM = 2.0  # s: shorter times are not logged
 
 
 def seconds_each(config: MakeConfig) -> float:
-    """Approximate time to make a garment on one CPU core [s]; 0 if it takes less than a second.
+    """Approximate time to make a garment on one CPU core [s]; 0 for all but drapes on the CPU.
 
     >>> seconds_each(MakeConfig(stage="drape", device="cpu", resolution=2.0))
     2.425
@@ -24,7 +24,7 @@ def seconds_each(config: MakeConfig) -> float:
 
 
 def tell_wait(config: MakeConfig) -> None:
-    """Log the expected time per garment, if it is seconds."""
+    """Log the expected time per garment from 2 s on."""
     each = seconds_each(config)
     if each >= LOGGED_FROM:
         logger.warning(

@@ -16,7 +16,7 @@ from gcd_dataset.errors import GcdError
 
 __all__ = ["begin_worker", "unwrap", "with_traceback"]
 
-POLL = 1.0  # s
+POLL = 1.0  # s between two looks at the parent and the done event
 
 Value = TypeVar("Value")
 
@@ -31,8 +31,8 @@ def begin_worker(worker: int) -> None:
     BLAS is limited to one thread, as torch is in a worker: the threads of all workers would wait for each other, which
     with eight threads on two cores took a quarter more CPU time.
 
-    The worker exits within seconds of its parent process, even if that was killed, and of a loader that is no longer
-    read; garments in the making are dropped.
+    The worker exits within seconds after its parent process has ended, even by a kill, or after its loader is no longer
+    read; unfinished garments are dropped.
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
@@ -66,8 +66,8 @@ def _done_event() -> Event | None:
 
 def _exit_with_parent(parent: int, done: Event | None) -> None:
     """Exit this process, and free its shared memory, soon after its parent or its loader has ended."""
-    # torch checks for the parent too, but then waits forever for its queue to be read, and its memory stays taken. At
-    # the end of a loader it waits five seconds for each worker in turn.
+    # torch checks for the parent too, but then waits forever for its queue to be read, and keeps its memory. At the end
+    # of a loader it waits five seconds for each worker in turn.
     while os.getppid() == parent:
         time.sleep(POLL)
         # Poll: `set()` blocks on dead waiters.

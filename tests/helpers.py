@@ -19,7 +19,7 @@ def body_from(shape: trimesh.Trimesh) -> Body:
 
 
 def far_ball() -> Body:
-    """A body that nothing touches."""
+    """A body far from any cloth: a sphere of 5 cm radius, 2 m in front."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=5.0)
     ball.apply_translation([0.0, 5.0, 200.0])
     return body_from(ball)

@@ -103,14 +103,14 @@ def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: py
 
 def test_ctrl_c_keeps_finished_samples(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it otherwise
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores SIGINT
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     signal.signal(signal.SIGINT, before)
     wait_for_bytes(tmp_path, 200_000, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert "the same command goes on from there" in one_line(said)
+    assert "the same command continues from there" in one_line(said)
     there = len(read_index(tmp_path))
     assert there > 1
     assert not list(tmp_path.glob("*.part"))
@@ -241,7 +241,7 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
 
 
 def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The files are written in any case; ``--allow-unsettled`` makes the exit code 0."""
+    """The files are written too; with ``--allow-unsettled`` the exit code is 0."""
     size = measure(build_body(neutral_shape()))
     design = OutfitDesign(
         meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
@@ -284,7 +284,7 @@ sys.exit(code)
 
 @pytest.mark.parametrize("where", ["networkx", "frame"])
 def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
-    """During trimesh's import of an optional package, and between time steps."""
+    """Ctrl-C during trimesh's import of an optional package, and between time steps."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
     options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]

@@ -125,7 +125,7 @@ def test_publish_and_download(
     monkeypatch.setenv("HF_TOKEN", hub.token)
     before = read_folder(data)
     assert main(["publish", str(data), "me/garments", "--dry-run"]) == 0
-    assert "would go up to me/garments; nothing was sent" in said(capsys)
+    assert "would be uploaded to me/garments; nothing was sent" in said(capsys)
     assert not hub.log
     assert main(["publish", str(data), "me/garments"]) == 0
     commit = hub.repos["me/garments"].commits[-1][0]
@@ -167,7 +167,7 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     monkeypatch.undo()
     said(capsys)
     assert main(["info", str(out)]) == 0
-    assert "  not whole: 3 of 8 samples: its run was stopped, or is not over: run the same command again" in said(
+    assert "  not whole: 3 of 8 samples: its run was stopped, or is still running: run the same command again" in said(
         capsys
     )
     assert main(["verify", str(out)]) == 1
@@ -195,7 +195,7 @@ def test_a_smaller_count_finishes_an_unfinished_data_set(tmp_path: Path) -> None
 def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
     assert unfinished(data, "train") is None
     (data / "train-00003.tar.part").touch()
-    message = "10 samples in whole shards: its run was stopped, or is not over: run the same command again"
+    message = "10 samples in whole shards: its run was stopped, or is still running: run the same command again"
     assert unfinished(data, "train") == message
     assert unfinished(data, "test") is None
 
@@ -219,7 +219,7 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
     ("arguments", "code", "message"),
     [
         (["download", "me/nothing"], 1, "me/nothing"),
-        (["download", "."], 2, "a folder of this machine"),
+        (["download", "."], 2, "a local folder"),
         (["download", "one two"], 2, "neither a URL nor a repository"),
         (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices: there are"),
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),

@@ -119,7 +119,7 @@ def test_a_folder_of_another_data_set_is_not_added_to(
 def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "shards", "--quiet") == 0
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "again", "--quiet") == 0
-    # Encoded again, or from coordinates stored as f32.
+    # Not byte for byte: pictures are encoded again, coordinates were stored as float32.
     near = ("render_front.png", "render_back.png", "_sim.ply", "_boxmesh.ply", "_orig_lens.pickle")
     for path in published.rglob("[!.]*"):
         if path.is_file() and not path.name.endswith(near):
@@ -196,15 +196,15 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
     assert run(*export) == 0
     assert garments[0].stat().st_mtime_ns == written
     assert tree(tmp_path / "pieces") == tree(tmp_path / "whole")
-    assert run(*export) == 2  # it has ended
+    assert run(*export) == 2  # the export is complete
     assert "not empty" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("form", "message"),
     [
-        (["--layout", "published", "out"], "stopped at 1 of 6: the same command goes on from there"),
-        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: begin again"),
+        (["--layout", "published", "out"], "stopped at 1 of 6: the same command continues from there"),
+        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: start again"),
     ],
 )
 def test_ctrl_c_reports_the_progress(
@@ -261,7 +261,7 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
         path.unlink()
     (tmp_path / "shards" / "manifest.json").unlink()
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out") == 1
-    assert "no split that the published layout has a name for: there is holdout" in capsys.readouterr().err
+    assert "the published layout has no name for its splits (holdout)" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_not_empty_is_not_mixed_up(
@@ -286,11 +286,11 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "3 garments of train" in capsys.readouterr().out
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "no samples of split test: there is train" in capsys.readouterr().err
+    assert "no samples of split test: choose from train" in capsys.readouterr().err
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
-    """At any byte: in the layout, in the arrays, in the final metadata."""
+    """The disk fills up at any byte: in the layout, in the arrays, in the final metadata."""
     data = fill(tmp_path / "data", range(3))
     assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
     size = (tmp_path / "a.h5").stat().st_size

@@ -18,7 +18,7 @@ VERBS = tuple(EXAMPLES)
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A set of patterns, a specification file, and a text."""
+    """A folder with a data set of patterns, a specification file and a text file."""
     from gcd_dataset.generator.maker import make
     from gcd_dataset.spec import write_pattern
 
@@ -34,12 +34,12 @@ WRONG_USAGE = [
     ("drapee spec.json", "no drapee: .*did you mean drape?"),
     *((verb, "the following arguments are required|give ") for verb in VERBS),
     *((f"{example} --qiuet", "no option --qiuet") for verb in VERBS for example in [EXAMPLES[verb][0][4:]]),
-    ("generate out --count 1 --stage drap", "no drap: there is body, pattern, mesh, drape: did you mean drape?"),
+    ("generate out --count 1 --stage drap", "no drap: choose from body, pattern, mesh, drape: did you mean drape?"),
     ("generate out --count 1 --bodies femal", "did you mean female?"),
     ("generate out --count 1 --on-fail kep", "did you mean keep?"),
     ("generate out --count 1 --resolutoin 2", "no option --resolutoin: did you mean --resolution?"),
     ("generate out --count 0", "count is 0: give 1 to 10000000"),
-    ("generate out --count -1", "-1 is no whole number"),
+    ("generate out --count -1", "-1 is not a whole number"),
     ("generate out --count 1 --resolution 99", "give a length from 0.2 to 10.0"),
     ("generate out --count 1 --device gpu", "device='gpu': give auto, cpu"),
     ("generate out --count 1 --fabric denin", "fabric is 'denin': known are"),
@@ -55,7 +55,7 @@ WRONG_USAGE = [
     ("show shards --png a.jpg", "end the name in .png"),
     ("show shards", "give --png FILE or --svg FILE"),
     ("verify https://example.org/a", "run gcd download https://example.org/a first"),
-    ("download shards", "a folder of this machine"),
+    ("download shards", "a local folder"),
     ("download org/name --fields vertz", "no field vertz: there are .*: did you mean verts?"),
     ("publish shards nobody --dry-run --out out", "neither a URL nor a repository"),
     ("publish shards me/garments --dry-run --out out --shares 1,2", "give per cent"),
@@ -76,18 +76,18 @@ BAD_INPUT = [
     ("show missing --png a.png", "missing: no such folder"),
     ("show missing.json --png a.png", "missing.json: no such file"),
     ("show shards --png a.png --index 2", "sample 2 of 2: give one from 0 to 1"),
-    ("show shards --png a.png --split trian", "no samples of split trian: there is train: did you mean train?"),
+    ("show shards --png a.png --split trian", "no samples of split trian: choose from train: did you mean train?"),
     ("info missing", "missing: no such folder"),
     ("info text.txt", "text.txt: a file, not a folder of shards"),
     ("verify missing", "missing: no such folder"),
     ("verify text.txt", "text.txt: a file, not a folder of shards"),
     ("index missing", "missing: no such folder"),
-    ("index shards --split trian", "no shards of split trian: there is train: did you mean train?"),
+    ("index shards --split trian", "no shards of split trian: choose from train: did you mean train?"),
     ("publish missing me/garments --dry-run", "missing: no such folder"),
     ("convert missing out", "missing: no such folder"),
     ("convert shards out", "no folder such as garments_5000_0"),
     ("export missing --hdf5 a.h5", "missing: no such folder"),
-    ("export shards --hdf5 a.h5 --split trian", "no samples of split trian: there is train: did you mean train?"),
+    ("export shards --hdf5 a.h5 --split trian", "no samples of split trian: choose from train: did you mean train?"),
     ("export shards --layout published late --quiet", "is not draped"),
 ]
 
@@ -159,5 +159,5 @@ def test_generate_prints_an_estimate_before_it_starts(
     assert main([*command, "--count", "500"]) == 0
     assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]
     caplog.clear()
-    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # another recipe than that of the set
+    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # the data set has another recipe
     assert "takes about" not in caplog.text

@@ -19,7 +19,7 @@ TESTS = [title for _, title, _ in BLOCKS if title.startswith("tests/")]
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tree with the files of the examples, and the lines they add."""
+    """A copy of the tree with the new files and added lines of the examples."""
     tree = tmp_path_factory.mktemp("tree")
     left_out = shutil.ignore_patterns("__pycache__", "reports")
     for name in COPIED:
@@ -36,7 +36,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_lines(path: Path, diff: str) -> str:
-    """The text of a file with the lines of a diff added; its hunks are told apart by ``@@``."""
+    """The text of a file with the added lines of a diff, whose hunks are separated by ``@@``."""
     text = path.read_text()
     for hunk in diff.split("@@\n"):
         lines = hunk.splitlines(keepends=True)
@@ -48,7 +48,7 @@ def with_lines(path: Path, diff: str) -> str:
 
 
 def run(tree: Path, *arguments: str) -> str:
-    """What Python prints in the copy, which is imported in place of the tree."""
+    """The output of Python in the copy, which is imported in place of the tree."""
     env = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, "-m", *arguments], cwd=tree, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]

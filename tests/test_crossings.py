@@ -90,12 +90,12 @@ def test_a_common_outline_is_not_sampled(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_edges_that_run_back_over_themselves_and_each_other() -> None:
     there_and_back = [(0.0, 0.0), (10.0, 0.0), (4.0, 0.0), (4.0, 5.0)]
     assert found(panel(there_and_back)) == [(0, 1), (0, 2)]
-    too_far = {0: Quadratic((1.5, 0.0))}  # along its own chord, beyond the end and back
+    too_far = {0: Quadratic((1.5, 0.0))}  # runs along its chord, beyond the end, and back
     assert (0, 0) in found(panel([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0)], too_far))
 
 
 def test_a_curve_that_runs_round_its_own_end_meets_the_next_edge() -> None:
-    round_the_end = {0: Cubic((1.3, -0.9), (1.3, 0.9))}  # through (-1, 0) before it comes to (0, 0)
+    round_the_end = {0: Cubic((1.3, -0.9), (1.3, 0.9))}  # passes through (-1, 0) before it ends at (0, 0)
     assert (0, 1) in found(panel([(10.0, 0.0), (0.0, 0.0), (-4.0, 0.0), (3.0, -20.0)], round_the_end))
 
 
@@ -123,7 +123,7 @@ def test_a_batch_of_panels_gives_the_same_candidates_as_each_panel_alone(
 
 
 def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
-    """Panel number to the broad phase's edges and pairs of edges."""
+    """Panel number to the candidates of the broad phase: single edges, and pairs of edges."""
     return {number: (singles.tolist(), pairs.tolist()) for number, singles, pairs in crossings._broad_phase(hulls)}
 
 
@@ -132,7 +132,7 @@ def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[
 def test_a_sweep_finds_the_same_pairs_as_all_comparisons(
     drawn_loops: list[list[tuple[float, float, Curve]]], copies: int
 ) -> None:
-    """Every outline once, and twelve times in one loop, so that edges coincide; in pieces of a few pairs."""
+    """Each outline alone, and repeated twelve times in one loop, where edges coincide; in chunks of a few pairs."""
     hulls = [edge_hulls(drawn(loop * copies)) for loop in drawn_loops]
     at_once = candidates(hulls)
     with pytest.MonkeyPatch.context() as patch:

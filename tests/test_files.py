@@ -45,7 +45,7 @@ def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
 
 
 def begun_by_another(path: Path) -> subprocess.Popen[bytes]:
-    """A process that stops after half a file."""
+    """A process that has written 5000 bytes of a draft and keeps it open."""
     program = f"""
 import sys, time
 from gcd_dataset.files import open_whole
@@ -173,6 +173,6 @@ def test_a_path_without_a_name_is_no_file(path: str) -> None:
 def test_a_url_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.chdir(tmp_path)
     for path in (url, Path(url)):
-        with pytest.raises(OutputError, match=r"a URL, where a local folder is needed: give a folder"):
+        with pytest.raises(OutputError, match=r"a URL, but a local folder is needed: give a folder"):
             make_folder(path)
     assert not list(tmp_path.iterdir())

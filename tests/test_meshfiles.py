@@ -21,7 +21,7 @@ def garment() -> BoxMesh:
 
 
 def read(content: bytes, kind: str) -> trimesh.Trimesh:
-    """As trimesh reads it; an OBJ gets a vertex for every pair of position and texture coordinate."""
+    """The mesh as read by trimesh; an OBJ gets a vertex for every pair of position and texture coordinate."""
     mesh = trimesh.load(io.BytesIO(content), file_type=kind, process=False, force="mesh")
     assert isinstance(mesh, trimesh.Trimesh)
     return mesh

@@ -44,7 +44,7 @@ def shuffled(pattern: Pattern) -> Pattern:
 
 
 def renamed(pattern: Pattern) -> Pattern:
-    """Every panel takes the name of another."""
+    """Swap the panels' names cyclically."""
     names = [panel.name for panel in pattern.panels]
     new = dict(zip(names, names[1:] + names[:1], strict=True))
 
@@ -79,7 +79,7 @@ def drawn_from_behind(panel: Panel) -> Panel:
 
 
 def split(pattern: Pattern, name: str) -> Pattern:
-    """The first edge of a panel, which must be straight, is cut in two; the outline stays."""
+    """Cut the first edge of a panel, a line, in two; the outline stays the same."""
     old = pattern.panel(name)
     middle = old.vertices[:2].mean(axis=0)
     corners = np.insert(old.vertices, 1, middle, axis=0)
@@ -128,7 +128,7 @@ def test_a_missing_panel_is_punished() -> None:
     assert (score.panel_count_acc, score.edge_count_acc, score.iou) == pytest.approx((0, 2 / 3, 2 / 3))
     assert (score.stitch_p, score.stitch_r, score.stitch_f1) == pytest.approx((1, 2 / 3, 0.8))
     assert score.panel_l2 == pytest.approx(0, abs=1e-9)
-    assert 3 < score.panel_l2_pen < 10  # a sleeve's mean radius of about 17 cm, over three panels
+    assert 3 < score.panel_l2_pen < 10  # the missing sleeve's mean radius, about 17 cm, over three panels
 
 
 def test_a_panel_too_many_is_punished() -> None:

@@ -109,7 +109,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @hostile
 def test_a_hostile_name_is_refused_or_made_one_component(name: str) -> None:
-    with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: give one of letters") as caught:
+    with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: use letters") as caught:
         require_name(name, "manifest: split")
     assert str(caught.value).isprintable()
     safe = safe_name(name)
@@ -172,7 +172,7 @@ def manifest_with(shards: Path, name: str, what: str) -> str:
 def test_a_shard_of_an_index(victims: Path, shards: Path, name: str) -> None:
     data = shutil.copytree(shards, victims / "data")
     index = ShardIndex.read(data / "index-train.npz")
-    if "\0" in name or name == "\ud800":  # which NumPy cannot store
+    if "\0" in name or name == "\ud800":  # NumPy cannot store these
         return
     (data / "index-train.npz").write_bytes(replace(index, shards=(name,)).to_bytes())
     with pytest.raises(ShardError, match="a shard outside the folder"):
@@ -225,7 +225,7 @@ def test_a_tar_in_the_list_of_a_server(hub: Hub, victims: Path, name: str) -> No
         info = tarfile.TarInfo("a.txt")
         info.size = 5
         tar.addfile(info, BytesIO(b"words"))
-    if name == "\ud800" or "\n" in name:  # which the server cannot send
+    if name == "\ud800" or "\n" in name:  # the server cannot send these
         return
     hub.publish("org/tars", {f"{name}.tar": content.getvalue()})
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": victims / "cache"}

@@ -17,7 +17,7 @@ NAPKINS = encode_pattern(napkins())
 
 
 def changed(array: str, row: int, column: int, by: float) -> PatternTensor:
-    """The napkins with one number moved."""
+    """The napkins with ``by`` added to one entry."""
     moved = getattr(NAPKINS, array).copy()
     moved[row, column] += by
     return replace(NAPKINS, **{array: moved})
@@ -71,7 +71,7 @@ def test_the_order_does_not_matter() -> None:
 
 
 def test_a_number_between_two_steps_may_be_rounded_either_way() -> None:
-    """Two machines that differ by 2e-12 cm, on both sides of a tie."""
+    """The coordinates of two machines differ by 2e-12 cm, across a rounding tie."""
     place = 0.5 * STEP - NAPKINS.edges[1, EdgeColumn.START_X] % STEP
     below = changed("edges", 1, EdgeColumn.START_X, place - 1e-12)
     above = changed("edges", 1, EdgeColumn.START_X, place + 1e-12)
@@ -83,7 +83,7 @@ def test_a_number_between_two_steps_may_be_rounded_either_way() -> None:
 
 
 def test_two_patterns_and_mirrored_numbers_may_be_rounded_otherwise() -> None:
-    """Mirrored panels share a number, which another machine rounds differently in both."""
+    """Mirrored panels hold a coordinate with both signs; another machine rounds both the other way."""
 
     def napkins_at(offset: float) -> PatternTensor:
         edges = NAPKINS.edges.copy()
@@ -117,7 +117,7 @@ print(PatternHash.of(patterns).text, sum(float(pattern.edges.sum()) for _, patte
 
 
 def test_other_instructions_give_the_same_hash() -> None:
-    """BLAS and C library restricted to old instructions: the last digits differ, the hash agrees."""
+    """With BLAS and the C library restricted to old instructions the last digits may differ, the hash does not."""
     old = {"OPENBLAS_CORETYPE": "Prescott", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
     ended = [
         subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True, env=env).stdout

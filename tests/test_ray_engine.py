@@ -48,7 +48,7 @@ def test_a_long_sample_is_a_range_of_its_own() -> None:
 
 def test_tasks_of_a_node_share_its_actors_evenly_and_know_the_others() -> None:
     actors = [Actor(f"{node}{number}", node) for node in "xy" for number in range(4)]
-    for node in "xyz":  # z has none of its own
+    for node in "xyz":  # node z has no actors
         orders = [nearest_first(actors, node, task) for task in range(8)]
         assert all(sorted(order) == sorted(actor.handle for actor in actors) for order in orders)
         own = [actor.handle for actor in actors if actor.node == node] or [actor.handle for actor in actors]

@@ -98,7 +98,7 @@ def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Reci
     other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
     with pytest.raises(ConfigError, match=r"made by recipe tiny \(\w{12}\), asked for tiny \(\w{12}\): use the same"):
         generate_recipe(copy, other)
-    with pytest.raises(ConfigError, match="the data set tiny: go on with --recipe"):
+    with pytest.raises(ConfigError, match="the data set of recipe tiny: continue with --recipe"):
         generate(copy, 20, seed=3, config=recipe.config)
     plain = tmp_path / "plain"
     generate(plain, 1, seed=3, config=recipe.config)
@@ -120,7 +120,7 @@ def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
 
 
 def manifest_with(folder: Path, **entries: str) -> None:
-    """Write these entries of the recipe into a folder's manifest."""
+    """Set entries of ``recipe`` in a folder's ``manifest.json``."""
     path = folder / "manifest.json"
     content = json.loads(path.read_text())
     content["recipe"] |= entries
@@ -135,7 +135,7 @@ def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path)
     manifest_with(renamed, sha256=recipe.sha256)
     message = list(recipe_faults(renamed, recipe))
     assert any("is not of seed 3" in line for line in message)
-    # With another hash in the manifest, the same patterns are rejected.
+    # The right patterns with a wrong hash in the manifest are reported too.
     manifest_with(copy, patterns="0" * 64)
     assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
 
@@ -161,7 +161,7 @@ def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Reci
     for path in copy.glob("*test*"):
         path.rename(path.with_name(path.name.replace("test", "tset")))
     message = list(recipe_faults(copy, recipe))
-    assert any("split tset is none of tiny" in line for line in message)
+    assert any("split tset does not belong to tiny" in line for line in message)
     assert any("no split test: run gcd generate --recipe tiny again" in line for line in message)
 
 
@@ -281,7 +281,7 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
     """The recipe's hash differs from the hash of the stored patterns."""
     shutil.copytree(made, tmp_path / "tiny")
     newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
-    with pytest.raises(ConfigError, match="than this version of the package draws: delete the folder"):
+    with pytest.raises(ConfigError, match="patterns drawn by another version of the package: delete the folder"):
         GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
 
 
@@ -302,7 +302,7 @@ def program(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
-    """Two training processes request it at the same time; workers do not import the program again."""
+    """Two programs request the data set at the same time; its workers do not import the programs again."""
     command = [sys.executable, str(program), str(toml), str(tmp_path)]
     with locked(_folder(tmp_path) / LOCK, "making tiny"):
         both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]

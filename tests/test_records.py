@@ -34,7 +34,7 @@ def test_a_measurement_file_is_in_degrees() -> None:
     size = Measurements.from_file_values({"waist": 70.0, "shoulder_incl": 30.0, "_derived": 1.0})
     assert size.shoulder_incl == pytest.approx(np.pi / 6)
     assert size.to_file_values() == {"waist": 70.0, "shoulder_incl": pytest.approx(30.0)}
-    assert MEASURES.index("crotch_hip_diff") == 25  # GarmentCode's 26 stand first
+    assert MEASURES.index("crotch_hip_diff") == 25  # GarmentCode's 26 measures come first
 
 
 def test_missing_measures_are_named() -> None:

@@ -129,7 +129,7 @@ def test_absolute_control_points_draw_the_same_curve() -> None:
 
 
 def test_loops_that_start_anywhere_hang_where_they_hung() -> None:
-    """An old file: the loop starts at its third edge and runs clockwise; the seams still join the same points."""
+    """As in old files, the loop starts at its third edge and runs clockwise; the seams still join the same points."""
     clockwise = np.array([[20.0, 30.0], [20.0, 0.0], [0.0, 0.0], [0.0, 30.0]])
     edges = tuple(Edge(i, (i + 1) % 4, Quadratic((0.5, 0.1 * i)), str(i)) for i in range(4))
     panel = Panel("old", clockwise, edges, Placement(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3])))
@@ -253,7 +253,7 @@ def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"half\.json: line 2, column"):
         read_pattern(path)
     path.write_text('{"pattern": NaN}')
-    with pytest.raises(SpecError, match="NaN is no number"):
+    with pytest.raises(SpecError, match="NaN is not a number"):
         read_pattern(path)
     path.write_text(f'{{"pattern": {"9" * 5000}}}')
     with pytest.raises(SpecError, match="mend the JSON"):

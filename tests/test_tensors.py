@@ -200,9 +200,9 @@ def test_broken_arrays_are_named() -> None:
         (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
         (replace(tensor, edges=tensor.edges[:3]), "mend N_EDGES"),
         (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
-        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, there are 4"),
-        (with_edge(EdgeColumn.KIND, 9), "edges name kinds"),
-        (with_edge(EdgeColumn.LABEL, 40), "edges name labels"),
+        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches refer to edges 0 to 7, but there are 4"),
+        (with_edge(EdgeColumn.KIND, 9), "edges refer to kinds"),
+        (with_edge(EdgeColumn.LABEL, 40), "edges refer to labels"),
     ):
         with pytest.raises(PatternError, match=message):
             decode_pattern(broken)

@@ -30,7 +30,7 @@ def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path)
 
 def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_bytes(b'a = "\xe9"')
-    with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is no text in UTF-8: mend the TOML"):
+    with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is not valid UTF-8: mend the TOML"):
         read_toml(tmp_path / "c.toml")
     with pytest.raises(ConfigError, match=r"no\.toml: no such file: give the path of a TOML file"):
         read_toml(tmp_path / "no.toml")

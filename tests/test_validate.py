@@ -72,7 +72,7 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
     ),
     Rule.VERTEX_RANGE: (lambda: alone(with_edge(square(), 1, Edge(1, 7))), "front", 1, "vertex 7 of 4"),
     Rule.OPEN_LOOP: (lambda: alone(without_edge(square(), 2)), "front", 2, "edge 1 ends at 2"),
-    Rule.NO_LENGTH: (lambda: alone(polygon((0, 0), (9, 0), (9, 0), (0, 9))), "front", 1, "one point"),
+    Rule.NO_LENGTH: (lambda: alone(polygon((0, 0), (9, 0), (9, 0), (0, 9))), "front", 1, "coincide"),
     Rule.ARC_RADIUS: (
         lambda: alone(polygon((0, 0), (10, 0), (5, 9), curves={0: Arc(4.9, False, True)})),
         "front",
@@ -221,7 +221,7 @@ def test_a_small_garment_is_identified_by_the_unit_of_its_file() -> None:
     pattern = Pattern("p", (square(side=7.0),), (), {"properties": {"original_units_in_meter": 1000}})
     (fault,) = check_pattern(pattern)
     assert fault.figure == (
-        "its largest panel is 7 cm: drawn in centimetres it has 70 cm: set properties.units_in_meter to 100"
+        "its largest panel is 7 cm: in centimetres it would be 70 cm: set properties.units_in_meter to 100"
     )
 
 
@@ -229,7 +229,7 @@ def test_a_garment_that_was_never_placed_is_identified_by_its_edges() -> None:
     shirt = Pattern("p", (square("front", side=700.0), square("back", side=650.0)), ())
     (fault,) = check_pattern(shirt)
     assert (fault.rule, fault.severity) == (Rule.UNLIKELY_SIZE, Severity.WARNING)
-    assert "drawn in millimetres it has 70 cm" in fault.figure
+    assert "in millimetres it would be 70 cm" in fault.figure
 
 
 def test_wide_skirts_and_narrow_belts_have_a_likely_size_and_are_sewn_straight(drawn: list[Pattern]) -> None:
@@ -240,7 +240,7 @@ def test_wide_skirts_and_narrow_belts_have_a_likely_size_and_are_sewn_straight(d
 
 
 def test_a_stitch_turned_round_is_identified_where_the_panels_hang(drawn: list[Pattern]) -> None:
-    """The side seams of a skirt, from waist to hem."""
+    """Turns the side seams of a skirt, which run from waist to hem."""
     for pattern in drawn:
         turned = [replace(seam, right_wrong=not seam.right_wrong) for seam in pattern.seams]
         message = {fault.rule for fault in check_pattern(replace(pattern, seams=tuple(turned)))}
@@ -257,7 +257,7 @@ def test_an_outline_of_kilometres_in_a_small_panel_is_not_searched() -> None:
     corners = [(20 * cos(i / 64), 20 * sin(i / 64)) for i in range(400)]
     faults = check_pattern(alone(polygon(*corners, curves=there_and_back)))
     assert {fault.rule for fault in faults if fault.severity is Severity.ERROR} == {Rule.TOO_LARGE}
-    assert "its outline has" in next(fault.figure for fault in faults if fault.rule is Rule.TOO_LARGE)
+    assert "its outline is" in next(fault.figure for fault in faults if fault.rule is Rule.TOO_LARGE)
 
 
 def test_stitches_to_nothing_name_some_of_five_hundred_panels() -> None:
@@ -277,7 +277,7 @@ def test_a_good_pattern_has_no_faults() -> None:
 
 
 def test_curves_cross_where_their_chords_do_not() -> None:
-    bulge = {0: Quadratic((0.5, 1.2))}  # rises 6 cm at its middle, through the roof of a panel 4 cm high
+    bulge = {0: Quadratic((0.5, 1.2))}  # its middle is 6 cm high, above the top edge at 4 cm
     faults = check_pattern(alone(polygon((0, 0), (10, 0), (10, 4), (0, 4), curves=bulge)))
     assert {fault.rule for fault in faults} == {Rule.SELF_CROSSING}
     assert {fault.edge for fault in faults} == {0}
@@ -297,7 +297,7 @@ def dipping(depth: float) -> Pattern:
 
 
 def test_crossings_are_identified_by_distance_not_by_curve_parameter() -> None:
-    """The base is crossed 0.6 cm from the corner, at a hundredth of its length; and then 0.003 cm from it."""
+    """The base is crossed 0.6 cm from its corner, at 1 % of its length; then 0.003 cm from the corner."""
     (fault,) = check_pattern(dipping(0.45))
     assert (fault.rule, fault.edge) == (Rule.SELF_CROSSING, 0)
     assert "edge 1 at (49.38" in fault.figure
@@ -305,7 +305,7 @@ def test_crossings_are_identified_by_distance_not_by_curve_parameter() -> None:
 
 
 def test_touching_is_crossing() -> None:
-    """The neck of an hourglass that is drawn shut."""
+    """An hourglass whose neck has no width."""
     faults = check_pattern(alone(polygon((0, 0), (10, 0), (5, 5), (10, 10), (0, 10), (5, 5))))
     assert Rule.SELF_CROSSING in {fault.rule for fault in faults}
 

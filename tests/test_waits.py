@@ -21,7 +21,7 @@ DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A manual clock; empties the account."""
+    """A manual clock; clears the recorded waits."""
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(waits, "time", SimpleNamespace(perf_counter=lambda: clock.now))
     take_waits()

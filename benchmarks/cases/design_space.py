@@ -78,7 +78,7 @@ def _ours(seed: int, count: int) -> Iterator[OutfitDesign]:
 
 
 def _theirs(seed: int, count: int, reasons: Counter[str]) -> Iterator[OutfitDesign]:
-    """Designs accepted by GarmentCode's sampler; ``reasons`` counts all its verdicts."""
+    """Designs accepted by GarmentCode's sampler; ``reasons`` counts attempts by reject reason, "" if accepted."""
     number = 0
     while reasons[""] < count:
         design = reference_design(rng(seed, number, Stage.DESIGN))

@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheet", type=Path, help="picture of the first 64 sampled garments")
     parser.add_argument("--failures", type=Path, help="folder for pictures of the sampled garments that failed")
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--ablation", action="store_true", help="each feature switched off in turn")
+    mode.add_argument("--ablation", action="store_true", help="drape once per feature, with that feature switched")
     mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
     mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")

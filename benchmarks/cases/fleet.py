@@ -2,8 +2,8 @@
 
     python -m benchmarks.run fleet --machines 1000 --garments 10000000 --parts 2560 25600
 
-No garment is made: stage times are those measured by ``benchmarks.run scale``. ``gpu_hours``, ``tb``, ``usd``: machines
-that do not fail; ``hours``: from the simulation, with the fastest part size, ``best_part``.
+No garment is made: stage times are those measured by ``benchmarks.run scale``. ``gpu_hours``, ``tb`` and the prices
+``*_usd`` are for machines that do not fail; ``hours`` is the simulated time with the fastest part size, ``best_part``.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Measured:
     """Compute the cost, then simulate each part size; a failure loses unfinished shards, or unfinished parts."""
     if min(options.garments, options.machines, *options.parts) < 1 or min(options.rate, options.bytes) <= 0:
-        raise ConfigError("give 1 or more machines, garments and garments a part, rate and bytes above 0")
+        raise ConfigError("give 1 or more machines, garments and garments per part, and a rate and bytes above 0")
     machine, store = Machine(rate=options.rate), ObjectStore()
     rates = limits(machine, store, gpus=options.machines, size=options.bytes)
     cost = bill(

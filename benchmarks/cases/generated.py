@@ -121,7 +121,7 @@ def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: flo
     figures += [Figure("small_gpu_idle", idle[0], "of the time")] if idle else []
     figures += [
         Figure("large_layers", layers, f"of a transformer, {weights:.0f} million weights"),
-        Figure("large_step_s", seconds, "s, with the batch there"),
+        Figure("large_step_s", seconds, "s, with the batch in memory"),
     ]
     with gpu_idle(garments.config.device) as idle:
         figures += _waits("large", large, batches, device, options)

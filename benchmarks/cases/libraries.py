@@ -48,15 +48,16 @@ DECIDED: tuple[Mapping[str, str], ...] = (
     {
         "piece": "Croissant",
         "by": "mlcroissant (tests/extras/test_croissant.py)",
-        "figures": "valid before and after; records: an IsADirectoryError before, all files after",
-        "verdict": "adopted in a test: it found two properties missing from the context, and a pattern, `*`, that "
+        "figures": "metadata valid before and after; reading the records raised IsADirectoryError before, "
+        "yields all files after",
+        "verdict": "adopted in a test: it found two properties missing from the context, and that the pattern `*` "
         "matched a folder",
     },
     {
         "piece": "nearest point of a triangle",
         "by": "trimesh.triangles.closest_point",
-        "figures": "80 000 pairs: 24.5 ms of CPU time, ours 30.2 ms; equal to 3e-14 cm",
-        "verdict": "adopted, and ours removed",
+        "figures": "80 000 pairs: 24.5 ms of CPU time, our function 30.2 ms; results equal to 3e-14 cm",
+        "verdict": "adopted; our function removed",
     },
     {
         "piece": "nearest point of a mesh",

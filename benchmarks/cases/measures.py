@@ -31,39 +31,39 @@ __all__ = ["add_arguments", "run", "tolerance"]
 
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
 CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # cm, cm, degrees
-STATED = "doubtful"  # first word of such a remark
+STATED = "doubtful"  # first word of a remark of doubt
 LOOSE = {"fused": 2.5}
-"""Damage that leaves bumps of millimetres, over which the tape runs: factor on the tolerances."""
+"""Factor on the tolerances, for damage that leaves bumps of millimetres under the tape."""
 SPEED_BODIES = 100
 
-LEVEL = "the level where it is taken"
+LEVEL = "height at which it is measured"
 CAUSES = {
-    "height": "none: the extent of the mesh",
-    "head_l": "nape vertex",
-    "neck_w": "ends of the chain round the neck",
-    "shoulder_w": "shoulder points",
+    "height": "exact: the extent of the mesh",
+    "head_l": "position of the nape point",
+    "neck_w": "ends of the path round the neck",
+    "shoulder_w": "positions of the shoulder points",
     "shoulder_incl": "our shoulder point lies 1 cm further down the slope",
-    "armscye_depth": "our underarm point is where arm and trunk part, 1 cm lower",
-    "arm_length": "shoulder and wrist points",
-    "arm_pose_angle": "wrist point",
-    "wrist": "our tape is drawn round the narrowest section, theirs along a loop of edges",
-    "bust": f"{LEVEL}; the search ends on its border in both",
-    "underbust": f"{LEVEL}, under breasts the girth changes 1 cm a cm",
-    "waist": f"{LEVEL}; the search ends on its border in both",
-    "hips": f"{LEVEL}; the search ends on its border in both",
+    "armscye_depth": "our underarm point, where arm and trunk separate, is 1 cm lower",
+    "arm_length": "positions of the shoulder and wrist points",
+    "arm_pose_angle": "position of the wrist point",
+    "wrist": "our tape follows the narrowest section, theirs a loop of mesh edges",
+    "bust": f"{LEVEL}; both searches end at their limit",
+    "underbust": f"{LEVEL}; below the breasts the girth changes by 1 cm per cm of height",
+    "waist": f"{LEVEL}; both searches end at their limit",
+    "hips": f"{LEVEL}; both searches end at their limit",
     "leg_circ": LEVEL,
-    "waist_back_width": "depth of the side points; 1 cm forward is 2 cm of tape",
-    "back_width": "depth of the side points; 1 cm forward is 2 cm of tape",
-    "hip_back_width": "depth of the side points; 1 cm forward is 2 cm of tape",
-    "bust_points": "breast points",
-    "bum_points": "apexes of the buttocks, on a flat maximum",
-    "waist_line": "nape, and the level of the waist",
-    "waist_over_bust_line": "the plane's distance from the middle, where the neck's slope begins",
-    "bust_line": "the plane's distance from the middle, where the neck's slope begins",
-    "vert_bust_line": "nape, and the level of the bust",
-    "hips_line": "levels of waist and hips",
-    "hip_inclination": "side points",
-    "crotch_hip_diff": "crotch point, and the level of the hips",
+    "waist_back_width": "depth of the side points: moved 1 cm forward, they lengthen the tape by 2 cm",
+    "back_width": "depth of the side points: moved 1 cm forward, they lengthen the tape by 2 cm",
+    "hip_back_width": "depth of the side points: moved 1 cm forward, they lengthen the tape by 2 cm",
+    "bust_points": "positions of the breast points",
+    "bum_points": "positions of the apexes of the buttocks, whose maximum is flat",
+    "waist_line": "nape point and waist level",
+    "waist_over_bust_line": "distance of the section plane from the middle, near the start of the neck's slope",
+    "bust_line": "distance of the section plane from the middle, near the start of the neck's slope",
+    "vert_bust_line": "nape point and bust level",
+    "hips_line": "waist and hip levels",
+    "hip_inclination": "positions of the side points",
+    "crotch_hip_diff": "crotch point and hip level",
 }
 
 

@@ -144,7 +144,7 @@ def _verdict(
     try:
         ours = outfit(size, design, mends=ALL_MENDS - set(left_out))
     except PatternError as error:
-        return Verdict(name, (f"is not drawn: {error}",), (), ())
+        return Verdict(name, (f"cannot be drawn: {error}",), (), ())
     found = compare(ours, theirs)
     outline = [
         Difference(panel, f"outline {distance:.2f} cm off at edge {found.worst_edge[panel]}")

@@ -1,7 +1,7 @@
 """Sampling designs: CPU time, acceptance, and the mix of garments.
 
 Every design is drawn for the neutral body and a random one, as in ``gcd generate --bodies both --stage pattern``; it is
-accepted if both can wear it. CPU time covers drawing the design, both patterns and all checks; bodies and their
+accepted if it fits both. CPU time covers drawing the design, both patterns and all checks; bodies and their
 measures are timed separately. ``defects`` are patterns in which ``validate`` finds an error or an edge under 0.5 cm.
 """
 
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[AcceptedDesign, tuple[Pattern, ...]]:
-    """Design ``number`` and its patterns: the first attempt that all can wear."""
+    """Design ``number`` and its patterns: the first attempt that fits all wearers."""
     begun = time.process_time()
     rejects: list[Reject] = []
     kind = sample_kind(rng(seed, number, Stage.KIND))

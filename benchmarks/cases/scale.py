@@ -4,9 +4,9 @@
 
 Garments with pictures, as ``gcd generate --bodies both`` makes them, are written to a temporary folder.
 ``garments_per_s`` is timed from the first garment written, when kernels are loaded and all workers busy, to the last.
-``own_per_s``: the draping process alone with unlimited requests, without pictures; ``share``: the first over the
-second; ``gpu_waits``: the share of time in which nvidia-smi sees no kernel; ``cpu_*``: CPU seconds per garment of each
-step, in this process, over ``--staged`` designs.
+``own_per_s``: rate of the draping process alone with unlimited requests, without pictures; ``share``:
+``garments_per_s`` divided by it and by the number of GPUs; ``gpu_waits``: the share of time in which nvidia-smi sees no
+kernel; ``cpu_*``: CPU seconds per garment of each step, in this process, over ``--staged`` designs.
 """
 
 import argparse

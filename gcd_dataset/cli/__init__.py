@@ -1,7 +1,7 @@
 """The ``gcd`` command: parses the options, calls one function of the library, prints its result.
 
-Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, and options that do not
-fit together, this machine, or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
+Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, or options that do not
+fit each other, this machine or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
 the requested content. Exit 130 after Ctrl-C.
 """
 
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GcdError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # stdout's reader has exited: redirect, so that the flush at exit does not fail again
+    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
@@ -155,7 +155,7 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
 
 
 def _require_no_store(options: argparse.Namespace, data: str) -> None:
-    """Raise ``ConfigError`` for options of a store; ``data`` names data that is made in folders only."""
+    """Raise ``ConfigError`` for options of a store; ``data``: the data that needs a folder, for the message."""
     if options.spool is not None or options.patience is not None:
         raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
@@ -470,7 +470,7 @@ def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
 
 
 def _overlay(path: Path, values: Any) -> Any:
-    """The restrictions on designs in a config file. Raises ``ConfigError`` with the wrong parameter."""
+    """The restrictions on designs in a config file. Raises ``ConfigError`` naming the invalid parameter."""
     from gcd_dataset.generator.garments.overlay import Overlay
 
     if not isinstance(values, Mapping):

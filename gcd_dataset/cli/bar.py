@@ -18,7 +18,7 @@ MOST_RULES = 3  # rules named in the bar
 class Bar:
     """A progress bar on stderr, a new one for each split; keeps the latest progress.
 
-    ``verb``: named in the lines about skipped samples.
+    ``verb``: the verb named in lines about skipped samples.
     """
 
     def __init__(self, unit: str, quiet: bool, *, verb: str = "generate") -> None:

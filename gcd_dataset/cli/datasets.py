@@ -111,7 +111,7 @@ def _index(options: argparse.Namespace) -> int:
     folder = require_folder(options.dataset)
     splits = require_splits(folder)
     if options.split not in (None, *splits):
-        known = f"there is {', '.join(splits)}{did_you_mean(options.split, splits)}"
+        known = f"choose from {', '.join(splits)}{did_you_mean(options.split, splits)}"
         raise ShardError(f"{folder}: no shards of split {options.split}: {known}")
     for split in splits if options.split is None else [options.split]:
         index = rebuild_index(folder, split, layout_in(folder, split))
@@ -130,7 +130,7 @@ def _download(options: argparse.Namespace) -> int:
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):
-        raise ConfigError(f"{options.repo}: a folder of this machine: there is nothing to download")
+        raise ConfigError(f"{options.repo}: a local folder: there is nothing to download")
     remote = Remote(endpoint=options.endpoint, patience=options.patience)
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
@@ -175,7 +175,7 @@ def _publish(options: argparse.Namespace) -> int:
     )
     files = len(done.staged.files)
     if done.commit is None:
-        print(f"{done.staged.folder}: {files} files would go up to {options.repo}; nothing was sent")
+        print(f"{done.staged.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
     else:
         print(f"{options.repo}@{done.commit}: {files} files uploaded")
     return 0

@@ -74,7 +74,7 @@ def _export(options: argparse.Namespace) -> int:
         bar.run(partial(export, require_folder(options.dataset), out, form, split=options.split))
     done = bar.progress
     if bar.interrupted and form == "hdf5":
-        print(f"gcd export: stopped; {out} was not written: begin again", file=sys.stderr)
+        print(f"gcd export: stopped; {out} was not written: start again", file=sys.stderr)
         return INTERRUPTED
     if bar.interrupted:
         return stopped("export", f"{done.made} of {done.count}")

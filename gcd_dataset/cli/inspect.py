@@ -44,7 +44,7 @@ def info_lines(store: Store) -> Iterator[str]:
     yield f"{store.location()}{source}{version}"
     if manifest is not None and manifest.recipe is not None:
         recipe = manifest.recipe
-        yield f"  recipe {recipe.name}, sha256 {recipe.sha256}, patterns {recipe.patterns or 'not all there yet'}"
+        yield f"  recipe {recipe.name}, sha256 {recipe.sha256}, patterns {recipe.patterns or 'not all made yet'}"
     for split in splits:
         layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
         reader = ShardReader(store, split, layout=layout)
@@ -84,7 +84,7 @@ def _recipe_lines(record: SplitRecord) -> Iterator[str]:
 def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
     """A line with the path of the reject log, if there is one."""
     if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
-        yield f"    each of them, with its figures: {store.folder / REJECTS}"
+        yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
 
 
 def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
@@ -96,7 +96,7 @@ def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
 
 
 def _content_lines(reader: ShardReader) -> Iterator[str]:
-    """Outcomes, wearers and types of garments, from samples at even distances."""
+    """Outcomes, wearers and types of garments, from samples at evenly spaced positions."""
     member_of = fields_of(reader.layout.members)
     members = [member_of[field] for field in ("meta", "design") if field in member_of]
     chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), SAMPLED)).astype(int)).tolist()
@@ -167,7 +167,9 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
         if manifest is not None and manifest.splits[split].shards:
             yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
     if all({DESIGN, BODY} <= fields_of(reader.layout.members).keys() for reader in readers.values()):
-        yield from (f"{folder}: {leak}: a model trained on one knows what it is tested on" for leak in leaks(readers))
+        yield from (
+            f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(readers)
+        )
 
 
 def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
@@ -184,7 +186,7 @@ def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[
         if record is not None and name not in records:
             yield f"{path}: not listed in {MANIFEST}: run gcd generate again"
         elif record is not None and records[name].count != len(table):
-            yield f"{path}: {len(table)} samples, {MANIFEST} lists {records[name].count}: copy it again"
+            yield f"{path}: {len(table)} samples, but {MANIFEST} lists {records[name].count}: copy it again"
         if reader.layout.kind != FOREIGN:
             yield from _header_faults(path, reader, table)
         if full and name in records and _sha256(path) != records[name].sha256:

@@ -31,7 +31,7 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
 
 
 def _border_remarks(taken: MeasureResult) -> list[str]:
-    """One line for each girth that was found at the border of its search range."""
+    """One line for each girth that was measured at the end of its search range."""
     return [
         f"{girth}: measured at height {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} "
         f"its landmark, {'where the legs part' if girth == 'leg_circ' else 'the end of the search range'}"

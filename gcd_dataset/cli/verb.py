@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             known = list(map(str, action.choices))
-            message = f"no {shown(str(value))}: there is {', '.join(known)}{did_you_mean(str(value), known)}"
+            message = f"no {shown(str(value))}: choose from {', '.join(known)}{did_you_mean(str(value), known)}"
             raise argparse.ArgumentError(action, message)
 
 
@@ -117,13 +117,13 @@ def process_count(text: str) -> int | None:
 def natural_number(text: str) -> int:
     """Option type: a whole number of 0 or more."""
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of 0 or more")
     return int(text)
 
 
 @contextlib.contextmanager
 def interrupts_after_imports() -> Iterator[None]:
-    """Delay Ctrl-C until no import is running: trimesh catches it as a missing package, and continues.
+    """Delay Ctrl-C until no import is running: trimesh would take it for a missing package, and continue.
 
     Does nothing outside the main thread, or if Python's default handler is not installed.
     """
@@ -164,8 +164,8 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def stopped(verb: str, progress: str) -> int:
-    """Report that a verb was ended by Ctrl-C, and return its exit code; ``progress`` as in ``3 of 10``."""
-    print(f"gcd {verb}: stopped at {progress}: the same command goes on from there", file=sys.stderr)
+    """Report that Ctrl-C stopped a verb, and return the exit code; ``progress``: text such as ``3 of 10``."""
+    print(f"gcd {verb}: stopped at {progress}: the same command continues from there", file=sys.stderr)
     return INTERRUPTED
 
 
@@ -179,7 +179,7 @@ def require_folder(source: str) -> Path:
         if isinstance(parsed, Folder):
             return parsed.path
         raise ConfigError(
-            f"{source}: not on this machine: run gcd download {source} first, and give the folder that it makes"
+            f"{source}: not on this machine: run gcd download {source} first, then give the downloaded folder"
         )
     with reading(Path(source)):
         if Path(source).is_dir():

@@ -1,7 +1,7 @@
 """A cache of shard members read from a server.
 
     shards/KEY.tar     a sparse copy of the shard: each cached member at its offset
-    shards/KEY.have    number of cached bytes, then one flag byte for each member of each sample: 1 if cached
+    shards/KEY.have    number of cached bytes; one flag byte for each member of each sample: 1 if cached
     used               cached bytes of all shards
 
 Members are cached, not shards: half the bytes of a data set are in fields that most models never read. Only members
@@ -45,7 +45,7 @@ class CachedMember(NamedTuple):
     """A verified member, to be cached."""
 
     flag: int
-    """Number of the member among all members of the shard: sample number * members a sample + column."""
+    """Number of the member among all members of the shard: sample number * members per sample + column."""
     offset: int
     data: memoryview
 
@@ -67,8 +67,8 @@ def size_in_bytes(size: int | str | None) -> int | None:
 class Cache:
     """Members of shards in ``folder``, at most ``limit`` bytes. Safe for several processes; may be pickled and forked.
 
-    Eviction is by shard, the least recently used first. Members larger than ``limit``, or that cannot be written, are
-    not cached; a warning says so.
+    Eviction is by shard, the least recently used first. Members that are larger than
+    ``limit``, or cannot be written, are not cached; the first failure logs a warning.
     """
 
     def __init__(self, folder: Path, limit: int | None = None) -> None:

@@ -19,9 +19,9 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "design": "the design's parameters; JSON",
     "caption": "the garment in a sentence",
     "measures": "the wearer's tailor's measures [cm, degrees]",
-    "panels": "the pattern as arrays: one row a panel",
-    "edges": "one row an edge",
-    "stitches": "one row a seam",
+    "panels": "the pattern as arrays: one row per panel",
+    "edges": "one row per edge",
+    "stitches": "one row per seam",
     "body": "weights of the body's shape components [standard deviations]",
     "faces": "triangles, rows of verts and box",
     "uv": "panel-plane coordinates of the seam-split vertices [cm]",
@@ -32,7 +32,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "uv_vertex": "the vertex of each row of uv",
     "box": "vertex positions before sewing [cm]",
     "verts": "vertex positions at rest on the body [cm]",
-    "points": "surface points and normals as 16-bit integers; scale and centre [cm] stand in meta",
+    "points": "surface points and normals as 16-bit integers; meta holds scale and centre [cm]",
     "front": "picture from the front",
     "back": "picture from behind",
 }
@@ -67,7 +67,7 @@ The shards are plain tars that `webdataset` reads, and `datasets.load_dataset("{
 
 ## Fields
 
-| field | file | holds |
+| field | file | content |
 |---|---|---|
 {fields}
 
@@ -82,7 +82,7 @@ CRC-32 of every file of every garment in `index-….npz`.
 
 @dataclass(frozen=True)
 class Release:
-    """The facts about a published data set that its card and description state."""
+    """A published data set, as described by its card and its Croissant file."""
 
     repo: str
     manifest: Manifest
@@ -92,7 +92,7 @@ class Release:
     """Members of each garment."""
     license: str
     divided: bool
-    """Whether no two splits share a design or a body: one split was divided, or a recipe drew the splits."""
+    """Whether the splits share neither designs nor bodies: they divide one split, or a recipe defines them."""
     endpoint: str
 
     @property
@@ -219,7 +219,7 @@ def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
 
 
 def _records(split: str, release: Release) -> dict[str, Any]:
-    """The ``RecordSet`` of a split: one record a file; the description lists the members."""
+    """The ``RecordSet`` of a split: one record per file; the description lists the members."""
     members = "; ".join(f"{member}: {_describe(field)}" for field, member in fields_of(release.members).items())
     return {
         "@type": "cr:RecordSet",

@@ -94,7 +94,7 @@ def download(
 def remote_splits(source: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
     """The source pinned to its current revision, and its splits.
 
-    Raises ``ConfigError`` for tars of another program, else as ``download``.
+    Raises ``ConfigError`` for tars of another program, otherwise as ``download``.
     """
     site = Site(source, remote)
     manifest = RemoteStore(site, None).manifest()
@@ -114,24 +114,24 @@ def _wanted_layout(fields: Sequence[str] | None) -> Layout:
 
 
 def _require_shard_names(site: Site, reader: ShardReader) -> None:
-    """Raise ``ShardError`` for an unsafe shard name; ``RemoteStore.index`` has compared them with the manifest's."""
+    """Raise ``ShardError`` for an unsafe shard name in the index; the manifest lists the same names."""
     for name in reader.index.shards:
         if shard_number(name, reader.split) is None:
-            raise ShardError(f"{site.source}: lists a shard {name!r}, which is no valid name: tell its publisher")
+            raise ShardError(f"{site.source}: lists a shard {name!r}, which is not a valid name: tell its publisher")
 
 
 def _reduced_layout(site: Site, layout: Layout, wanted: Layout) -> Layout:
     """The published layout reduced to the fields of ``wanted``. Raises ``ConfigError`` for a missing field."""
     names, available = fields_of(wanted.members).keys(), fields_of(layout.members)
     if missing := sorted(names - available.keys()):
-        raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(available)}")
+        raise ConfigError(f"{site.source}: its garments have no field {missing[0]}: there are {', '.join(available)}")
     return layout.of([member for field, member in available.items() if field in names])
 
 
 def _foreign_error(site: Site) -> ConfigError:
     return ConfigError(
-        f"{site.source}: tars of another program have no manifest to verify them by: read them without root, or get "
-        "them with hf download"
+        f"{site.source}: tars of another program have no manifest, so they cannot be verified: read them without root, "
+        "or get them with hf download"
     )
 
 

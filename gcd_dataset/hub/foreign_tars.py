@@ -25,7 +25,7 @@ def read_foreign_index(site: Site, split: str) -> ShardIndex:
     names = foreign_shards(site.names, split)
     if not names:
         raise ShardError(f"{site.source}: no tars of split {split}: give a repository of shards")
-    log.info("%s: no index: scanning all of its %d tars, once", site.source, len(names))
+    log.info("%s: no index: scanning its %d tars, once", site.source, len(names))
     archives, lengths = {}, []
     for name in names:
         scanned = json.loads(site.cached(safe_name(f"{name}.json"), partial(_scan, site, name)))
@@ -44,7 +44,9 @@ def _scan(site: Site, name: str) -> bytes:
         samples = [[sample.key, dict(sample.members)] for sample in samples_of(cast(BinaryIO, counted))]
         counted.read_all()
     except ShardError as error:
-        raise ShardError(f"{site.source}/{shown(name)}: {error}: tell its maker, or choose another") from error
+        raise ShardError(
+            f"{site.source}/{shown(name)}: {error}: tell its publisher, or choose another repository"
+        ) from error
     return json.dumps([counted.length, *samples]).encode()
 
 

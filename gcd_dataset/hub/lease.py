@@ -30,14 +30,16 @@ def leased(files: Objects, local: Path) -> Iterator[None]:
 
     ``local``: file with a copy of the lease, which identifies this run after a kill. Raises ``OutputError`` where
     another run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers
-    that start at the same instant may both get it, unless the check after writing reads the other lease.
+    that start at the same instant may both get it, unless the check after the write finds the other lease.
     """
     if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}
         write_whole(local, json.dumps(lease).encode())
     with reading(local):
         content = local.read_bytes()
-    files.put_new(LEASE, content)  # false also for our own lease: of a killed run, or stored without a reply
+    files.put_new(
+        LEASE, content
+    )  # also false if the lease is ours: left by a killed run, or stored although the reply was lost
     require_free(files, local)
     try:
         yield
@@ -55,7 +57,7 @@ def require_free(files: Objects, local: Path) -> None:
         if local.exists() and local.read_bytes() == content:
             return
     raise OutputError(
-        f"{files.base}: another run{_describe(content)} writes there: wait for it; if it was killed and cannot "
+        f"{files.base}: another run{_describe(content)} is writing there: wait for it; if it was killed and cannot "
         f"continue, remove {files.address(LEASE)} and start again"
     )
 

@@ -29,9 +29,9 @@ TIMEOUT = 30  # s without a byte
 NO_CREDENTIALS = re.compile("Credential|NoAuth")
 """Matches the class names of errors about missing credentials in botocore, google.auth and azure.identity."""
 INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
-"""Errors of ``fsspec`` back ends for a request that no retry cures."""
+"""Errors of ``fsspec`` back ends for an invalid request; not retried."""
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
-"""``errno`` of errors that a retry does not cure: s3fs sets them for status 400, 301, 405, 416, 501."""
+"""``errno`` of errors that are not retried: s3fs sets them for HTTP status 301, 400, 405, 416 and 501."""
 
 
 def is_store(protocol: str) -> bool:
@@ -45,7 +45,7 @@ class Objects:
     """The objects below one URL; writes are atomic. May be pickled, forked, and used by several threads.
 
     ``patience``: seconds of waiting before a request is given up. ``retry_unreachable=False``: no second attempt if the
-    store does not answer. ``sleep``: waits a number of seconds; returns true to give up.
+    store does not answer. ``sleep``: function that waits a number of seconds; it returns true to give up.
 
     Methods raise ``MissingError`` for a missing object, ``RefusedError`` where the credentials lack the right,
     ``RemoteError`` for any other failure, ``ConfigError`` where the store's package is not installed.
@@ -94,8 +94,8 @@ class Objects:
         content: bytes = self._retry(path, lambda store, name: store.cat_file(name, start=start, end=end))
         if len(content) != end - start:
             raise RemoteError(
-                f"{self.address(path)}: {len(content)} bytes from byte {start} on, requested {end - start}: shorter "
-                "than in its index: tell its publisher"
+                f"{self.address(path)}: {len(content)} of {end - start} bytes received from byte {start} on: the "
+                "object is shorter than in its index: tell its publisher"
             )
         return content
 
@@ -187,7 +187,7 @@ def _info(store: "AbstractFileSystem", name: str) -> Any:
     store.invalidate_cache()
     info = store.info(name)
     if info["type"] != "file":
-        raise FileNotFoundError(f"no object, but a {info['type']}")
+        raise FileNotFoundError(f"a {info['type']}, not an object")
     return info
 
 
@@ -200,7 +200,7 @@ def _missing_package(url: str, message: str) -> str:
 
 @functools.cache
 def _store(process: int, root: str) -> "AbstractFileSystem":
-    """The file system of a bucket or host. One a process: a forked child must not use its parent's connections."""
+    """The file system of a bucket or host, one per process: a forked child must not use its parent's connections."""
     from fsspec.config import conf
     from fsspec.core import url_to_fs
 

@@ -28,7 +28,9 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
     Raises ``ConfigError`` for shares that are negative or do not add up to 1.
     """
     if not shares or min(shares.values()) < 0 or abs(sum(shares.values()) - 1.0) > 1e-6:
-        raise ConfigError(f"shares {', '.join(f'{share:g}' for share in shares.values())}: give some that add up to 1")
+        raise ConfigError(
+            f"shares {', '.join(f'{share:g}' for share in shares.values())}: give shares of 0 or more that add up to 1"
+        )
     family = families(reader)
     chance = _chances(reader, family)
     ends = np.cumsum(list(shares.values()))
@@ -64,7 +66,7 @@ def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
 
 
 def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
-    """One line for each pair of splits that share designs; empty if none do.
+    """One line for each pair of splits that share designs.
 
     Split ``failed`` is left out: its designs may be in any other split too.
     """

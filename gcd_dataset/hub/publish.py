@@ -79,10 +79,10 @@ def stage(
 
     A data set of one split is divided by ``shares`` into splits that share neither designs nor bodies; several splits
     are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for splits that share designs,
-    foreign tars, an unfinished data set, parts that are not merged, and a folder that holds another data set.
+    foreign tars, an unfinished data set, parts that are not merged, and for a staging folder that holds other files.
     """
     if not isinstance(parse_source(repo), Repo):
-        raise ConfigError(f"{repo}: no repository: give ORG/NAME, which must not be a folder here")
+        raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
     require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
         if not partial and (problem := unfinished(dataset, split)) is not None:
@@ -118,7 +118,7 @@ def upload(
     """Upload a staged folder to the Hub, creating the repository if needed; the commit's hash.
 
     All files are in one commit, so readers see either the previous version or the whole new one. Raises ``RemoteError``
-    for a Hub that does not answer, or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub``
+    if the Hub does not answer, or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub``
     cannot publish to.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
@@ -197,8 +197,8 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
     """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
-            "%s: nothing for %s: garments that share a design or a body stay in one split, and all of these fall into "
-            "%s: add garments of other designs on other bodies, or give --shares 100,0,0",
+            "%s: no garments for %s: garments that share a design or a body stay in one split, and all garments fall "
+            "into %s: add garments of other designs on other bodies, or give --shares 100,0,0",
             dataset,
             " and ".join(missing),
             " and ".join(parts),
@@ -206,7 +206,7 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
 
 
 def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
-    """The record of a part of a split, with shards of about as many samples as the undivided split's."""
+    """The record of a part of a split; its shards hold about as many samples as the shards of the undivided split."""
     cut = {"of": {split: round(share, 6) for split, share in shares.items()}, "name": name}
     return replace(
         record, recipe={**record.recipe, "part": cut}, shard_size=round(record.shard_size / max(shares[name], 0.01))
@@ -290,8 +290,8 @@ def _require_endpoint(endpoint: str) -> None:
     major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
     if (major, minor) < ANY_ENDPOINT and endpoint != huggingface_hub.constants.ENDPOINT:
         raise ConfigError(
-            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT alone: set "
-            f"that, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
+            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT only: set "
+            f"it, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
         )
 
 

@@ -22,7 +22,7 @@ __all__ = ["RemoteStore"]
 
 T = TypeVar("T")
 
-GAP = 1 << 17  # bytes: transferring them takes about as long as another request, and servers limit requests
+GAP = 1 << 17  # bytes: transferring a gap takes about as long as another request, and servers limit requests
 SHA256 = re.compile(r"[0-9a-f]{64}")
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
 PARALLEL_REQUESTS = 8
@@ -30,7 +30,7 @@ LARGEST_MEMBER = 1 << 28  # bytes: a hundred times the largest member of a garme
 
 
 class RemoteStore(Store):
-    """The samples of a site. ``cache``: for the members read; ``None`` for no caching."""
+    """The samples of a site. ``cache`` keeps the members that are read; ``None`` disables caching."""
 
     remedy = "try again later, or tell its publisher"
 
@@ -53,7 +53,7 @@ class RemoteStore(Store):
     def index(self, split: str, layout: Layout) -> ShardIndex:
         manifest, name = self.manifest(), index_name(split)
         if manifest is not None and split not in manifest.splits:
-            available = f"there is {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
+            available = f"choose from {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
             raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
         try:
             content = self.site.small_file(name)
@@ -127,8 +127,9 @@ class RemoteStore(Store):
         for part in run:
             if part.size > LARGEST_MEMBER:
                 raise RemoteError(
-                    f"{self.location(shard)}: {remote_shard.name_of(part.column)}: has {part.size} bytes by its index, "
-                    f"over the limit of {LARGEST_MEMBER} for servers: leave this field out, or tell its publisher"
+                    f"{self.location(shard)}: {remote_shard.name_of(part.column)}: has {part.size} bytes according to "
+                    f"its index, over the limit of {LARGEST_MEMBER} for servers: leave this field out, or tell its "
+                    "publisher"
                 )
         wrong = None
         for _ in range(2):

@@ -12,15 +12,15 @@ __all__ = ["PATIENCE", "Backoff", "RetryableError", "first_line"]
 PATIENCE = 30.0  # s of waiting without a received byte
 FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the last, up to LAST_WAIT
 REQUESTED_WAITS = 6  # consecutive waits that a server may request (Retry-After)
-LONGEST_WAIT = 300.0  # s; a server that requests a longer wait is given up
+LONGEST_WAIT = 300.0  # s; after a request for a longer wait the server is given up
 
 log = logging.getLogger(__name__)
 
 
 class RetryableError(Exception):
-    """An error that a retry may cure.
+    """A temporary error: the request is retried.
 
-    ``wait``: seconds to wait, where the server has requested them. ``is_unreachable``: there was no connection.
+    ``wait``: seconds until the retry, if the server has requested a time. ``is_unreachable``: there was no connection.
     """
 
     def __init__(self, message: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
@@ -64,7 +64,7 @@ class Backoff:
             )
 
     def next_wait(self, requested: float | None) -> float | None:
-        """Seconds to the next attempt, by default a back-off; ``None`` when the patience is exhausted."""
+        """Seconds to the next attempt: ``requested``, or a back-off; ``None`` when the patience is exhausted."""
         self.attempts += 1
         patience = PATIENCE if self.patience is None else self.patience
         if requested is not None:

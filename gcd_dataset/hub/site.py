@@ -66,8 +66,8 @@ def hub_endpoint(endpoint: str | None) -> str:
 class Site:
     """A repository at a commit, or a URL at a hash of its manifest. The revision is looked up once.
 
-    If the server is unreachable, the last revision seen is used, as far as it is cached. Raises ``MissingError`` where
-    the server has no such data set, ``RemoteError`` where it is unreachable and nothing is cached.
+    If the server is unreachable, the last revision seen is used, limited to the cached files. Raises ``MissingError``
+    where the server has no such data set, ``RemoteError`` where it is unreachable and nothing is cached.
     """
 
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
@@ -100,7 +100,7 @@ class Site:
             return tuple(sorted(str(file["rfilename"]) for file in json.loads(content)["siblings"]))
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             self.forget(LISTING)
-            raise RemoteError(f"{self._parsed}: the server's list of files is none of the Hub's: {CHECK}") from error
+            raise RemoteError(f"{self._parsed}: the answer is not a file list of the Hub: {CHECK}") from error
 
     def small_file(self, name: str) -> bytes:
         """A small file, cached. Raises ``MissingError``, and ``RemoteError`` for a damaged one."""
@@ -131,9 +131,9 @@ class Site:
         return content
 
     def require_allowed(self, name: str) -> None:
-        """Raise ``RemoteError`` if servers may not be contacted; ``name``: what is missing in the cache."""
+        """Raise ``RemoteError`` if servers may not be contacted; ``name``: the item that is missing in the cache."""
         if not self.allowed:
-            raise RemoteError(f"{self._parsed}: {name} is not in the cache, and download=False: leave that out")
+            raise RemoteError(f"{self._parsed}: {name} is not in the cache, and download=False: allow downloads")
 
     def _path(self, name: str) -> Path:
         """Cache path of a file of this revision. Raises ``ShardError`` for an unsafe name."""
@@ -151,12 +151,12 @@ class Site:
     def _look_up(self, name: str, ask: Callable[[bool], str]) -> str:
         """The revision of a branch, tag or URL: the server's, else the last one seen.
 
-        ``ask``: gets the server's; its argument says whether to retry an unreachable server.
+        ``ask``: requests the revision from the server; its argument: whether to retry an unreachable server.
         """
         path = self._folder / "refs" / safe_name(name)
         try:
             if not self.allowed:
-                raise RemoteError(f"{self._parsed}: never read before, and download=False: leave that out")
+                raise RemoteError(f"{self._parsed}: never read before, and download=False: allow downloads")
             revision = ask(not path.exists())
         except (MissingError, RefusedError):
             raise
@@ -177,9 +177,11 @@ class Site:
                 self._api(self._parsed.revision, retry_unreachable=retry_unreachable).get("", LARGEST_LISTING)
             )["sha"]
         except (MissingError, RefusedError) as error:
-            raise type(error)(f"{error}; there is no folder {self._parsed.name} here either") from error
+            raise type(error)(f"{error}; no local folder {self._parsed.name} exists either") from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise RemoteError(f"{self._parsed}: the server's answer is none of the Hub's: {CHECK}") from error
+            raise RemoteError(
+                f"{self._parsed}: the answer is not the Hub's description of a revision: {CHECK}"
+            ) from error
         if COMMIT.fullmatch(str(commit)) is None:
             raise RemoteError(f"{self._parsed}: {ascii(commit)[:80]} is not a commit: {CHECK}")
         return str(commit)
@@ -189,7 +191,7 @@ class Site:
             content = self._checked(self._files(retry_unreachable=retry_unreachable), MANIFEST)
         except MissingError as error:
             if isinstance(self._parsed, Url) and not self._parsed.is_web:
-                raise MissingError(f"{error}; a data set appears when all of it is uploaded") from error
+                raise MissingError(f"{error}; a data set becomes visible when its upload is complete") from error
             raise
         revision = hashlib.sha256(content).hexdigest()
         _write_cache(self._folder / revision / MANIFEST, content)

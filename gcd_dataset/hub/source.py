@@ -117,7 +117,7 @@ def parse_source(source: str | Path, revision: str | None = None) -> Source:
         raise ConfigError(f"{text}: revision={revision!r} contradicts it: give one of them")
     wanted = revision or match["revision"] or MAIN
     if REVISION.fullmatch(wanted) is None:
-        raise ConfigError(f"{match['name']}: {shown(wanted)} is no revision: give a branch, a tag or a commit")
+        raise ConfigError(f"{match['name']}: {shown(wanted)} is not a revision: give a branch, a tag or a commit")
     return Repo(match["name"], wanted)
 
 
@@ -146,7 +146,7 @@ def _without_revision(source: Folder | Url, revision: str | None) -> Folder | Ur
 
 
 def _is_store_url(text: str) -> bool:
-    """Whether this is the URL of an object store. Chained URLs, ``a::b://c``, are none: they invoke other protocols."""
+    """Whether this is the URL of an object store; not for chained URLs, ``a::b://c``: they invoke other protocols."""
     from gcd_dataset.hub.objects import is_store
 
     match = STORE.fullmatch(text)
@@ -163,4 +163,4 @@ def _require_address(url: str) -> None:
     except ValueError:  # brackets that do not close, a port beyond 65535
         is_address = False
     if not is_address:
-        raise ConfigError(f"{shown(url)}: no address of a server: check host and port")
+        raise ConfigError(f"{shown(url)}: not a server address: check host and port")

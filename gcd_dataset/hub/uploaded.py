@@ -2,7 +2,7 @@
 
     train-00000.tar                  a finished shard
     .unfinished/manifest.json        splits, seed and recipe, until the upload is complete
-    .unfinished/00000/…              note of range 0: its manifest, indices and rejects, as of a data set of this range
+    .unfinished/00000/…              note of range 0: manifest, indices and rejects, as in a data set of this range
     index-train.npz, rejects.jsonl   written once all shards are uploaded
     manifest.json                    written last: readers ask for it first
 
@@ -92,7 +92,7 @@ class UploadedDataset:
         return range(-(-count // self.range_size))
 
     def ranges(self, count: int) -> dict[int, UploadedRange]:
-        """Number to range, for the ranges whose shards are in the store with their recorded sizes.
+        """Number to range, for each range with all its shards in the store, in their recorded sizes.
 
         During an upload the notes of the ranges of ``count`` samples are read too.
         """
@@ -113,7 +113,7 @@ class UploadedDataset:
             return b""
 
     def add(self, number: int, folder: Path) -> UploadedRange:
-        """Upload the folder of one range: shards, then the note. Raises ``ShardError`` for any other folder."""
+        """Upload the folder of a range: shards, then the note. Raises ``ShardError`` for a folder of another range."""
         names = [MANIFEST, REJECTS, *(index_name(split) for split in self._requested)]
         small = {name: read_limited(folder / name, LARGEST_FILE) for name in names if (folder / name).exists()}
         found = self._parse_range(number, small, str(folder))
@@ -160,11 +160,11 @@ class UploadedDataset:
         manifest = parse_manifest(content, location, "remove it, or choose another URL")
         if manifest.schema != self._layout.schema:
             raise ConfigError(
-                f"{location}: of schema {manifest.schema}, and schema {self._layout.schema} is written: choose "
+                f"{location}: of schema {manifest.schema}, but schema {self._layout.schema} is written: choose "
                 "another URL"
             )
         if manifest.recipe is not None:
-            raise ConfigError(f"{location}: holds the data set {manifest.recipe.name}: choose another URL")
+            raise ConfigError(f"{location}: holds the data set of recipe {manifest.recipe.name}: choose another URL")
         for split, requested in self._requested.items():
             manifest_record_to_resume(manifest, location, split, requested)
         return manifest
@@ -203,7 +203,9 @@ class UploadedDataset:
             index = ShardIndex.parse(small[index_name(split)], f"{location}/{index_name(split)}", self._layout)
             for shard in _shards(manifest, split, index, location):
                 if split not in self._requested or shard.record.name != shard_name(split, number):
-                    raise ShardError(f"{location}: lists {shard.record.name}, in the note of range {number}: remove it")
+                    raise ShardError(
+                        f"{location}: the note of range {number} lists {shard.record.name}: remove the note"
+                    )
                 shards[split] = shard
         return UploadedRange(shards, small.get(REJECTS, b""))
 

@@ -1,7 +1,7 @@
 """Writes a data set to an object store: ranges are filled in local folders, and uploaded when complete.
 
 The spool is a local folder with a subfolder for each range that is not uploaded yet: a data set of that range alone,
-one shard a split, which a writer continues after a kill. An uploaded range is removed from the spool.
+with one shard per split. After a kill a writer continues it. An uploaded range is removed from the spool.
 """
 
 import contextlib
@@ -162,8 +162,8 @@ class Spool:
 class StoreWriter:
     """Writes samples to the spool, and uploads each range when its samples below ``count`` are complete.
 
-    One range is uploaded while the next one is filled, so the spool holds at most three. Used as a context: at its end
-    all ranges are uploaded and the data set is published.
+    One range is uploaded while the next one is filled, so the spool holds at most three ranges. At the end of the
+    ``with`` block all ranges are uploaded and the data set is published.
     """
 
     def __init__(self, uploaded: UploadedDataset, spool: Spool, count: int) -> None:

@@ -1,7 +1,7 @@
 """Reads files of a web server, whole or by byte range, with retries.
 
 Proxies and certificates come from the environment: ``HTTPS_PROXY``, ``SSL_CERT_FILE`` and so on. Declared sizes
-allocate nothing: memory grows with the received bytes, up to a limit given by the caller.
+are not allocated in advance: memory grows with the received bytes, up to a limit given by the caller.
 """
 
 import atexit
@@ -150,7 +150,9 @@ class Web:
 
         address = self.address(path)
         if constants.HF_HUB_OFFLINE:
-            raise RemoteError(f"{address}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it")
+            raise RemoteError(
+                f"{address}: HF_HUB_OFFLINE is set, and this file is not in the cache: unset the variable"
+            )
         url = self._redirects.get(path, address)
         if self._headers is None:
             self._headers = self._make_headers()
@@ -175,7 +177,7 @@ class Web:
         except httpx2.HTTPError as error:
             raise RemoteError(f"{address}: cannot be read ({first_line(error)}): check the address") from error
         except httpx2.InvalidURL as error:
-            raise RemoteError(f"{address}: no valid URL ({error}): check it") from error
+            raise RemoteError(f"{address}: not a valid URL ({error}): check it") from error
 
     def _too_long(self, path: str, size: str, limit: int) -> RemoteError:
         return RemoteError(
@@ -206,9 +208,11 @@ class Web:
         if not response.is_success:
             raise RemoteError(f"{address}: answered with status {status}: check the address")
         if status == 206 and not ranged:
-            raise RemoteError(f"{address}: sent a part of the file, requested whole: try another server")
+            raise RemoteError(f"{address}: sent a part of the file, but the whole was requested: try another server")
         if (encoding := response.headers.get("Content-Encoding", "identity")) != "identity":
-            raise RemoteError(f"{address}: sent compressed ({encoding}), unrequested: turn that off on its server")
+            raise RemoteError(
+                f"{address}: sent compressed ({encoding}), without a request for compression: turn it off on the server"
+            )
 
 
 @functools.cache
@@ -227,7 +231,9 @@ def _skip(response: "httpx2.Response", start: int, address: str) -> int:
         return start
     span = response.headers.get("Content-Range", "")
     if not span.startswith(f"bytes {start}-"):
-        raise RemoteError(f"{address}: sent {span or 'an unnamed range'}, requested byte {start}: try another server")
+        raise RemoteError(
+            f"{address}: sent {span or 'an unnamed range'}, but byte {start} was requested: try another server"
+        )
     return 0
 
 
@@ -235,8 +241,8 @@ def _require_range(response: "httpx2.Response", size: int | None, address: str) 
     """Raise ``RemoteError`` for a response with the whole file where ``size`` bytes were requested."""
     if response.status_code == 200 and response.headers.get("Content-Length") != str(size):
         raise RemoteError(
-            f"{address}: this server sends whole files only, a whole shard for every garment: download the data set "
-            "with gcd download, without --fields, or read it with streaming=True"
+            f"{address}: this server sends whole files only, so each garment would cost a whole shard: download the "
+            "data set with gcd download, without --fields, or read it with streaming=True"
         )
 
 

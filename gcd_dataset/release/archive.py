@@ -38,7 +38,7 @@ DAMAGED = (zlib.error, EOFError, tarfile.HeaderError)
 LARGEST_CONTENT = 1 << 62  # bytes of an unpacked archive
 LARGEST = 1 << 28  # bytes of one file of a garment; a published mesh has 2 MB
 MOST_GARMENTS = 1 << 20  # of an archive; published ones have 5,000
-GAP = 1 << 22  # bytes between files of a garment: unpacking them costs less than another seek
+GAP = 1 << 22  # bytes between two files of a garment: unpacking a gap costs less than another seek
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class Archive(Record):
             return None
 
     def _is_valid(self) -> bool:
-        """Whether shapes, types and values of a cached index are possible."""
+        """Whether shapes, types and values of a cached index are valid; offsets are not compared with the archive."""
         shape = (len(self.names), len(ENDINGS))
         if not (self.offset.shape == self.size.shape == shape and self.points.shape[1:] == (3,)):
             return False

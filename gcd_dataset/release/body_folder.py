@@ -30,7 +30,7 @@ __all__ = ["FOLDER", "KINDS", "PublishedPeople"]
 FOLDER = "5000_body_shapes_and_measures"
 METRE = 100.0  # cm
 LARGEST = 1e4  # bound of weights, and of angles in degrees
-SHORTEST, TALLEST = 30.0, 300.0  # cm: heights beyond mean that the mesh is not in metres
+SHORTEST, TALLEST = 30.0, 300.0  # cm: a height outside this range shows that the mesh is not in metres
 KINDS = {
     "measures": "measurements/{}.yaml",
     "meta": "meta/{}_meta.json",
@@ -111,7 +111,7 @@ class PublishedPeople:
 
     @functools.cached_property
     def _first(self) -> "_FirstMesh":
-        """The first mesh on disk. Raises ``ShardError`` without any."""
+        """The first mesh on disk. Raises ``ShardError`` if there is none."""
         paths = (self._path(name, pose) for name in self.names for pose in POSES)
         path = next((path for path in paths if path.exists()), None)
         if path is None:
@@ -125,7 +125,7 @@ class PublishedPeople:
         # Compare the text first: parsing the numbers takes longer than all the rest.
         same = text.faces_hash() == first.faces_hash or np.array_equal(text.triangles(), first.faces)
         if not same or len(text.v) != first.n_vertices:
-            raise BodyError(f"{text.path}: another mesh than {first.path.name}: all people must be on one mesh")
+            raise BodyError(f"{text.path}: its mesh differs from {first.path.name}: all people must be on one mesh")
 
     def _path(self, name: str, kind: str) -> Path:
         return self.folder / KINDS[kind].format(name)
@@ -133,7 +133,7 @@ class PublishedPeople:
 
 @dataclass(frozen=True, eq=False)
 class _FirstMesh(Record):
-    """The mesh to which all others must be equal."""
+    """The reference mesh: all others must have its triangles and number of vertices."""
 
     path: Path
     n_vertices: int
@@ -171,8 +171,8 @@ def _require(folder: Path, names: Sequence[str], kinds: Sequence[str]) -> None:
     missing = [file for file in wanted if file not in present]
     if missing:
         raise ShardError(
-            f"{folder / missing[0]}: missing, with {len(missing)} of {len(wanted)} files: extract the archive again, "
-            "name the people to read, or leave out the missing fields"
+            f"{folder / missing[0]}: missing; {len(missing)} of {len(wanted)} files are missing: extract the archive "
+            "again, name the people to read, or leave out the missing fields"
         )
 
 

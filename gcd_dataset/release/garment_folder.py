@@ -51,7 +51,7 @@ class Extracted:
 
 
 def open_batch(folder: Path, cache_dir: Path | None) -> GarmentFiles:
-    """The garments in a folder such as ``garments_5000_0/default_body``: the extracted garments, else the archived.
+    """The garments in a folder such as ``garments_5000_0/default_body``: the extracted garments, or else the archive.
 
     Raises ``ShardError`` for a folder without garments and for a damaged archive, ``OutputError`` where the index of an
     archive cannot be written.

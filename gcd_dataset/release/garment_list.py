@@ -77,7 +77,7 @@ class PublishedGarments:
 
     @functools.cached_property
     def split_sha256(self) -> str | None:
-        """Hash of the split file, which decides the indices; ``None`` for split ``all``."""
+        """Hash of the split file, which determines the indices; ``None`` for split ``all``."""
         if self.split_file is None:
             return None
         with reading(self.split_file):
@@ -122,13 +122,13 @@ class PublishedGarments:
 
 
 def _split_name(split: str) -> str:
-    """Our name of a split, given by ours or the authors' name. Raises ``ConfigError``."""
+    """This package's name of a split, from its own or the authors' name. Raises ``ConfigError``."""
     for name, others in SPLIT_NAMES.items():
         if split == name or split in others:
             return name
     if split != ALL:
         nearest = did_you_mean(split, [*SPLIT_NAMES, ALL])
-        raise ConfigError(f"split={split!r}: there is {', '.join(SPLIT_NAMES)}, and {ALL}{nearest}")
+        raise ConfigError(f"split={split!r}: choose from {', '.join(SPLIT_NAMES)}, and {ALL}{nearest}")
     return ALL
 
 
@@ -154,4 +154,4 @@ def _designs(path: Path, split: str) -> list[tuple[str, str]]:
         return [(batch, name) for batch, _, name in parts]
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         wanted = f"a list named {SPLIT_NAMES[split][0]} of garments_5000_0/default_body/rand_… "
-        raise ShardError(f"{path}: without {wanted}({error}): {REMEDY}") from error
+        raise ShardError(f"{path}: lacks {wanted}({error}): {REMEDY}") from error

@@ -1,22 +1,22 @@
 """Random access to gzip files by seek points.
 
 A gzip file can be unpacked from its beginning, or from the start of a deflate block (RFC 1951) given the 32 kB of
-content before it: the window. ``GzipScanner`` reads a file once from end to end and collects such starts;
-``read_from`` unpacks from one of them.
+content before it: the window. ``GzipScanner`` reads a file once from end to end and collects such starts as seek
+points; ``read_from`` unpacks from a seek point.
 
 zlib does not report block starts, so they are found by trial: a byte is a candidate if the following bits parse as a
-block header. Since this happens by chance too, a candidate is accepted only if unpacking from it gives, byte for byte,
-the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are used: shifting the
-bits of others would misalign later stored blocks, which start at byte boundaries.
+block header. Since other bits may parse too, by chance, a candidate is accepted only if unpacking from it gives,
+byte for byte, the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are
+used: shifting the bits of the other blocks would misalign later stored blocks, which start at byte boundaries.
 
-Why no library: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
+No library is used: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
 200 MB, 396 published garments, on two cores: CPU time and growth of memory for indexing, size of the index, CPU time
 for reading a garment of 0.8 MB.
 
 =============================  =======  =======  =======  ======
 this module                      2.2 s    11 MB   0.7 MB   31 ms
-indexed_gzip, a point a 4 MB     3.4 s    51 MB   2.4 MB   20 ms
-indexed_gzip, a point a 16 MB    3.8 s   131 MB   0.6 MB   49 ms
+indexed_gzip, point per 4 MB     3.4 s    51 MB   2.4 MB   20 ms
+indexed_gzip, point per 16 MB    3.8 s   131 MB   0.6 MB   49 ms
 rapidgzip                        1.2 s   128 MB   3.0 MB   12 ms
 =============================  =======  =======  =======  ======
 """
@@ -33,10 +33,12 @@ from jaxtyping import Bool, Int, UInt8
 __all__ = ["WINDOW", "GzipScanner", "SeekPoint", "read_from"]
 
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
-EVERY = 1 << 24  # bytes of content between seek points: reading a garment unpacks half of it first, about 30 ms
+EVERY = (
+    1 << 24
+)  # bytes of content between seek points: before a garment, half of this is unpacked on average, in about 30 ms
 CHUNK = 1 << 18  # bytes of a read; blocks are seldom longer than 40 kB
-PIECE = 1 << 14  # packed bytes a call of zlib
-LARGEST_PART = 1 << 20  # unpacked bytes a call: deflate packs up to 1 : 1000
+PIECE = 1 << 14  # packed bytes per call of zlib
+LARGEST_PART = 1 << 20  # unpacked bytes per call: deflate compresses up to 1000 : 1
 MOST_SEARCHED = 64 * CHUNK  # bytes of content of a chunk: a chunk that unpacks to more gets no seek point
 NOT_ZERO = re.compile(rb"[^\0]")
 GZIP, RAW = 31, -15  # window bits that tell zlib the format
@@ -118,7 +120,7 @@ class GzipScanner:
 def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
     """``size`` bytes of the content from ``offset`` on, unpacked from a seek point before it.
 
-    Raises ``zlib.error`` for a damaged file, ``EOFError`` for one that ends before.
+    Raises ``zlib.error`` for a damaged file, ``EOFError`` for a truncated file.
     """
     skipped, parts = offset - point.start, []
     for content in _unpacked_from(file, point):
@@ -150,7 +152,7 @@ class _Streams:
 
     @property
     def is_open(self) -> bool:
-        """Whether a stream has begun, and not ended."""
+        """Whether a stream has begun and not yet ended."""
         return not self._stream.eof
 
     def unpacked(self, chunk: bytes) -> Iterator[tuple[int | None, bytes]]:
@@ -192,7 +194,7 @@ def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
 
 
 def _matching_start(packed: bytes, content: bytes) -> int | None:
-    """The start in ``content`` from which ``packed`` unpacks to it, nearly to its end; ``None`` without one."""
+    """Offset in ``content`` at which the content of ``packed`` lies, up to near the end; ``None`` if it does not."""
     try:
         zeros, ones = (zlib.decompressobj(RAW, zdict=bytes([fill]) * WINDOW) for fill in (0, 255))
         low, high = (np.frombuffer(stream.decompress(packed), np.uint8) for stream in (zeros, ones))

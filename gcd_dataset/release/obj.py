@@ -35,7 +35,7 @@ class ObjText:
         """Rows of the vertices at the corners of each face. Raises ``BodyError``."""
         corners = [[corner.partition(b"/")[0] for corner in line.split()[1:]] for line in self.f]
         if odd := next((line for line, face in zip(self.f, corners, strict=True) if len(face) != 3), None):
-            raise self._broken(f"a face that is no triangle ({odd[:60].decode(errors='replace')})")
+            raise self._broken(f"a face that is not a triangle ({odd[:60].decode(errors='replace')})")
         try:
             found = np.array(corners, dtype="S").astype(np.int64) - 1
         except (ValueError, OverflowError) as error:
@@ -53,7 +53,7 @@ class ObjText:
 
 
 def read_obj(path: Path) -> ObjText:
-    """The vertex and face lines of a file. Raises ``BodyError`` for one without any."""
+    """The vertex and face lines of a file. Raises ``BodyError`` for a file without vertices or faces."""
     lines = read_body_file(path).splitlines()
     text = ObjText(
         path,
@@ -61,5 +61,7 @@ def read_obj(path: Path) -> ObjText:
         tuple(line for line in lines if line.startswith(b"f ")),
     )
     if not (text.v and text.f):
-        raise BodyError(f"{path}: {len(text.v)} vertices and {len(text.f)} faces: no mesh: extract or export it again")
+        raise BodyError(
+            f"{path}: {len(text.v)} vertices and {len(text.f)} faces, not a mesh: extract or export it again"
+        )
     return text

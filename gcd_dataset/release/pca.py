@@ -3,13 +3,13 @@
 The file is under the GPL: neither it nor code of that project is part of this package. Its format, little-endian and
 unpadded:
 
-    u32 m, u32 n          coordinates (three a vertex) and components
-    f64 [n, m]            the components, one after the other, each of length 1; x, y, z of a vertex side by side
+    u32 m, u32 n          coordinates (three per vertex) and components
+    f64 [n, m]            the components, one after the other, each of length 1; x, y, z of a vertex are adjacent
     f64 [m]               the mean body [m]
     f64 [n]               variance along each component, the largest first
 
 A body is ``mean + Σ wᵢ √varianceᵢ componentᵢ`` with weights in standard deviations, such as ``pca_weights`` of the
-published people. Its pose is that of the training bodies, not of the data set, whose poses need the authors' rig.
+published people. It has the pose of the training bodies; the poses of the data set need the authors' rig.
 """
 
 import struct
@@ -30,7 +30,7 @@ HEADER = struct.Struct("<II")
 METRE = 100.0  # cm
 UNIT_TOLERANCE = 1e-6  # error of the components' dot products; rounding leaves 1e-12
 SHORTEST, TALLEST = 30.0, 300.0  # cm
-LARGEST_SWAY = 100.0  # cm: RMS displacement of the skin by one standard deviation; people are far below
+LARGEST_SWAY = 100.0  # cm: RMS displacement of the skin by one standard deviation; real people vary far less
 LFS_POINTER = b"version https://git-lfs"
 
 
@@ -48,14 +48,14 @@ class PcaShapes(Record):
         weights = np.asarray(weights, float)
         if weights.shape[-1:] != (len(self.components),):
             raise BodyError(
-                f"weights of shape {weights.shape}, for {len(self.components)} components: give one for each"
+                f"weights of shape {weights.shape}, for {len(self.components)} components: give one weight for each"
             )
         vertices = self.mean + np.einsum("...k,kvi->...vi", weights, self.components)
         vertices[..., 1] -= vertices[..., 1].min(axis=-1, keepdims=True)
         return vertices
 
     def body(self, weights: Float[np.ndarray, " k"], mesh: BodyMesh, *, name: str = "pca") -> Body:
-        """The body of these weights; ``mesh``: of the published bodies, with parts. Raises ``BodyError``."""
+        """The body of these weights; ``mesh``: the mesh of the published bodies, with parts. Raises ``BodyError``."""
         if mesh.n_vertices != len(self.mean) or mesh.parts is None:
             known = "with" if mesh.parts is not None else "without"
             raise BodyError(

@@ -1,6 +1,6 @@
 """Reads and writes meshes as the published PLY files: binary, seam vertices split by panel, with texture coordinates.
 
-The authors' converter keeps one pair of texture coordinates a vertex, so it stores a seam vertex once for each of its
+The authors' converter keeps one pair of texture coordinates per vertex, so it stores a seam vertex once for each of its
 panels, and the vertex numbers of the other files of a garment do not apply. Welding vertices of equal position,
 numbered by first occurrence, restores these numbers.
 """
@@ -63,7 +63,7 @@ def read_ply(content: bytes) -> Ply:
     faces = np.frombuffer(body, FACE, m, n * VERTEX.itemsize)
     rows = faces["rows"].astype(np.int64)
     if (faces["corners"] != 3).any() or (m and not 0 <= rows.min() <= rows.max() < n):
-        raise ShardError(f"a face that is no triangle of its {n} vertices")
+        raise ShardError(f"a face that is not a triangle of its {n} vertices")
     for name in ("position", "texture"):
         if not np.abs(vertices[name]).max(initial=0.0) <= LARGEST:  # false for NaN
             raise ShardError(f"a {name} coordinate that is over {LARGEST:g}, or NaN")

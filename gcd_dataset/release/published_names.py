@@ -69,7 +69,7 @@ def body_folders(bodies: str) -> tuple[str, ...]:
         return tuple(BODY_FOLDERS.values())
     if bodies not in BODY_FOLDERS:
         nearest = did_you_mean(bodies, [*BODY_FOLDERS, "both"])
-        raise ConfigError(f"bodies={bodies!r}: there is {', '.join(BODY_FOLDERS)}, and both{nearest}")
+        raise ConfigError(f"bodies={bodies!r}: choose from {', '.join(BODY_FOLDERS)}, and both{nearest}")
     return (BODY_FOLDERS[bodies],)
 
 

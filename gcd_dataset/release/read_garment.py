@@ -58,7 +58,7 @@ class PublishedGarment:
             self._files.update(self.read(missing))
 
     def broken(self, kind: str, problem: str) -> ShardError:
-        """The error for an invalid file."""
+        """The error for an invalid file: path, problem, remedy."""
         return ShardError(f"{self._path(kind)}: {problem}: {REMEDY}")
 
     @functools.cached_property
@@ -171,7 +171,7 @@ class PublishedGarment:
         """The mesh before sewing, with the rows and faces of the drape."""
         box = self._ply("box")
         if not np.array_equal(box.faces, self._sim.faces) or len(box.vertices) != len(self._sim.vertices):
-            raise self.broken("box", f"another mesh than {self.name}{ENDINGS['sim']}")
+            raise self.broken("box", f"its mesh differs from {self.name}{ENDINGS['sim']}")
         return box
 
     @functools.cached_property
@@ -188,7 +188,7 @@ class PublishedGarment:
         if len(first) != count:  # vertices may coincide in the drape; they are apart before sewing
             first, vertex = weld(sim, self._box.vertices)
         if len(first) != count:
-            raise self.broken("segmentation", f"labels {count} vertices, the mesh has {len(first)}")
+            raise self.broken("segmentation", f"labels {count} vertices, but the mesh has {len(first)}")
         return first, vertex
 
     @functools.cached_property
@@ -211,7 +211,7 @@ class PublishedGarment:
         free = {segment: -1 for segment in self._segments if segment.startswith(SEAM)}
         number = free | {name: row for row, name in enumerate(names)}
         if unknown := sorted(set(self._segments) - number.keys()):
-            raise self.broken("segmentation", f"names {shown(unknown[0])}, which is no panel of the pattern")
+            raise self.broken("segmentation", f"names {shown(unknown[0])}, which is not a panel of the pattern")
         named = np.array([number[segment] for segment in self._segments])[self._welded[1]]
         count, piece = _pieces(self._box.faces, len(named))
         panel = np.full(count, -1)
@@ -232,7 +232,7 @@ class PublishedGarment:
         labels = {}
         for label, ids in self._yaml("vertex_labels").items():
             if not isinstance(ids, list) or not all(type(i) is int and 0 <= i < len(self._segments) for i in ids):
-                raise self.broken("vertex_labels", f"{shown(str(label))} is no list of vertices of the mesh")
+                raise self.broken("vertex_labels", f"{shown(str(label))} is not a list of vertices of the mesh")
             if label not in known:
                 raise self.broken("vertex_labels", f"{shown(str(label))} is on no edge of the pattern")
             labels[label] = np.array(ids, np.int64)
@@ -242,7 +242,7 @@ class PublishedGarment:
         """Every row in the plane of its panel [cm].
 
         Rows off seams follow from the placement of their panel. Rows on seams do not, since they are welded; their
-        texture coordinates are plane coordinates up to a translation a panel, and one scale along x and y each.
+        texture coordinates are plane coordinates up to a translation per panel, and common scales along x and y.
         """
         box, texture = self._box, self._box.texture
         on_seam = np.zeros(len(self._segments), bool)

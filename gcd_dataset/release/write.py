@@ -26,7 +26,7 @@ from gcd_dataset.spec import spec_from_pattern
 __all__ = ["FAIL_CLASSES", "PatternDrawing", "garment_files", "yaml_bytes"]
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-PICTURE = 800  # pixels a side of a render
+PICTURE = 800  # width and height of a render [pixels]
 PICKLE = 4  # protocol
 DEGREE_DIGITS = 10
 
@@ -68,7 +68,7 @@ def garment_files(
     """
     mesh, drape = sample.box_mesh, sample.drape
     if mesh is None or drape is None:
-        raise ShardError(f"sample {sample.key} is not draped, and the published layout holds drapes: drape it")
+        raise ShardError(f"sample {sample.key} is not draped, but the published layout needs drapes: drape it")
     content = {
         "spec": json.dumps(spec_from_pattern(sample.pattern), indent=2).encode(),
         "svg": drawn.svg,
@@ -154,7 +154,7 @@ def _seam_faces(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, 
 
 
 def _render(picture: bytes | None) -> bytes:
-    """A picture as a PNG of ``PICTURE`` pixels a side; transparent for ``None``."""
+    """A picture as a square PNG of ``PICTURE`` pixels; transparent for ``None``."""
     file = io.BytesIO()
     if picture is None:
         image = Image.new("RGBA", (PICTURE, PICTURE))

@@ -91,8 +91,8 @@ def _lock(path: Path, task: str, wait: bool) -> int:
         except BlockingIOError as error:
             os.close(file)
             raise OutputError(
-                f"{path.parent}: another process is {task}, or a writer in this one was not closed: wait for it, or "
-                "choose another folder"
+                f"{path.parent}: another process is {task}, or a writer in this process was not closed: wait for it, "
+                "or choose another folder"
             ) from error
         except OSError as error:
             os.close(file)
@@ -100,7 +100,7 @@ def _lock(path: Path, task: str, wait: bool) -> int:
                 f"{path}: cannot be locked ({error.strerror}): mount this file system with locks (Lustre: -o flock), "
                 "or write to a local disk and copy the folder"
             ) from error
-        os.close(file)  # the last holder has just unlinked this file: lock the one that now has the name
+        os.close(file)  # the last holder has just unlinked this file: lock the new file of that name
 
 
 def _open(path: Path) -> int:

@@ -30,8 +30,8 @@ class Column(NamedTuple):
 def read_arrays(content: bytes, columns: Mapping[str, Column]) -> dict[str, np.ndarray]:
     """Column name to array, for the names in ``columns``; other arrays in the file are skipped.
 
-    Raises ``ShardError`` for a file that is no ``.npz``, lacks a needed column, has one of another type or number of
-    axes, or unpacks to more than ``SMALL`` bytes and more than ``LARGEST_INDEX`` times its own size.
+    Raises ``ShardError`` for a file that is no ``.npz``, lacks a needed column, has a column of another type or
+    number of axes, or unpacks to more than ``SMALL`` bytes and more than ``LARGEST_INDEX`` times its own size.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
@@ -47,7 +47,7 @@ def read_arrays(content: bytes, columns: Mapping[str, Column]) -> dict[str, np.n
     except KeyError as error:
         raise ShardError(f"column {error.args[0]} is missing") from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise ShardError("no .npz archive, or cut off") from error
+        raise ShardError("not an .npz archive, or truncated") from error
 
 
 def _column(name: str, data: bytes, column: Column) -> np.ndarray:

@@ -5,7 +5,7 @@
                    arms above the A-pose [rad]; CRC-32 of every other member and its own; see
                    ``gcd_dataset.shards.meta``
 ``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file; -1.0 for
-                   a missing one
+                   a missing measure
 ``body.npy``       f64 [k]: weights of the body's shape components [standard deviations]
 ``straight.npy``   f32 [v, 3]: vertex positions with the legs straight [cm]
 ``apart.npy``      f32 [v, 3]: the same vertices with the legs apart
@@ -14,8 +14,8 @@
 ``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and body parts, u8 [v], or u8 [0] without a segmentation. Its hash is
 part of the recipe, so a set cannot be continued on another mesh.
 
-Vertices are stored (600 kB a person), since rebuilding them from the weights takes 8 ms of CPU time, reading them
-0.3 ms, and needs the body model of the version that wrote the shards.
+Vertices are stored (600 kB per person): reading them takes 0.3 ms. Rebuilding them from the weights takes 8 ms of CPU
+time and needs the body model of the version that wrote the shards.
 """
 
 import contextlib
@@ -60,7 +60,7 @@ JSON_READERS = {"meta.json": read_meta, "measures.json": read_measures}
 
 
 class BodyWriter:
-    """Writes the people of one split, all on one mesh, into a folder. Used as ``ShardWriter``.
+    """Writes the people of one split, all on one mesh, into a folder; used like ``ShardWriter``.
 
     Raises as ``ShardWriter`` does, and ``ConfigError`` for a folder of people on another mesh.
     """
@@ -95,8 +95,8 @@ class BodyWriter:
         for pose in POSES:
             if len(getattr(person, pose)) != self._mesh.n_vertices:
                 raise ShardError(
-                    f"person {person.name} cannot be stored: {len(getattr(person, pose))} vertices {pose}, the mesh of "
-                    f"this set has {self._mesh.n_vertices}"
+                    f"person {person.name} cannot be stored: {len(getattr(person, pose))} vertices in pose {pose}, "
+                    f"but the mesh of this set has {self._mesh.n_vertices}"
                 )
         self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
 

@@ -7,10 +7,10 @@
                      samples and readers that infer types would fail
 ``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
 ``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
-                     measurement file; -1.0 for a missing one, which items leave out
-``panels.npy``       the pattern as arrays, see ``gcd_dataset.tensors``: one row a panel,
-``edges.npy``        one row an edge,
-``stitches.npy``     one row a seam
+                     measurement file; -1.0 for a missing measure, omitted from items
+``panels.npy``       the pattern as arrays, see ``gcd_dataset.tensors``: one row per panel,
+``edges.npy``        one row per edge,
+``stitches.npy``     one row per seam
 ``body.npy``         f32 [k]: weights of the body's shape components [standard deviations]
 ``faces.npy``        id [f, 3]: triangles, rows of ``verts`` and ``box``
 ``uv.npy``           f32 [c, 2]: panel-plane coordinates [cm] of the seam-split vertices
@@ -22,7 +22,7 @@
 ``box.npy``          f32 [v, 3]: positions before sewing [cm]
 ``verts.npy``        f32 [v, 3]: positions at rest [cm]
 ``points.npy``       i16 [n, 6]: surface points relative to their centroid, and normals; ``meta.json`` holds scale and
-                     centre; -32768 where a diverged drape has none. Items hold them as f32, in cm
+                     centre; -32768 for points that a diverged drape lacks. Items hold f32 points in cm
 ``front.jpg``        pictures, of one pixel where none was rendered
 ``back.jpg``
 ``caption.txt``      the garment in a sentence                          } optional: in every sample of a data set,
@@ -31,8 +31,8 @@
 ===================  ===================================================================================================
 
 An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
-loaded fields hold ids as int32. Readers that infer types from the first samples need one type throughout a data set,
-which ids have unless some garments have more than 65 536 vertices, or more than 256 panels.
+loaded fields hold ids as int32. Readers that infer types from the first samples need the same type in the whole data
+set; ids meet this unless only some garments exceed 65 536 vertices or 256 panels.
 
 Samples of schema 1 are decoded too: there specification and design were ``.json`` members, ``measures.json`` held only
 the measures taken, and ``points.npy`` was f16 in cm.
@@ -123,7 +123,7 @@ WIDTHS: Mapping[str, tuple[int, ...]] = {
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
     "box": (3,), "verts": (3,), "points": (6,),
 }  # fmt: skip
-"""Field to the shape of a row."""
+"""Field to the shape of one row of its array."""
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
@@ -189,7 +189,7 @@ def _texts(sample: Sample) -> dict[str, bytes]:
 
 
 def measures_json(measurements: Measurements) -> bytes:
-    """The member ``measures.json``."""
+    """Content of the member ``measures.json``; missing measures are ``MISSING_MEASURE``."""
     return json_bytes({**dict.fromkeys(MEASURES, MISSING_MEASURE), **measurements.to_file_values()})
 
 
@@ -197,7 +197,7 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     """The members of all arrays except the points."""
     mesh = sample.box_mesh
     if mesh is not None and mesh.panel_names != tensor.panel_names:
-        raise ShardError("its mesh has other panels than its pattern")
+        raise ShardError("the panels of its mesh differ from the panels of its pattern")
     arrays: dict[str, np.ndarray] = {
         "panels": tensor.panels,
         "edges": tensor.edges,
@@ -263,7 +263,7 @@ def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
 def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
     """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
     rows = np.asarray(rows)
-    # The second column of labels and seams is a row of edge labels or stitches: no more than vertices.
+    # Column 1 of labels and seams, rows of edge labels and of stitches, is held to the same limit.
     if rows.size and not 0 <= rows.min() <= rows.max() < count:
         raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
     size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
@@ -440,7 +440,7 @@ ROWS = 128
 
 
 def _read_ids(field: str, data: Bytes) -> np.ndarray:
-    """Row numbers as int32; a view of the member where they are stored so."""
+    """Row numbers as int32; a view of the member if it is stored as int32."""
     array = _read_array(field, data)
     if array.dtype == np.int32:
         return array

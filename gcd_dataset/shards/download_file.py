@@ -22,7 +22,7 @@ class DownloadedSplit:
     """One split of a download."""
 
     members: Sequence[str]
-    """Members downloaded of each sample."""
+    """Members of each sample that are downloaded."""
     whole: bool = False
     """Whether the download of the split is complete."""
 

@@ -101,7 +101,9 @@ class FolderStore(Store):
         if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
             return "a run has not finished its first shard: run gcd generate again to finish it"
         splits = splits_in(self.folder)
-        return f"there is {', '.join(splits)}{did_you_mean(split, splits)}" if splits else no_shards_remedy(self.folder)
+        return (
+            f"choose from {', '.join(splits)}{did_you_mean(split, splits)}" if splits else no_shards_remedy(self.folder)
+        )
 
 
 class _LastSample(NamedTuple):
@@ -137,13 +139,13 @@ def _last_samples(index: ShardIndex) -> dict[str, _LastSample]:
 
 
 def read_members(fd: int, parts: Sequence[MemberLocation]) -> tuple[dict[int, memoryview], int | None]:
-    """Column to content, one system call a run; and the length of the file, if it ends before the last part."""
+    """Column to content, by one system call per run; and the file's length if it ends before the last part."""
     content: dict[int, memoryview] = {}
     for run in runs(parts, GAP):
         start, end = run[0].offset, run[-1].end
         buffer = read_buffer(end - start).data
         read = os.preadv(fd, [buffer], start)
-        while read < len(buffer):  # one call reads at most 2 GiB, on network file systems less
+        while read < len(buffer):  # one call reads at most 2 GiB, less on network file systems
             more = os.preadv(fd, [buffer[read:]], start + read)
             if not more:
                 return {}, start + read

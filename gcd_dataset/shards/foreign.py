@@ -96,13 +96,13 @@ def scan_foreign(path: Path) -> list[ForeignSample]:
 
 
 def samples_of(file: BinaryIO) -> Iterator[ForeignSample]:
-    """The samples of an archive read from its first byte on. Raises ``ShardError``."""
+    """The samples of an archive; ``file`` is at its first byte. Raises ``ShardError``."""
     for key, entries in itertools.groupby(_entries(file), key=lambda entry: _key_and_member(entry[0])[0]):
         members: dict[str, tuple[int, int, int]] = {}
         for name, offset, size, crc in entries:
             member = _key_and_member(name)[1]
             if member in members:
-                raise ShardError(f"member {shown(name)} is there twice")
+                raise ShardError(f"member {shown(name)} occurs twice")
             members[member] = (offset, size, crc)
         yield ForeignSample(key, members)
 
@@ -148,7 +148,7 @@ def _entries(file: BinaryIO) -> Iterator[tuple[str, int, int, int]]:
 
 
 def _require_harmless(name: str, kind: bytes) -> None:
-    """Raise ``ShardError`` for a link, a device, or a path outside the archive."""
+    """Raise ``ShardError`` for a link, a device, or a path that leads outside the archive."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or "\0" in name:
         raise ShardError(f"member {shown(name)} points outside the archive")
@@ -195,7 +195,7 @@ def _crc(file: BinaryIO, size: int, name: str) -> int:
     while left:
         piece = file.read(min(left, CHUNK))
         if not piece:
-            raise ShardError(f"member {shown(name)} is cut off: {size - left} of its {size} bytes are there")
+            raise ShardError(f"member {shown(name)} is cut off: only {size - left} of its {size} bytes are present")
         crc, left = zlib.crc32(piece, crc), left - len(piece)
     _exactly(file, padded(size) - size, f"the padding of member {shown(name)}")
     return crc

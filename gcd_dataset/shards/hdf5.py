@@ -4,14 +4,14 @@
 ``/verts``, ``/faces``, …   an array field of all samples, concatenated along the rows, in one type for the whole file;
                             pictures as the bytes of their JPEG files
 ``/ptr/verts``, …           int64 [n+1]: sample i holds the rows from ``ptr[i]`` to ``ptr[i + 1]``
-``/bytes/faces``, …         u1 [n]: bytes of a number in the shard's member
-``/spec``, ``/meta``, …     a JSON field: one text a sample
+``/bytes/faces``, …         u1 [n]: size of a number in the shard's member [bytes]; the HDF5 type may be wider
+``/spec``, ``/meta``, …     a JSON field: one text per sample
 ``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds the CRC-32 of the sample's other members
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
 
-Arrays are contiguous and uncompressed: a sample takes one seek and one read a field. Measured: chunked files are read
-at two thirds of this speed; compressed ones at half of it or less, and they are a third smaller.
+Arrays are contiguous and uncompressed: a sample takes one seek and one read per field. Measured: chunked files are read
+at two thirds of this speed; compressed files at half of it or less, for a third less disk space.
 
 Files are not trusted. libhdf5 loops forever on some damaged files, so it runs in a child process, which returns the
 offsets of the columns: see ``gcd_dataset.shards.hdf5_layout``. The texts lie in the global heap, where the loops occur;
@@ -86,9 +86,9 @@ LAYOUT_PROGRAM = Path(__file__).with_name("hdf5_layout.py")
 CPU_SECONDS, WALL_SECONDS = 1, 60
 """Limits of the child process; reading headers takes milliseconds, on a slow network drive longer."""
 MOST_SAMPLES = 1 << 28
-"""Of a file."""
+"""Largest accepted number of samples of a file."""
 LARGEST = 1 << 29
-"""Bytes of a member."""
+"""Largest accepted size of a member [bytes]."""
 LARGEST_OFFSET = 1 << 62
 """Limit of the file offsets that are read: the system cannot address larger ones."""
 
@@ -132,7 +132,7 @@ class Hdf5Reader:
     def __init__(self, path: Path | str) -> None:
         self.path = user_path(path)
         self._file: _Descriptor | None = None
-        self._stamp: tuple[int, int] | None = None  # size and mtime, which tell a replaced file
+        self._stamp: tuple[int, int] | None = None  # size and mtime, to detect a replaced file
         if self._bytes(self._opened(), 0, len(SIGNATURE)) != SIGNATURE:
             raise self._broken("no HDF5 signature")
         attributes, self._columns = self._layout()
@@ -140,7 +140,7 @@ class Hdf5Reader:
             raise ShardError(f"{self.path}: not written by gcd export: give another file")
         if attributes.get("schema") not in SCHEMAS:
             known = " and ".join(map(str, SCHEMAS))
-            schema = f"of schema {found(attributes.get('schema'))}, and this reader knows {known}"
+            schema = f"of schema {found(attributes.get('schema'))}, but this reader knows {known}"
             raise ShardError(f"{self.path}: {schema}: install the version of gcd_dataset that wrote it")
         self._count, self.split = self._counted(attributes.get("count")), str(attributes.get("split"))
         self._has_meta_crc = META_CRC in self._columns
@@ -193,7 +193,7 @@ class Hdf5Reader:
                 [*program, str(CPU_SECONDS)], input=names, capture_output=True, text=True, timeout=WALL_SECONDS
             )
         except subprocess.TimeoutExpired as error:
-            raise self._broken(f"its headers are not read in {WALL_SECONDS} s") from error
+            raise self._broken(f"reading its headers takes over {WALL_SECONDS} s") from error
         if child.returncode < 0:
             raise self._broken(
                 f"its headers crash libhdf5 (signal {-child.returncode}), or exceed the limits on time and memory"
@@ -316,7 +316,7 @@ class Hdf5Reader:
     def _require_same(self, position: int, member: str, data: Bytes, crc: object) -> None:
         if zlib.crc32(data) != crc:
             raise ShardError(
-                f"{self.path}: sample {position}, member {member}: bytes differ from those that were written: {REMEDY}"
+                f"{self.path}: sample {position}, member {member}: bytes differ from the written ones: {REMEDY}"
             )
 
     def _none_checked(self) -> Bool[np.ndarray, "n m"]:
@@ -406,7 +406,7 @@ class _Column:
     ptr: Int[np.ndarray, " n+1"]
     """First row of each sample, and the number of rows."""
     size: UInt8[np.ndarray, " n"]
-    """Bytes of a number in each sample."""
+    """Size of a number in each sample [bytes]."""
     kind: str
     """``dtype.kind`` of the numbers."""
     width: tuple[int, ...]
@@ -427,7 +427,9 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
             found = (array.dtype.kind, array.shape[1:])
             if form.setdefault(field, found) != found:
                 member = f"{reader.store.location()}: sample {position}, member {FIELDS[field]}"
-                raise ShardError(f"{member}: rows of {found}, in earlier samples of {form[field]}: {REMEDY}")
+                raise ShardError(
+                    f"{member}: rows of type and shape {found}, but {form[field]} in earlier samples: {REMEDY}"
+                )
     return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in RAGGED}
 
 

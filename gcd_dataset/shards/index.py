@@ -56,7 +56,7 @@ __all__ = [
     "whole_samples",
 ]
 
-REBUILD = "delete it, it is made again from the shards"
+REBUILD = "delete it: it is rebuilt from the shards"
 META = "meta.json"
 MOST_MEMBERS = 256  # of a sample, when its format is probed
 SCHEMA_ENTRY = re.compile(rb'\{\s*"schema":\s*(\d{1,9})\D')
@@ -94,7 +94,7 @@ class ShardTable(Record):
 
 
 GRADES = ("", *(grade.value for grade in (Grade.FAILED, Grade.PAPER, Grade.CLEAN)))
-"""From no grade to the best: a grade includes those after it."""
+"""No grade, then the grades from worst to best: a minimum grade admits this grade and the later ones."""
 _COLUMNS = ("sample", "offset", "size", "crc", "settled", "grade")
 _ARRAYS: Mapping[str, Column] = {
     "schema": Column("iu", 0), "members": Column("U", 1), "shards": Column("U", 1), "length": Column("iu", 1),
@@ -236,11 +236,11 @@ def _require_known(schema: int, path: str) -> None:
     """Raise ``ShardError`` for an unknown schema."""
     if schema not in SCHEMAS:
         known = " and ".join(map(str, SCHEMAS))
-        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {known}: update gcd_dataset")
+        raise ShardError(f"{path}: an index of schema {schema}, but this reader knows {known}: update gcd_dataset")
 
 
 def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ...], is_foreign: bool) -> ShardError:
-    """The error for an index whose layout is not ``layout``."""
+    """The error for an index with another layout than ``layout``."""
     for other in (GARMENTS, BODIES):
         if other.kind != layout.kind and not is_foreign and layout_of(other, schema, members) is not None:
             return ShardError(
@@ -249,7 +249,7 @@ def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ..
             )
     if is_foreign or layout_of(layout, schema, members) is not None:
         lacking = ", ".join(member for member in layout.members if member not in members)
-        contents = f"schema {schema}, and schema {layout.schema} is written"
+        contents = f"schema {schema}, but schema {layout.schema} is written"
         if schema == layout.schema:
             contents = f"samples without {lacking}" if lacking else "samples with a caption or views"
         contents = "foreign archives" if is_foreign else contents
@@ -281,7 +281,7 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
     if (np.diff(arrays["shard"].astype(np.int64)) < 0).any():
         raise ShardError("shards out of order")
     if layout.kind != FOREIGN and len(np.unique(arrays["sample"])) != n:
-        raise ShardError("a sample is there twice")
+        raise ShardError("a sample occurs twice")
     for first in range(0, n, CHUNK):
         _require_inside(arrays, slice(first, first + CHUNK), layout)
 
@@ -434,7 +434,7 @@ def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
 
 def _read_meta(file: int, entry: TarMember, key: str, layout: Layout) -> dict[str, Any]:
     if entry.size > LARGEST_JSON:
-        raise ShardError(f"sample {key} begins with {entry.size} bytes, where {META} has at most {LARGEST_JSON}")
+        raise ShardError(f"sample {key} begins with a member of {entry.size} bytes; {META} has at most {LARGEST_JSON}")
     try:
         meta = read_meta(_content(file, entry))
     except ShardError as error:
@@ -442,7 +442,7 @@ def _read_meta(file: int, entry: TarMember, key: str, layout: Layout) -> dict[st
             f"sample {key} does not begin with a {META} of a data set of {layout.kind}: {error}"
         ) from error
     if meta["schema"] != layout.schema:
-        raise ShardError(f"sample {key} is of schema {meta['schema']}, among those of schema {layout.schema}")
+        raise ShardError(f"sample {key} has schema {meta['schema']}, but the data set has schema {layout.schema}")
     if unchecked := [member for member in layout.members[1:] if not _is_crc(meta.get("crc32"), member)]:
         raise ShardError(
             f"sample {key} does not begin with a {META} of a data set of {layout.kind}: no CRC-32 of {unchecked[0]}"

@@ -1,13 +1,13 @@
 """The parts of a data set made by independent jobs of a cluster; ``gcd merge`` joins them.
 
     .parts/parts.json                  the plan: number of parts, count, seed, recipe, versions
-    .parts/00002-of-00008/             shards, index and manifest of a part, as of any data set; its lock
+    .parts/00002-of-00008/             a part: shards, index and manifest as in any data set, and a lock
     .parts/00002-of-00008/part.json    of a finished part: its range, seed, recipe hash, versions, and its shards
     .parts/merging                     exists during ``gcd merge``, and after an interrupted one
     .parts-merged/                     ``.parts`` after its shards are merged, until the merge is complete
 
-Shards of a part have the numbers of the merged data set. A shard at the border of two parts is in both, with the
-samples of each.
+Shards of a part have the numbers of the merged data set. A shard that spans two parts exists in both, with the
+samples of the respective part.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ class NamedRecipe:
 
     name: str
     sha256: str
-    """Of the recipe."""
+    """Hash of the recipe."""
     splits: Mapping[str, float]
     """Split to its share of the designs."""
     patterns: str
@@ -102,7 +102,7 @@ class PartsPlan:
             if recipe_hash({name: existing.get(name)}) != recipe_hash({name: wanted.get(name)}):
                 raise ConfigError(
                     f"{path}: parts begun with {name}={existing.get(name)!r}, asked for {name}={wanted.get(name)!r}: "
-                    f"use the same, choose another folder, or delete {path.parent} to begin anew"
+                    f"use the same, choose another folder, or delete {path.parent} to start over"
                 )
 
     def _flat(self) -> dict[str, Any]:
@@ -263,7 +263,7 @@ def write_finished(folder: Path, finished: FinishedPart) -> None:
 def require_version(path: Path, plan: PartsPlan) -> None:
     """Raise ``ConfigError`` for parts made by another version of this package; ``path``: for the message."""
     if (made := plan.versions.get("gcd_dataset")) != (now := gcd_dataset.__version__):
-        raise ConfigError(f"{path}: its parts were made by gcd_dataset {made}, and this is {now}: install {made}")
+        raise ConfigError(f"{path}: its parts were made by gcd_dataset {made}, but this is {now}: install {made}")
 
 
 def _json(value: Any) -> bytes:

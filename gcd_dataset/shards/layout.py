@@ -3,8 +3,8 @@
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
     download.json         of a downloaded data set: its source and its complete splits
     index-train.npz       offset, size and CRC-32 of each member of each sample
-    mesh-train.npz        of bodies: the triangles and parts of their common mesh
-    train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``, bodies with those of ``BODIES``
+    mesh-train.npz        bodies only: triangles and body parts of the common mesh
+    train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``; for bodies, ``BODIES``
 
 >>> member_name(12, "verts.npy"), shard_name("train", 3)
 ('gcd_000000012.verts.npy', 'train-00003.tar')
@@ -60,10 +60,13 @@ __all__ = [
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 SCHEMA = 2
-"""The schema written. Raised by one whenever old readers would misread new shards."""
+"""The schema of new shards; incremented whenever old readers would misread new shards."""
 
 SCHEMAS = (1, SCHEMA)
-"""The schemas read. In schema 1 specification and design were ``.json`` members, and points absolute f16."""
+"""The schemas that this version reads.
+
+In schema 1 specification and design were ``.json`` members, and points f16 in cm.
+"""
 
 MEMBERS: tuple[str, ...] = (
     "meta.json", "spec.txt", "design.txt", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
@@ -96,7 +99,7 @@ class Layout:
     kind: str
     """``garments``, ``bodies`` or ``foreign``."""
     members: tuple[str, ...]
-    """The files of a sample in order. The first, except in foreign tars, is ``meta.json``, with their CRC-32."""
+    """The files of a sample in order; the first is ``meta.json``, except in foreign tars."""
     reader: str
     """The class in ``gcd_dataset.loaders`` that reads such samples, for messages."""
     schema: int = SCHEMA
@@ -200,7 +203,7 @@ def member_name(index: int, member: str) -> str:
 def shard_name(split: str, number: int) -> str:
     """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
 
-    Raises ``ShardError``, as the next three functions do, for a split that is no safe file name.
+    Raises ``ShardError`` for an unsafe split name, as ``index_name``, ``mesh_name`` and ``lock_name`` do.
     """
     return f"{require_name(split, 'split')}-{number:05d}.tar"
 

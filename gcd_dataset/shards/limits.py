@@ -3,7 +3,7 @@
 __all__ = ["LARGEST_FILE", "LARGEST_INDEX", "LARGEST_JSON", "LARGEST_MANIFEST", "LARGEST_SAMPLE", "MOST_PIXELS"]
 
 LARGEST_JSON = 1 << 23
-"""Bytes of a JSON member; parsed, it takes about twenty times as many."""
+"""Bytes of a JSON member; the parsed value takes about twenty times as many."""
 LARGEST_MANIFEST = 1 << 26
 """Bytes of a manifest; for ten million garments it has 15 MB."""
 LARGEST_SAMPLE = 1 << 29
@@ -11,6 +11,6 @@ LARGEST_SAMPLE = 1 << 29
 LARGEST_FILE = 1 << 32
 """Bytes of an index; for ten million garments it has 3.3 GB."""
 LARGEST_INDEX = 64
-"""Compression ratio of an index: bytes of its arrays per byte of the file; we write it uncompressed."""
+"""Compression ratio of an index: bytes of its arrays per byte of the file; indices are written uncompressed."""
 MOST_PIXELS = 1 << 26
-"""Pixels of a picture: 8192 a side."""
+"""Pixels of a picture: 8192 × 8192."""

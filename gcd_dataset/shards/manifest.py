@@ -86,7 +86,7 @@ class RecipeRecord:
 
     name: str
     sha256: str
-    """Of the recipe."""
+    """Hash of the recipe."""
     patterns: str = ""
     """``gcd_dataset.patternhash`` of all patterns; empty until all are made."""
 

@@ -1,9 +1,9 @@
-"""``meta.json``: provenance, names and figures of a sample, as stored and as items hold them.
+"""``meta.json``: provenance, names and figures of a sample, in the file and in loaded items.
 
 In the file every key has one type in all samples, since readers such as ``datasets`` infer types from the first ones.
 Values of free structure are JSON text. A missing value is stored as a neutral one: ``""``, ``-1``, ``-1.0``, or a list
-with one such entry. Items hold ``None`` or an empty list instead (but ``grade``, ``source`` and the counts of ``drape``
-as stored), and parsed JSON.
+with one such entry. Items hold ``None`` or an empty list for a missing value, and parsed JSON; ``grade``, ``source``
+and the counts of ``drape`` are the same in items as in the file.
 
 ====================  =========  ===============================================================  =====================
 garments              JSON type  holds                                                            if missing
@@ -32,10 +32,10 @@ garments              JSON type  holds                                          
                                  ``body_crossings`` (cloth edges through the body),
                                  ``body_through`` (body edges through the cloth) (ints),
                                  ``stretch_median``, ``stretch_p99`` (floats)
-``strain``            object     ``principal``, 2 floats; ``panels``, 2 floats a panel  (*)       -1.0
+``strain``            object     ``principal``, 2 floats; ``panels``, 2 floats per panel  (*)     -1.0
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
-``gathers``           floats     left edge over right edge, a seam  (*)                           ``[-1.0]``
+``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
 ``tags``              texts      kinds of garment  (*)                                            ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
@@ -109,7 +109,7 @@ NO_QUANTIZATION = Quantization(1.0, 1.0, (0.0, 0.0, 0.0))
 
 
 def write_meta(meta: Mapping[str, Any]) -> bytes:
-    """The content of ``meta.json`` for a ``meta`` as items hold it, sealed with its own CRC-32."""
+    """The content of ``meta.json`` for the ``meta`` of an item, sealed with its own CRC-32."""
     return sealed({name: STORED[name](value) if name in STORED else value for name, value in meta.items()})
 
 
@@ -157,7 +157,7 @@ STORED: Mapping[str, Callable[[Any], Any]] = {
     "gathers": lambda ratios: list(ratios) or [-1.0],
     "tags": lambda words: list(words) or [""],
 }
-"""Key to the function from an item's value to the stored one."""
+"""Key to the function that converts an item's value to the stored value."""
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
@@ -182,7 +182,7 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     schema = meta.get("schema")
     if schema not in SCHEMAS or isinstance(schema, bool):
         known = " and ".join(map(str, SCHEMAS))
-        raise ShardError(f"of schema {found(schema)}, and this reader knows {known}: update gcd_dataset")
+        raise ShardError(f"of schema {found(schema)}, but this reader knows {known}: update gcd_dataset")
     if schema == SCHEMA:
         _require_seal(data)
     meta = _loaded(meta) if schema == SCHEMA else _of_first_schema(meta)
@@ -196,7 +196,7 @@ def read_meta(data: Bytes) -> dict[str, Any]:
 
 
 def read_sample_index(data: Bytes) -> int:
-    """The index of a ``meta.json``'s sample, from the head of the file where possible. Raises ``ShardError``."""
+    """The sample index in a ``meta.json``, read from its head where possible. Raises ``ShardError``."""
     match = HEAD.match(data)
     return int(match[1]) if match else int(read_meta(data)["index"])
 
@@ -221,11 +221,11 @@ def _require_seal(data: Bytes) -> None:
     if match is None:
         raise ShardError(f"does not end with its {SEAL}")
     if zlib.crc32(memoryview(data)[: len(data) - len(match[0])]) != int(match[1]):
-        raise ShardError("bytes differ from those written")
+        raise ShardError("bytes differ from the written ones")
 
 
 def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """A stored ``meta`` as items hold it."""
+    """The ``meta`` of an item, from the stored one."""
     loaded = {name: value for name, value in meta.items() if name != SEAL}
     for name in ("versions", "recipe"):
         loaded[name] = _parsed(meta, name)
@@ -246,7 +246,7 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_first_schema(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``meta`` of schema 1 as items hold it."""
+    """The ``meta`` of an item, from one of schema 1."""
     if "name" in meta:
         return dict(meta)
     drape = meta.get("drape")

@@ -103,6 +103,6 @@ def _parsed(head: bytes) -> tuple[int, np.dtype, tuple[int, ...], int]:
         return start, np.dtype("u1"), (), 0
     match = HEADER.fullmatch(head[len(MAGIC) + 2 : start])
     if match is None:
-        raise ShardError("a .npy header of another writer: expected plain C-ordered, little-endian numbers")
+        raise ShardError("a .npy header by another writer: expected plain, C-ordered, little-endian numbers")
     dtype, shape = np.dtype(match[1].decode()), tuple(int(n) for n in match[2].split(b",") if n.strip())
     return start, dtype, shape, dtype.itemsize * math.prod(shape)

@@ -31,7 +31,7 @@ def require_schema(folder: Path, split: str, layout: Layout) -> None:
     for path, schema in schemas.items():
         if schema != layout.schema:
             raise ConfigError(
-                f"{path}: of schema {schema}, and gcd_dataset {gcd_dataset.__version__} writes schema {layout.schema}: "
+                f"{path}: of schema {schema}, but gcd_dataset {gcd_dataset.__version__} writes schema {layout.schema}: "
                 "its samples can be read; write new ones to another folder"
             )
 
@@ -39,9 +39,9 @@ def require_schema(folder: Path, split: str, layout: Layout) -> None:
 def record_to_resume(
     folder: Path, split: str, tables: Mapping[str, ShardTable], requested: SplitRecord, layout: Layout = GARMENTS
 ) -> SplitRecord:
-    """The record of a split for a writer to continue: of the manifest, else of its first sample, else ``requested``.
+    """The record of a split to continue: from the manifest, else from the first sample, else ``requested``.
 
-    ``tables``: of its finished shards. Raises ``ConfigError`` with both values where the record differs from
+    ``tables``: tables of the finished shards. Raises ``ConfigError`` with both values where the record differs from
     ``requested``, or the version of this package has changed; ``ShardError`` for a broken manifest or sample.
     """
     manifest = read_manifest(folder)
@@ -92,7 +92,7 @@ def _difference(location: Path | str, name: str, before: Any, now: Any) -> Confi
 def _require_version(location: Path | str, version: str) -> None:
     if version != (now := gcd_dataset.__version__):
         raise ConfigError(
-            f"{location}: made by gcd_dataset {version}, and this is {now}: choose another folder, or install "
+            f"{location}: made by gcd_dataset {version}, but this is {now}: choose another folder, or install "
             f"{version} to continue this one"
         )
 

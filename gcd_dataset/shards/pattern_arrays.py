@@ -17,7 +17,7 @@ BATCH = 256  # samples in one read
 def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> Iterator[tuple[int, PatternTensor]]:
     """Index and pattern of each sample in order; ``of``: indices to read, by default all.
 
-    Raises ``ShardError`` with shard and sample for a damaged one, ``ConfigError`` for samples without patterns.
+    Raises ``ShardError`` naming shard and sample for a damaged sample, ``ConfigError`` for samples without patterns.
     """
     if missing := [field for field in PATTERN_FIELDS if field not in fields_of(reader.layout.members)]:
         raise ConfigError(

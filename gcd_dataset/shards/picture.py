@@ -1,4 +1,4 @@
-"""Opens pictures of limited size with the named decoders only; by default Pillow tries all it has."""
+"""Opens pictures of limited size with the named decoders only; by default Pillow tries all its decoders."""
 
 import contextlib
 import io

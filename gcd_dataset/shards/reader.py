@@ -49,8 +49,7 @@ class ShardReader:
 
     ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all members
     on opening, ``off`` none. ``settled_only`` leaves out samples without a drape, or with one that did not settle.
-    ``quality`` leaves out samples of a lower grade than that. May
-    be pickled, forked, and read from several threads.
+    ``quality`` leaves out samples of a lower grade. May be pickled, forked, and read from several threads.
 
     Raises ``ShardError`` where the split is missing, broken, incomplete, or of another layout.
     """
@@ -67,10 +66,10 @@ class ShardReader:
     ) -> None:
         if quality is not None and quality not in get_args(Quality):
             raise ConfigError(
-                f"quality={quality!r:.99}: there is {', '.join(get_args(Quality))}, or None for all samples"
+                f"quality={quality!r:.99}: choose from {', '.join(get_args(Quality))}, or None for all samples"
             )
         if verify not in get_args(Verify):
-            raise ConfigError(f"verify={verify!r}: there is {', '.join(get_args(Verify))}")
+            raise ConfigError(f"verify={verify!r}: choose from {', '.join(get_args(Verify))}")
         self.store = where if isinstance(where, Store) else FolderStore(where)
         self.split, self._verify = split, verify
         self.manifest = self.store.manifest()
@@ -126,7 +125,7 @@ class ShardReader:
     def sample(self, position: int) -> Sample:
         """A garment with all its members.
 
-        Raises ``ShardError`` with shard and key for a damaged one, ``ConfigError`` where the split lacks some members.
+        Raises ``ShardError`` naming shard and key for a damaged garment, ``ConfigError`` if the split lacks members.
         """
         first = FIRST_NAMES if self.layout.schema == 1 else {}
         members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])
@@ -196,18 +195,18 @@ class ShardReader:
                     self._require_index(row, content[part.column])
 
     def _require_index(self, row: int, meta: memoryview) -> None:
-        """Raise ``ShardError`` where ``meta.json`` belongs to another sample than its row of the index."""
+        """Raise ``ShardError`` where ``meta.json`` and its row of the index name different samples."""
         if self.layout.kind != FOREIGN and read_sample_index(meta) != self.index.table.sample[row]:
             shard = self.index.shards[self.index.shard[row]]
             raise ShardError(
                 f"{self.store.location(shard)}: holds sample {read_sample_index(meta)} where the index has "
-                f"{self.index.key(row)}: delete the index, it is made again from the shards"
+                f"{self.index.key(row)}: delete the index: it is rebuilt from the shards"
             )
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
             raise ShardError(
-                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from those written: "
+                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from the written ones: "
                 f"{self.store.remedy}"
             )
         self._unchecked[row, column] = False

@@ -1,12 +1,12 @@
 """``rejects.jsonl``: the rejected attempts of a data set.
 
-One JSON object a line, in the order of designs and attempts:
+One JSON object per line, in the order of designs and attempts:
 
 ==============  ====================================================================================================
 ``seed``        of the data set
-``design``      number of the design: index of its first sample // wearers a design
+``design``      number of the design: index of its first sample // wearers per design
 ``attempt``     0 for the first attempt at this design
-``index``       the sample whose wearer the attempt did not fit, or whose drape failed
+``index``       the sample for which the attempt failed: the design did not fit its wearer, or its drape failed
 ``rule``        the rule that rejected it, as counted in ``manifest.json``; ``drape`` for a failed drape
 ``reason``      a sentence; for a drape its outcome
 ``figures``     the numbers behind the rule; names end in their units: ``{"cuff_cm": 29.9, "limb_cm": 35.5}``
@@ -78,7 +78,7 @@ class RejectLog:
             if self._journal is None:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
                 self._journal = os.open(self._folder / JOURNAL, flags, 0o644)
-                os.write(self._journal, b"\n")  # ends a line that a kill may have cut off
+                os.write(self._journal, b"\n")  # ends a line that a killed run may have truncated
             rest = memoryview(b"".join(new.values()))
             while rest:
                 rest = rest[os.write(self._journal, rest) :]
@@ -86,7 +86,7 @@ class RejectLog:
             self._lines.setdefault(design, {})[attempt] = line
 
     def close(self) -> None:
-        """Write ``rejects.jsonl`` and remove the journal. After an ``OutputError`` the journal is still there."""
+        """Write ``rejects.jsonl`` and remove the journal. After an ``OutputError`` the journal still exists."""
         if self._journal is not None:
             os.close(self._journal)
             self._journal = None
@@ -123,7 +123,7 @@ class RejectLog:
         return json_bytes(entry) + b"\n"
 
     def _stored_lines(self) -> Lines:
-        """The lines of earlier runs: of the file, and of the journal of a killed run."""
+        """The lines of earlier runs, from ``rejects.jsonl`` and from the journal of a killed run."""
         lines: Lines = {}
         for path in (self._folder / REJECTS, self._folder / JOURNAL):
             for line in _lines_in(path):
@@ -133,7 +133,7 @@ class RejectLog:
         return lines
 
     def _add_missing(self) -> None:
-        """Add lines from samples, in shards with other counts of rejects in the manifest than in the lines."""
+        """Add lines from the samples of each shard for which manifest and lines disagree on the counts of rejects."""
         manifest = read_manifest(self._folder)
         for split, record in manifest.splits.items() if manifest is not None else ():
             counted = {shard.name: shard.rejects for shard in record.shards}

@@ -1,7 +1,8 @@
 """A cache of generated samples, shared by processes, stored as the shards of a data set.
 
 Each sample is first written to its own tar in ``.waiting``. The process that adds the last sample of a shard
-writes the shard. At any moment the folder is a valid data set of its finished shards, and no sample is lost by a kill.
+writes the shard. At any moment the folder is a valid data set of its finished shards, and a killed process loses no
+sample.
 """
 
 import contextlib
@@ -205,7 +206,7 @@ class SampleCache:
         return self._shards.between(number * self._shard_size, (number + 1) * self._shard_size)
 
     def _refresh(self, *, holds_lock: bool = False) -> bool:
-        """Reload the index if its file has changed; returns whether it had. ``holds_lock``: ``_lock`` is held."""
+        """Reload the index if its file has changed; whether it has. ``holds_lock``: the caller holds ``_lock``."""
         try:
             stat = (self.folder / index_name(SPLIT)).stat()
         except FileNotFoundError:

@@ -32,5 +32,5 @@ def read_single(path: Path) -> dict[str, memoryview]:
     for member, offset, size, crc in entries:
         members[member] = data[offset : offset + size]
         if zlib.crc32(members[member]) != crc:
-            raise ShardError(f"{path}: member {member}: bytes differ from those written")
+            raise ShardError(f"{path}: member {member}: bytes differ from the written ones")
     return members

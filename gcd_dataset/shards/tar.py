@@ -57,7 +57,7 @@ def tar_entry(name: str, data: Bytes) -> bytes:
 def tar_entries(file: int) -> Iterator[TarMember]:
     """The members of the archive open as descriptor ``file``, up to the zeros or the end of the file.
 
-    Raises ``ShardError`` where a header is damaged, a member is cut off, or anything but zeros follows the zeros.
+    Raises ``ShardError`` where a header is damaged, a member is cut off, or other bytes follow the zeros at the end.
     """
     end, position = os.fstat(file).st_size, 0
     while position < end:
@@ -73,11 +73,11 @@ def tar_entries(file: int) -> Iterator[TarMember]:
 
 
 def _require_zeros(file: int, position: int, end: int) -> None:
-    """Raise ``ShardError`` for content between ``position`` and ``end``: then zeros have overwritten a header."""
+    """Raise ``ShardError`` for bytes other than 0 between ``position`` and ``end``: zeros have overwritten a header."""
     while position < end:
         chunk = os.pread(file, CHUNK, position)
         if not chunk or chunk.strip(b"\0"):
-            raise ShardError(f"zeros at byte {position}, and content after them")
+            raise ShardError(f"zeros at byte {position}, but content after them")
         position += len(chunk)
 
 
@@ -101,7 +101,7 @@ def stream_samples(
             past_keys.add(key)
             key, members, names = next_key, {}, set()
         if member in names or key in past_keys:
-            raise ShardError(f"member {shown(name)} is there twice, at byte {position}")
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {position}")
         names.add(member)
         content = _read_content(file, size, member in wanted, name)
         if member in wanted:
@@ -120,7 +120,7 @@ def _read_content(file: BinaryIO, size: int, is_wanted: bool, name: str) -> byte
     while got < len(content) and (count := file.readinto(memoryview(content)[got:])):  # type: ignore[attr-defined]
         got += count
     if got < size:
-        raise ShardError(f"member {shown(name)} is cut off: {got} of its {size} bytes are there")
+        raise ShardError(f"member {shown(name)} is cut off: only {got} of its {size} bytes are present")
     del content[size:]
     return content
 
@@ -151,5 +151,5 @@ def _parse(header: bytes, position: int) -> tuple[str, int]:
     if size < 0:
         raise ShardError(f"tar header of another program at byte {position}")
     if header[KIND] != PLAIN:
-        raise ShardError(f"member {name} at byte {position} is no plain file")
+        raise ShardError(f"member {name} at byte {position} is not a plain file")
     return name, size

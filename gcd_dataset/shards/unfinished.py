@@ -1,7 +1,7 @@
 """Marks a split whose run was stopped before all its samples were written.
 
-During a run ``.unfinished-train.json`` holds the requested number of samples, and the splits that share them (failed
-drapes go into a split of their own). A finished run removes the file.
+During a run ``.unfinished-train.json`` holds the requested number of samples, and the splits among which they are
+divided (failed drapes go into a split of their own). A finished run removes the file.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ def unfinished(folder: Path, split: str) -> str | None:
     if content is None and not parts:
         return None
     progress = _progress(read_manifest(folder) or Manifest(), split, content)
-    return f"{progress}: its run was stopped, or is not over: run the same command again"
+    return f"{progress}: its run was stopped, or is still running: run the same command again"
 
 
 def _note(folder: Path, split: str) -> Path:
@@ -62,7 +62,7 @@ def _is_part(name: str, split: str) -> bool:
 
 
 def _progress(manifest: Manifest, split: str, content: bytes | None) -> str:
-    """The number of samples on disk, and of those requested, if the note can be read."""
+    """``M of N samples`` on disk, with N from the note; without N if the note cannot be read."""
     with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         note = json.loads(content or b"{}")
         return f"{_count(manifest, note.get('splits', [split]))} of {int(note['count'])} samples"

@@ -30,7 +30,7 @@ from gcd_dataset.shards.origin import record_to_resume, require_schema
 __all__ = ["ShardWriter"]
 
 SHARD_SIZE = 256  # samples: about 250 MB of draped garments at 1 cm
-UNLISTED = 1 / 64  # share of shards that the manifest may lag behind: each update rewrites all its entries
+UNLISTED = 1 / 64  # share of the shards that may be missing from the manifest: each update rewrites all its entries
 
 
 class ShardWriter:

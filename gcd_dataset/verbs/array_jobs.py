@@ -54,9 +54,7 @@ class JobPart:
         if not 1 <= self.of <= MOST:
             raise ConfigError(f"part {self}: of {self.of} parts: give 1 to {MOST}, as 0/{min(max(self.of, 1), MOST)}")
         if not 0 <= self.number < self.of:
-            raise ConfigError(
-                f"part {self}: there is no such part: the first is 0/{self.of}, the last {self.of - 1}/{self.of}"
-            )
+            raise ConfigError(f"part {self}: no such part: the first is 0/{self.of}, the last {self.of - 1}/{self.of}")
 
     def __str__(self) -> str:
         return f"{self.number}/{self.of}"
@@ -168,13 +166,13 @@ def _options_of(plan: PartsPlan) -> Iterator[str]:
 
 
 def _require_not_merging(out: Path, folder: Path) -> None:
-    """Raise ``ConfigError`` while parts are merged, unless a stopped merge needs the part in ``folder`` again."""
+    """Raise ``ConfigError`` while parts are merged, unless a stopped merge waits for the part in ``folder``."""
     if is_merging(out) and not _is_wanted(out, folder):
         raise ConfigError(f"{out}: {parts_waiting(out)}")
 
 
 def _is_wanted(out: Path, folder: Path) -> bool:
-    """Whether a part is unfinished, or lacks a shard that is not merged: the user has deleted a damaged one."""
+    """Whether a part is unfinished, or lacks a shard that is not merged yet: a damaged shard that was deleted."""
     finished = read_finished(folder)
     if finished is None:
         return True
@@ -193,6 +191,6 @@ def _require_stored(out: Path, part: JobPart, indices: range, seed: int, config:
         stored.update(index.table.sample.tolist())
     if missing := set(indices) - stored:
         raise ConfigError(
-            f"{out}: holds a data set that is not made in parts, without {len(missing)} of the {len(indices)} samples "
-            f"of part {part}: go on with it without --shard, or choose another folder"
+            f"{out}: holds a data set that was not made in parts and lacks {len(missing)} of the {len(indices)} "
+            f"samples of part {part}: continue it without --shard, or choose another folder"
         )

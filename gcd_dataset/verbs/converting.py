@@ -20,7 +20,7 @@ from gcd_dataset.workers import parallel_map_chunks
 
 __all__ = ["ConversionPlan", "ConvertedGarment", "convert", "convert_missing", "plan_conversion"]
 
-CHUNK = 8  # garments in a task: a second of work, 12 MB of results
+CHUNK = 8  # garments per task: a second of work, 12 MB of results
 SEED = 0  # published garments have no seed
 
 
@@ -55,7 +55,7 @@ class ConvertedGarment:
 def plan_conversion(
     root: Path | str, out: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None
 ) -> tuple[ConversionPlan, ...]:
-    """Plans for the published garments under ``root`` in shards in ``out``: one for each split with any garment.
+    """Plans to convert the published garments under ``root`` to shards in ``out``, one for each split with garments.
 
     A garment's number does not depend on the other garments on disk, so a later call adds batches downloaded since, or
     garments on the other bodies, to the same shards. Raises ``ShardError`` for a folder that is not in the published

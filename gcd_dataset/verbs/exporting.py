@@ -30,7 +30,7 @@ def export(
     """
     if form not in get_args(Form):
         known = get_args(Form)
-        raise ConfigError(f"no form {form}: there is {', '.join(known)}{did_you_mean(form, known)}")
+        raise ConfigError(f"no form {form}: choose from {', '.join(known)}{did_you_mean(form, known)}")
     exporters: dict[Form, Callable[[Path, Path, str | None, ProgressCallback], Progress]] = {
         "hdf5": _to_hdf5,
         "published": _to_published,

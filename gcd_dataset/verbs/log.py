@@ -138,7 +138,7 @@ class _Lines:
         self._path, self._failed = path, False
         make_folder(path.parent)
         with writing_to(path):
-            # With O_NONBLOCK a pipe without a reader is an error instead of a wait.
+            # With O_NONBLOCK, opening a pipe without a reader fails instead of blocking.
             flags = os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
             self._file = os.open(path, os.O_WRONLY | flags, 0o644)
             try:
@@ -164,7 +164,7 @@ class _Lines:
         os.close(self._file)
 
     def _drop_partial_line(self) -> None:
-        """Truncate a partial last line, as a power cut leaves one. Raises ``OutputError`` for a file that is no log."""
+        """Truncate a partial last line, left by a power cut. Raises ``OutputError`` for a file that is not a log."""
         status = os.fstat(self._file)
         if not stat.S_ISREG(status.st_mode):
             return
@@ -174,7 +174,7 @@ class _Lines:
         last = before.rpartition(b"\n")[2]
         is_foreign = last and not last.startswith(BEGIN)
         if is_foreign or (partial and not (partial.startswith(BEGIN) or BEGIN.startswith(partial))):
-            raise OutputError(f"{self._path}: its last line is no line of a log: choose another file")
+            raise OutputError(f"{self._path}: its last line is not a line of a run log: choose another file")
         os.ftruncate(self._file, status.st_size - len(partial))
 
 

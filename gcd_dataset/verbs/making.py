@@ -264,7 +264,7 @@ def workers_for(plan: GarmentPlan) -> int:
 
 
 def _cpu_seconds(config: MakeConfig) -> float:
-    """CPU time of a worker for one garment [s]."""
+    """CPU time of a worker for one garment [s], draping included if it runs on the CPU."""
     from gcd_dataset.generator.drape import seconds_per_garment
 
     each = CPU_SECONDS[config.stage]

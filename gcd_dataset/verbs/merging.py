@@ -125,7 +125,9 @@ def _begin(out: Path) -> None:
         if is_merging(out):
             return
         if extra := sorted(path.name for pattern in ("*.tar", "*.tar.part") for path in out.glob(pattern)):
-            raise ConfigError(f"{out}: holds {extra[0]}, which is in none of its parts: move it elsewhere, then merge")
+            raise ConfigError(
+                f"{out}: holds {extra[0]}, which belongs to none of its parts: move it elsewhere, then merge"
+            )
         write_whole(merging_path(out), b"")
 
 
@@ -141,7 +143,7 @@ def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
         others = sorted({path.name for path in (out / PARTS).glob("*-of-*")} - {path.name for path in folders})
         missing = [part for part, folder in enumerate(folders) if not folder.is_dir()]
     if others:
-        raise ConfigError(f"{out / PARTS / others[0]}: none of {plan.of} parts: move it elsewhere, then merge")
+        raise ConfigError(f"{out / PARTS / others[0]}: not one of the {plan.of} parts: move it elsewhere, then merge")
     _require_none(missing, "missing", out, plan)
     found = [_finished(folder, plan) for folder in folders]
     _require_none([part for part, finished in enumerate(found) if finished is None], "not finished", out, plan)
@@ -197,9 +199,9 @@ def _fault(source: _Source, *, is_shared: bool) -> str | None:
     with reading(source.path):
         size = source.path.stat().st_size if source.path.exists() else 0
     if size != source.record.size:
-        return f"{size} of its {source.record.size} bytes are there"
+        return f"only {size} of its {source.record.size} bytes are present"
     if is_shared and (whole := len(whole_samples(source.path, source.layout))) != source.record.count:
-        return f"{whole} of its {source.record.count} samples are whole"
+        return f"only {whole} of its {source.record.count} samples are undamaged"
     return None
 
 
@@ -222,7 +224,7 @@ def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardT
     else:
         record, table = _concatenate(target, sources)
     if len(table) != count:
-        raise ShardError(f"{target}: {len(table)} samples, where its parts have {count}: move it elsewhere, then merge")
+        raise ShardError(f"{target}: {len(table)} samples, but its parts have {count}: move it elsewhere, then merge")
     for source in sources:
         with writing(source.path):
             source.path.unlink(missing_ok=True)
@@ -268,5 +270,5 @@ def _remove(folder: Path) -> None:
 def _remedy(out: Path) -> str:
     """The remedy for a folder without parts."""
     if splits_in(out):
-        return "it holds a data set that is whole: read it as it is"
-    return "give a folder in which gcd generate --shard I/N has made some"
+        return "it already holds a complete data set"
+    return "give a folder with parts made by gcd generate --shard I/N"

@@ -65,12 +65,12 @@ class Progress:
 
 
 class _Mark(NamedTuple):
-    """Samples made, and waits, at a time."""
+    """Samples made and waits up to one point in time."""
 
     time: float
     made: int
     waits: Waits
-    """Sum since the beginning."""
+    """Sum since the start of the run."""
 
 
 class Pace:

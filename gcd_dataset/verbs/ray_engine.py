@@ -48,12 +48,12 @@ __all__ = [
 CONNECTED = 30.0  # s: timeout for a cluster to answer at its address
 STARTED = 120.0  # s: timeout for a worker to start on each node, and for an actor on a GPU
 LOOK = 30.0  # s between checks of the nodes while waiting for a result
-RETRIES = 3  # of a task whose worker or node was lost
+RETRIES = 3  # of a task after the loss of its worker or node
 AHEAD = 2  # tasks submitted for each slot, so that none is idle while the writer is busy
 RANGE = 5.0  # CPU-s of a task: its overhead in Ray is some milliseconds
 EVENT = 160  # characters of an event message of Ray
 SHARES = 4  # least number of tasks for each slot in a short run
-CPUS_BESIDE_GPU = 0.5  # CPUs of a task that drapes on a GPU: one task prepares while another waits for its drapes
+CPUS_BESIDE_GPU = 0.5  # CPUs per task if GPUs drape: one task prepares while another waits for its drapes
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -156,7 +156,7 @@ def ranges(indices: Iterable[int], wearers: int, size: int) -> Iterator[tuple[in
 
 
 def samples_of_range(count: int, seconds: float, slots: int) -> int:
-    """The number of samples that take ``RANGE`` CPU-seconds, or fewer where some slots would stay idle otherwise.
+    """The number of samples that take ``RANGE`` CPU-seconds, or fewer if some slots would otherwise stay idle.
 
     >>> samples_of_range(100_000, 0.1, 64), samples_of_range(64, 0.1, 2), samples_of_range(3, 30.0, 2)
     (50, 8, 1)
@@ -185,7 +185,7 @@ def with_cluster_device(config: MakeConfig, gpus: int) -> MakeConfig:
     Raises ``ConfigError`` for ``cuda`` without a GPU, and for a device number: Ray assigns the GPUs.
     """
     if config.device not in ("auto", "cpu", "cuda"):
-        raise ConfigError(f"device {config.device}: Ray hands out the GPUs of its nodes: give auto, cpu or cuda")
+        raise ConfigError(f"device {config.device}: Ray assigns the GPUs of its nodes: give auto, cpu or cuda")
     if config.stage == "drape" and config.device == "cuda" and not gpus:
         raise ConfigError("device cuda: the Ray cluster has no GPU: give --device cpu, or add a node with one")
     return replace(config, device="cuda" if gpus and config.device != "cpu" else "cpu")
@@ -232,8 +232,8 @@ def _run_task(task: _Task, actors: Sequence[Actor]) -> _TaskResult:
                     results.append(result)  # noqa: PERF402 - keeps the results before an error
         except (OSError, MemoryError) as fault:
             error = OutputError(
-                f"node {_node()}: {fault}: make room there, or take it out of the cluster, then give the same command "
-                "again: it goes on from here"
+                f"node {_node()}: {fault}: make room there, or remove the node from the cluster, then give the same "
+                "command again to continue"
             )
         except Exception as fault:  # noqa: BLE001 -- raised in the writing process
             error = fault
@@ -289,7 +289,7 @@ def code_versions() -> dict[str, str]:
 
 
 def mismatch(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
-    """The differences between the versions of a node and those here, with a remedy; ``None`` if there are none."""
+    """The differences between the versions of a node and of this machine, with a remedy; ``None`` without any."""
     different = [
         f"{name} {theirs.get(name, 'missing')} instead of {version}"
         for name, version in ours.items()
@@ -334,7 +334,7 @@ def _connect(ray: ModuleType, address: str | None) -> None:
             logger.info("Ray: using the cluster at %s on this machine; RAY_ADDRESS=local starts a new one", running)
             return
     if address == "auto":
-        raise ConfigError("RAY_ADDRESS is auto, and no Ray cluster runs on this machine: start one, or unset it")
+        raise ConfigError("RAY_ADDRESS is auto, but no Ray cluster runs on this machine: start one, or unset it")
     from gcd_dataset.generator.drape.device import cores
 
     ray.init(address="local", num_cpus=cores(), include_dashboard=False, **quiet)
@@ -438,7 +438,7 @@ def _actors(ray: ModuleType, gpus: int) -> Sequence[Actor]:
         except ray.exceptions.RayError as error:
             fault = " ".join(str(getattr(error, "cause", None) or error).split())
     if not actors:
-        raise ConfigError(f"no GPU of the Ray cluster can drape: {fault}: give --device cpu, or free one")
+        raise ConfigError(f"no GPU of the Ray cluster can drape: {fault}: give --device cpu, or free a GPU")
     return actors
 
 
@@ -449,10 +449,10 @@ def _end(ray: ModuleType, handles: Iterable[Any]) -> None:
 
 def _fetch(ray: ModuleType, reference: Any) -> _TaskResult:
     """The result of a task. Raises ``GcdError`` if Ray cannot run it."""
-    resume = "give the same command again: it goes on from here"
+    resume = "give the same command again to continue"
     while not ray.wait([reference], timeout=LOOK)[0]:
         if not any(node["Resources"].get("CPU") for node in _usable_nodes(ray)):
-            raise GcdError(f"no node of the Ray cluster is left: add one (ray status shows them), then {resume}")
+            raise GcdError(f"the Ray cluster has no node left: add one (ray status lists the nodes), then {resume}")
     try:
         return ray.get(reference)
     except ray.exceptions.RayTaskError as error:  # outside our own code: the node lacks this package

@@ -1,4 +1,4 @@
-"""Data sets of recipes: listing the recipes, verifying a folder against one, and making one on demand."""
+"""Data sets of recipes: listing recipes, verifying a folder against a recipe, and generating on demand."""
 
 import logging
 import multiprocessing
@@ -28,7 +28,7 @@ from gcd_dataset.workers import without_main_module
 
 __all__ = ["ensure_recipe", "recipe_faults", "recipe_lines"]
 
-SAMPLED = 32  # designs made again to verify a recipe without a hash of all its patterns
+SAMPLED = 32  # designs generated again to verify a recipe that has no hash of all its patterns
 LOCK = ".recipe.lock"
 
 log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ def recipe_lines(name: str = "") -> Iterator[str]:
     yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
     made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
     yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
-    yield f"  patterns: {recipe.patterns or 'no hash yet: not all of them have been made'}"
+    yield f"  patterns: {recipe.patterns or 'no hash yet: some were never generated'}"
 
 
 # ------------------------------------------------------------------------------------------------------------- verify
@@ -82,10 +82,10 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
     if not stored.patterns:
         yield f"{folder / MANIFEST}: no hash of the patterns yet: run gcd generate --recipe {recipe.name} again"
     elif not found.agrees(stored.patterns):
-        yield f"{folder}: its patterns have hash {found.text}, {MANIFEST} lists {stored.patterns}"
+        yield f"{folder}: its patterns have hash {found.text}, but {MANIFEST} lists {stored.patterns}"
     if recipe.patterns:
         if not found.agrees(recipe.patterns):
-            yield f"{folder}: its patterns have hash {found.text}, those of {recipe.name} {recipe.patterns}"
+            yield f"{folder}: its patterns have hash {found.text}, but recipe {recipe.name} has {recipe.patterns}"
     else:
         yield from _sampled_faults(folder, readers, recipe)
 
@@ -94,7 +94,7 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
     """Samples that are missing or in the wrong split, and splits made with another seed or other options."""
     stored_splits = splits_in(folder)
     for split in sorted(set(stored_splits) - set(recipe.splits)):
-        yield f"{folder}: split {split} is none of {recipe.name}: take it away"
+        yield f"{folder}: split {split} does not belong to {recipe.name}: remove it"
     asked = recipe_of(recipe.config)
     for split in recipe.splits:
         if split not in stored_splits:
@@ -109,7 +109,7 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             if recipe_hash({name: asked.get(name)}) != recipe_hash({name: record.recipe.get(name)})
         ]:
             met, wanted = record.recipe.get(other[0]), asked.get(other[0])
-            yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, the recipe has {wanted!r}"
+            yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, but the recipe has {wanted!r}"
         reader = ShardReader(FolderStore(folder), split)
         stored = reader.index.table.sample[reader.rows(range(len(reader)))]
         wanted = recipe.indices_in(split)
@@ -136,8 +136,8 @@ def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe
 def ensure_recipe(recipe: Recipe, folder: Path) -> None:
     """Make the data set of a recipe in a folder, with a progress bar on stderr, unless it is complete there.
 
-    Concurrent calls wait for each other. Raises ``ConfigError`` for a folder that holds something else, or the data set
-    as another version of this package made it; otherwise as ``generate_recipe``.
+    Concurrent calls wait for each other. Raises ``ConfigError`` for a folder that holds something else, or a data
+    set whose patterns another version of this package drew; otherwise as ``generate_recipe``.
     """
     if not is_sealed(folder, recipe):
         with _lock_folder(make_folder(folder), recipe):
@@ -146,8 +146,8 @@ def ensure_recipe(recipe: Recipe, folder: Path) -> None:
     stored = (read_manifest(folder) or Manifest()).recipe
     if recipe.patterns and stored is not None and stored.patterns != recipe.patterns:
         raise ConfigError(
-            f"{folder}: {recipe.name} with other patterns than this version of the package draws: delete the folder to "
-            "make it anew, or read it by its path"
+            f"{folder}: holds {recipe.name} with patterns drawn by another version of the package: delete the "
+            "folder to generate it again, or read it by its path"
         )
 
 
@@ -208,7 +208,7 @@ def _lock_folder(folder: Path, recipe: Recipe) -> Iterator[None]:
 def _is_importing_main() -> bool:
     """Whether this is a spawned worker that imports the main module again.
 
-    The parent may hold the lock and wait for this worker, so waiting here would deadlock. By the same flag
-    multiprocessing forbids such a worker to start processes.
+    The parent may hold the lock and wait for this worker, so waiting here would deadlock. The module
+    ``multiprocessing`` checks the same flag before it starts a process.
     """
     return bool(getattr(multiprocessing.current_process(), "_inheriting", False))

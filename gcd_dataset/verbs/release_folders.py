@@ -39,7 +39,7 @@ BATCH = 5000  # designs in a batch
 LETTERS = string.ascii_uppercase + string.digits
 LETTERS_IN_NAME = 10
 SPLIT_FILE = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
-TEXTURE = 15  # pixels a centimetre
+TEXTURE = 15  # pixels per centimetre
 LARGEST_TEXTURE = 2048  # pixels
 CLOTH_OPACITY, OUTLINE = 166, 0.5  # of 255; cm
 
@@ -71,7 +71,7 @@ class _Batch:
 
 
 def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
-    """Split to reader, for the splits that the published layout has; logs a warning about others.
+    """Split to reader, for the splits of the published layout; logs a warning about others.
 
     Raises ``ShardError`` if there is none.
     """
@@ -79,11 +79,10 @@ def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
     others = ", ".join(split for split in splits if split not in SPLIT_NAMES)
     if others and not set(splits) & set(SPLIT_NAMES):
         raise ShardError(
-            f"{folder}: no split that the published layout has a name for: there is {others}: "
-            "give --hdf5 FILE and --split"
+            f"{folder}: the published layout has no name for its splits ({others}): give --hdf5 FILE and --split"
         )
     if others:
-        logger.warning("%s: left out: %s: the published layout has %s alone", folder, others, ", ".join(SPLIT_NAMES))
+        logger.warning("%s: left out: %s: the published layout has only %s", folder, others, ", ".join(SPLIT_NAMES))
     return {split: ShardReader(folder, split) for split in SPLIT_NAMES if split in (splits or ("train",))}
 
 

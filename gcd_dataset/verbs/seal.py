@@ -47,7 +47,8 @@ def require_claimable(folder: Path, recipe: Recipe | None) -> RecipeRecord | Non
     if recipe is None:
         if stored is not None:
             raise ConfigError(
-                f"{folder / MANIFEST}: the data set {stored.name}: go on with --recipe, or choose another folder"
+                f"{folder / MANIFEST}: the data set of recipe {stored.name}: continue with --recipe, or choose "
+                "another folder"
             )
         return None
     asked = RecipeRecord(recipe.name, recipe.sha256)
@@ -75,7 +76,7 @@ class NamedRecipe(Protocol):
 
 
 def seal(folder: Path, recipe: NamedRecipe) -> None:
-    """Write the hash of all patterns to the manifest of a complete data set, unless it is there.
+    """Write the hash of all patterns to the manifest of a complete data set, unless the manifest has it.
 
     If the hash agrees with the recipe's (``PatternHash.agrees``), the recipe's is written, so that all machines write
     the same one; if not, a warning is logged. Raises ``ShardError`` for damaged samples, ``OutputError``.
@@ -87,8 +88,8 @@ def seal(folder: Path, recipe: NamedRecipe) -> None:
     agrees = found.agrees(recipe.patterns)
     if recipe.patterns and not agrees:
         log.warning(
-            "%s: its patterns differ from those of %s: this version of the package, or of NumPy, SciPy or Shapely, "
-            "draws others; the data set can be used, but not under that name",
+            "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, "
+            "draws different patterns; the data set can be used, but not under that name",
             folder,
             recipe.name,
         )

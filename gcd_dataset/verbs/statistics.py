@@ -1,4 +1,4 @@
-"""Statistics of a batch of garments, as in the release's ``dataset_properties_….yaml``, under the same keys."""
+"""Statistics of a batch of garments, with the keys of the release's ``dataset_properties_….yaml``."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping

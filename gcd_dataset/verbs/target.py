@@ -117,7 +117,7 @@ class _FolderWriter:
 
 @dataclass(frozen=True)
 class _OpenWriter(_FolderWriter):
-    """A folder writer with a method ``close``, for callers without a ``with`` block."""
+    """A folder writer with ``close``: its caller keeps it open without a ``with`` block."""
 
     stack: contextlib.ExitStack
 
@@ -217,4 +217,4 @@ def require_folder(out: Path | str, data: str) -> Path:
 
 
 def _folder_needed(url: Url, data: str) -> ConfigError:
-    return ConfigError(f"{url}: {data} are made in a folder: give one, and copy it there")
+    return ConfigError(f"{url}: {data} are made in a folder: give a folder, then copy it to the URL")

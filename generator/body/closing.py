@@ -15,7 +15,7 @@ from gcd_dataset.records import BodyPart, Record
 
 __all__ = ["WIDEST_HOLE", "ClosedSkin"]
 
-WIDEST_HOLE = 10.0  # cm across; a flat patch then lies up to 1.3 cm under a limb or chest of 10 cm radius
+WIDEST_HOLE = 10.0  # cm across; a flat patch over it lies up to 1.3 cm below the skin of a limb of 10 cm radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,20 +86,21 @@ def _welded_rims(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.
 
 
 def _consistently_wound(faces: Int[np.ndarray, "f 3"], name: str) -> Int[np.ndarray, "f 3"]:
-    """The faces of each piece wound like its majority. Raises ``BodyError`` for a non-manifold or one-sided skin."""
+    """The faces of each piece, all wound as most of them. Raises ``BodyError`` for a non-manifold or one-sided skin."""
     edges, uses = half_edges_of(faces)
     if (uses > 2).any():
         raise BodyError(
-            f"{name}: {int((uses > 2).sum())} sides of faces are shared by three or more faces, so it has no clear "
-            "inside: export one skin without inner walls"
+            f"{name}: {int((uses > 2).sum())} sides of faces are shared by three or more faces, so the inside is "
+            "ambiguous: export one skin without inner walls"
         )
     order = np.lexsort(np.sort(edges, axis=1).T[::-1])
     order = order[uses[order] == 2]
     first, second = order[::2], order[1::2]
-    alike = (edges[first] == edges[second]).all(axis=1)  # consistent neighbours run along a shared edge oppositely
+    # Consistently wound neighbours traverse their shared edge in opposite directions.
+    alike = (edges[first] == edges[second]).all(axis=1)
     if not alike.any():
         return faces
-    # A graph with two nodes a face, as it is and flipped; links join nodes that are wound consistently.
+    # A graph with two nodes for each face, unflipped and flipped; links join consistently wound neighbours.
     count = len(faces)
     a, b = first // 3, second // 3
     ends = np.concatenate([[a, b + count * alike], [a + count, b + count * ~alike]], axis=1)

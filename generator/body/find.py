@@ -19,7 +19,7 @@ __all__ = ["find_landmarks", "find_parts"]
 
 CONFIDENCE_RADIUS = 6.0  # cm about a landmark within which the misfit decides its confidence
 WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
-WRIST_REACH = 7.0  # cm from the ring within which faces belong to the wrist: leaves out the trunk
+WRIST_REACH = 7.0  # cm from the ring within which faces are searched for the wrist: excludes the trunk
 MAX_BRIDGED = 2.0  # cm of patch that the tape round the wrist may cross
 BEHIND = 0.5  # cm behind the model's closed lips and lids: inside a mouth or a socket
 HALF_CONFIDENCE = 1.5  # cm of misfit at which the confidence is 0.5
@@ -30,8 +30,9 @@ def find_landmarks(
 ) -> Landmarks:
     """The model's landmarks projected to the nearest skin.
 
-    ``surface`` is the scan's, times ``scale`` plus ``shift``, as tall as the model. The wrist is the narrowest section
-    nearby. The confidence of a landmark falls with the misfit around it, and with the share of patches in it.
+    ``surface`` is the scan's surface scaled to the model's height: ``vertices * scale + shift``. The wrist is the
+    narrowest section nearby. The confidence of a landmark falls with the misfit around it, and with the share of its
+    points on patches.
     """
     model = model_landmarks(registration.vertices)
     offsets = {name: model_height() * share for name, share in landmark_table().beside.items()}
@@ -63,7 +64,7 @@ def narrowest_ring(
     """The convex hull of the narrowest section of a limb, parallel to the plane of a ring [cm].
 
     ``offsets``: the searched distances from the ring's plane; ``patched``: the faces that close holes. Raises
-    ``BodyError`` if a plane cuts no skin or a hole.
+    ``BodyError`` if a plane cuts no skin, or cuts a hole.
     """
     middle = ring.mean(axis=0)
     across, along, normal = np.linalg.svd(ring - middle)[2]
@@ -87,7 +88,7 @@ def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray
 
 
 def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
-    """``BodyPart`` of each vertex: that of the model's nearest skin vertex, or internal if well behind the skin."""
+    """``BodyPart`` of each vertex, from the model's nearest skin vertex; internal if well behind the skin."""
     model = body_model()
     internal = model.parts == BodyPart.INTERNAL.value
     skin = np.flatnonzero(~internal)

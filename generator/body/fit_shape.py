@@ -1,8 +1,8 @@
 """Fits a body to given measures: Gauss-Newton in the shape space with a population prior.
 
 Minimises the sum of squares of (measure - given) / ``TOLERANCE`` and of the shape weights, which are in standard
-deviations of the population. Among the bodies with these measures that is the most probable one: the one with the least
-Mahalanobis distance. The angle of the arms is a further unknown.
+deviations of the population. The minimum is the most probable body with these measures: its Mahalanobis distance from
+the mean body is the least. The angle of the arms is a further unknown.
 """
 
 from typing import NamedTuple
@@ -20,17 +20,17 @@ __all__ = ["FittedShape", "fit_shape"]
 
 STEPS = 12
 DIFFERENCES = (0.3, 0.1)
-"""Half widths of the central differences, used in turn [standard deviations]. The levels of girths are searched in
-steps of 5 mm, so that measures of height jump. Where a jump hides the slope at one width, the other width shows it."""
+"""Half widths of the central differences, used in turn [standard deviations]. Girth levels are searched in steps of
+5 mm, so heights of landmarks jump. Where a jump hides the slope at one width, the other width shows it."""
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # tried in a line search
-MAX_STEP = 2.0  # standard deviations in any weight: measures are nearly linear within
-LEAST_GAIN = 1e-3  # relative decrease of the cost; the fit ends after a smaller one at each width
-TOLERANCE = 0.1  # cm of error with the cost of one standard deviation in one weight
+MAX_STEP = 2.0  # standard deviations in any weight, within which measures are nearly linear
+LEAST_GAIN = 1e-3  # the fit ends when the relative decrease of the cost is smaller at every width
+TOLERANCE = 0.1  # cm: an error that costs as much as one standard deviation in one weight
 ANGLE_TOLERANCE = np.radians(0.1)
 ARM_SPREAD = np.radians(9.0)  # standard deviation of the drawn arm angle, uniform over ±15°
 MAX_FACTOR = 3.0  # ratio of a length to the mean body's: beyond this the length is in another unit
-MAX_ERROR = 0.1  # relative error of a length, or radians, of an accepted fit,
-MAX_ERROR_CM = 3.0  # or this error for short lengths
+MAX_ERROR = 0.1  # largest error of an accepted fit: of a length, relative; of an angle [rad]
+MAX_ERROR_CM = 3.0  # cm: also accepted, for short lengths
 REACH = 12.0
 """Largest distance from the mean body, over all weights [standard deviations]; drawn bodies are at 3 (pooled) to 10 (of
 one sex)."""

@@ -17,7 +17,7 @@ from gcd_dataset.records import Record
 __all__ = ["GeodesicGraph", "graph_between"]
 
 
-BAND = 0.035  # half width of the band about the rough path that is searched, as a share of the distance
+BAND = 0.035  # half width of the searched band about the rough path, as a share of the distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class GeodesicGraph(Record):
         return self._with(kept)
 
     def near_shortest(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
-        """The graph without links that are on no path within ``most`` of the shortest [unit of ``vertices``]."""
+        """The graph with only the links on paths up to ``most`` longer than the shortest [unit of ``vertices``]."""
         graph = self._graph(vertices)
         to, back = (dijkstra(one, indices=end) for one, end in zip((graph, graph.T), self.ends, strict=True))
         through = to[self.links[:, 0]] + graph.data + back[self.links[:, 1]]
@@ -140,7 +140,7 @@ def graph_between(
     """A graph for geodesics between two points of the skin, and the vertices with these points appended.
 
     Searches a tube about the straight line, widened until the faces in it connect the points. Raises ``BodyError`` if
-    they never do.
+    no tube connects them.
     """
     ends = np.stack([start, end])
     faces, vertices = _with_points(vertices, faces, ends)

@@ -50,7 +50,7 @@ class Holes(Record):
 
 @dataclass(frozen=True, eq=False)
 class VisibleSkin(Record):
-    """The visible skin of bodies with the same faces: without internal parts, and with the openings there closed."""
+    """The visible skin of bodies with the same faces: internal parts removed, and their openings closed."""
 
     faces: Int[np.ndarray, "g 3"]
     """Triangles of the body's vertices, then patches, which also use the centres of the openings."""
@@ -65,7 +65,7 @@ class VisibleSkin(Record):
         skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
         openings = Holes.of(np.zeros((len(parts), 3)), skin)
         whole = np.concatenate([skin, openings.patches(len(parts))])
-        # A face belongs to the part of two of its corners; a patch takes the part of its rim.
+        # A face takes the part of at least two of its corners; for a patch these are corners on the rim.
         a, b, c = np.concatenate([parts, np.full(len(openings.centres), BodyPart.HEAD.value)])[whole].T
         rims = tuple(np.unique(openings.rims[openings.hole_of_rim == hole]) for hole in range(len(openings.centres)))
         return cls(whole, np.where(b == c, b, a).astype(np.uint8), rims)

@@ -1,4 +1,4 @@
-"""Approximate test whether points are inside a body, by the nearest face centre: exact enough to place panels."""
+"""Approximate test whether points are inside a body, by the nearest face centre: accurate enough to place panels."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from gcd_dataset.records import Body
 __all__ = ["InsideTest"]
 
 SKIN = 0.5  # cm: a point nearer than this to a face centre counts as inside
-EVERY = 4  # test every fourth face
+EVERY = 4  # sampling: every fourth face
 
 
 class InsideTest:

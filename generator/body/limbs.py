@@ -13,7 +13,7 @@ __all__ = ["Limb", "limbs_of"]
 
 FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
-OUTLIERS = 0.5  # percentile of the vertices at either end of each axis that may be mislabelled
+OUTLIERS = 0.5  # percent of the vertices at either end of each axis that a segmentation may mislabel
 OUTLIER_DISTANCE = 5.0  # cm beyond that percentile from which a vertex is left out
 MIN_POINTS = 8  # a part with as many points or fewer counts as missing
 
@@ -49,7 +49,7 @@ class Limb:
         return np.asarray(local) @ self.frame + self.origin
 
     def section(self, low: float, high: float) -> "Limb":
-        """The section between two positions along the axis [cm]; the whole limb where no skin lies there."""
+        """The section between two positions along the axis [cm]; the whole limb if the section has too few points."""
         along = self.skin @ self.axis
         within = (along >= low) & (along <= high)
         return _tube(self.skin[within], self.axis) if within.sum() > MIN_POINTS else self
@@ -69,7 +69,7 @@ def limbs_of(body: Body) -> dict[BodyPart, Limb]:
 
 
 def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
-    """The vertices of body parts without outliers, which some segmentations mislabel."""
+    """The vertices of body parts, without the outliers that some segmentations mislabel."""
     points = np.asarray(body.vertices, float)[np.isin(body.parts, [part.value for part in parts])]
     if not len(points):
         return points

@@ -36,7 +36,7 @@ def measure(body: Body) -> Measurements:
 
 
 def measure_closely(body: Body) -> MeasureResult:
-    """The measures of a body, with the level of each girth and the searches that ended on their border."""
+    """The measures of a body, with the level of each girth; see ``MeasureResult``."""
     vertices = np.asarray(body.vertices, float)
     model_faces = body_model().faces
     if body.faces is model_faces or np.array_equal(body.faces, model_faces):
@@ -47,7 +47,7 @@ def measure_closely(body: Body) -> MeasureResult:
 def measure_model_mesh(vertices: Float[np.ndarray, "v 3"]) -> MeasureResult:
     """The measures of a body with the model's mesh, in the A-pose.
 
-    Arms in another pose are moved to the A-pose first; ``arm_pose_angle`` alone is that of the given pose.
+    Arms in another pose are moved to the A-pose first; only ``arm_pose_angle`` refers to the given pose.
     """
     marks = model_landmarks(vertices)
     angle = float(sinking(marks.points["shoulder_right"], marks.points["wrist_right"]))
@@ -96,8 +96,8 @@ def find_body(
 ) -> FoundBody:
     """Find landmarks and parts of a mesh [cm] and measure it; ``given`` landmarks and ``parts`` override found ones.
 
-    The mesh may have holes off the tapes' paths, and faces wound either way. Arms in another pose are moved to the
-    A-pose first; ``arm_pose_angle`` alone is that of the given pose. Raises ``BodyError`` if no body is found, or if a
+    The mesh may have holes away from the tapes, and faces wound either way. Arms in another pose are moved to the
+    A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError`` if no body is found, or if a
     measure could not be trusted.
     """
     upright = find_upright(Scan.of(vertices, faces, name), name)

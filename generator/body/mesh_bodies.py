@@ -24,7 +24,7 @@ __all__ = ["measure_file", "read_body"]
 
 log = logging.getLogger(__name__)
 
-ADULT = (120.0, 230.0)  # cm; beyond these heights the unit may be another one, such as inches
+ADULT = (120.0, 230.0)  # cm; outside this range of heights the unit may be wrong, such as inches
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
 SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; usually 0.99
 ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")
@@ -155,12 +155,12 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
             "crosses less than 3 cm of them"
         )
     remarks += _coarse_mesh_remark(found)
-    remarks.append(f"landmarks found {found.misfit:.2f} cm from the nearest body of our shape space on average")
+    remarks.append(f"mean distance of the skin from the nearest body of our shape space: {found.misfit:.2f} cm")
     if found.misfit > UNUSUAL_MISFIT:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
     if found.underbust_error > UNDERBUST_ERROR:
         remarks.append(
-            f"doubtful: underbust may be up to {found.underbust_error:.1f} cm off: it changes much with its level"
+            f"doubtful: underbust may be up to {found.underbust_error:.1f} cm off: it depends strongly on its level"
         )
     unsure = [f"{name} {confidence:.2f}" for name, confidence in found.marks.confidence.items() if confidence < UNSURE]
     if unsure:

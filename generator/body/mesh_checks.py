@@ -23,7 +23,7 @@ STICKS_OUT = 6.0  # cm over the model's head or under its soles
 MAX_BRIDGED = 3.0  # cm of one patch that a tape may cross: straight over it, the tape is at most 0.1 cm short
 MAX_JOINED = 8.0  # cm of the arms' contour in the loop of a girth's section; drawn bodies have none
 LEVEL_ERROR = 2.0  # times the misfit: possible error of a level
-MIN_TRUNK = 20.0  # cm of trunk or legs in a loop that make it the trunk's
+MIN_TRUNK = 20.0  # cm: a loop with more trunk and legs than this belongs to the trunk
 
 NEEDED = {
     BodyPart.TRUNK: "the trunk",
@@ -42,12 +42,12 @@ X, Y, Z = 0, 1, 2
 def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
     """Raise ``BodyError`` if a body part is missing, or the mesh holds other objects.
 
-    ``surface`` is the scan's, scaled to the model's height.
+    ``surface`` is the scan's surface, scaled to the model's height.
     """
     parts = body_model().parts
     for part, words in NEEDED.items():
         of_part = parts == part.value
-        # Left and right apart: one hand may be missing.
+        # The left and the right half separately: one hand alone may be missing.
         halves = [of_part & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
         distance = max(float(np.median(registration.distances[half])) for half in halves if half.any())
         if distance > MISSING:
@@ -118,7 +118,8 @@ def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: Measu
 def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfit: float) -> float:
     """Change of the underbust over the possible error of its level [cm]; infinite off the skin.
 
-    Other girths are extrema over their levels; this level is where the breast ends on the registered model.
+    Other girths are extrema over their levels; the underbust level is the lower end of the breast on the registered
+    model.
     """
     level, error = result.levels["underbust"], LEVEL_ERROR * misfit * relative_height(scan.vertices)
     heights = np.array([level - error, level, level + error])

@@ -23,7 +23,7 @@ __all__ = ["read_mesh"]
 
 MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
 MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
-MAIN_SHARE = 0.8  # least share of the total area by which one of several meshes is clearly the body
+MAIN_SHARE = 0.8  # share of the total area above which one of several meshes is taken for the body
 EXPORT_AGAIN = "export the mesh again"
 
 _Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
@@ -66,7 +66,7 @@ def _read_obj(content: bytes, path: Path) -> _Mesh:
     lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
     plain = re.sub(rb"/\S*", b"", b"\n".join(lines))
     if odd := re.search(rb"^f.*\s[+-]?0+(?!\S).*$", plain, re.MULTILINE):
-        raise ValueError(f"a face names vertex 0 of 1, 2, …: {odd[0][:60].decode(errors='replace')}")
+        raise ValueError(f"a face names vertex 0, but OBJ counts from 1: {odd[0][:60].decode(errors='replace')}")
     return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
 
 

@@ -17,7 +17,7 @@ from gcd_dataset.records import Record
 __all__ = ["SEXES", "Adults", "adults_of", "draw_weights"]
 
 SEXES = ("female", "male")
-MAX_DEVIATION = 3.0  # standard deviations along each axis; draws beyond are clipped
+MAX_DEVIATION = 3.0  # standard deviations along each axis, to which draws are clipped
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ LIMBS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 POSE_SIZE = 6 + 3 * len(LIMBS)
 """Length of a pose: shift [cm], rotation, and the rotation of each limb as rotation vectors [rad]."""
 STIFFNESS = np.sqrt(np.repeat([1e-6, 1e-3, 1e-3], [3, 3, 3 * len(LIMBS)]))
-"""Square root of the damping of each pose entry in one step, against 1 for a mean error of a centimetre."""
+"""Square root of the damping of each pose entry in a step, relative to a mean error of 1 cm."""
 SPARSE = {BodyPart.HANDS: 0.3, BodyPart.INTERNAL: 0.0}
 """Factors on the sampling density of parts: the pose of the model's fingers tells little about other bodies."""
 
@@ -107,7 +107,7 @@ def model_height() -> float:
 
 
 def coarse_alignment(surface: SkinSurface) -> Alignment:
-    """A rough fit to a surface of the model's height: the better of the starts with lowered and raised arms."""
+    """A rough fit to a surface of the model's height: the better of two, from lowered and from raised arms."""
     fits = (_fitted(surface, _start(arm_angle), COARSE) for arm_angle in ARM_STARTS)
     return min(fits, key=lambda alignment: alignment.misfit)
 

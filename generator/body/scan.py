@@ -17,8 +17,8 @@ from gcd_dataset.records import Record
 __all__ = ["Scan", "coincident_vertices"]
 
 MIN_FACES = 500  # fewer give girths off by more than a centimetre: see the benchmark case `measures`
-BODY_SHARE = 0.8  # least share of the area by which the largest piece is taken for the body
-LONGEST_EDGE = 0.02  # of the mesh's size; longer edges are halved, so that bands of faces about a tape hold whole faces
+BODY_SHARE = 0.8  # share of the area above which the largest piece is taken for the body
+LONGEST_EDGE = 0.02  # of the mesh's size; longer edges are halved, so that faces are small against the tapes' bands
 WELD = 1e-5  # of the mesh's size; the grid on which positions coincide
 
 
@@ -84,7 +84,7 @@ def coincident_vertices(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray
 
 
 def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Used vertices without duplicates, and the row among them of each vertex; 0 for unused ones."""
+    """Used vertices without duplicates, and for each input vertex its row in them; 0 for unused vertices."""
     same = coincident_vertices(vertices, used)
     distinct = np.unique(same[used])
     source = np.zeros(len(vertices), int)

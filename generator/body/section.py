@@ -14,7 +14,7 @@ CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
 )
 """Row: bit set of the corners above the plane. Entries: the corner cut off, then the others, in section order."""
-DIRECTIONS = 48  # over which a rough girth averages widths; its best level is within 0.01 cm of the best tape
+DIRECTIONS = 48  # of widths averaged by a rough girth; the tape at its best level is within 0.01 cm of the best tape
 
 
 def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], axis: int, level: float) -> np.ndarray:
@@ -102,6 +102,6 @@ def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"
     directions = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
     reach = directions @ points.T.astype(np.float32)
     starts = np.flatnonzero(np.concatenate([[True], group[1:] != group[:-1]])[: len(group)])
-    # Each direction is contiguous in memory, and serves its opposite too.
+    # A row for each direction, contiguous in memory; opposite directions have equal widths.
     widths = np.maximum.reduceat(reach, starts, axis=1) - np.minimum.reduceat(reach, starts, axis=1)
     return widths.sum(axis=0, dtype=float) * 2 * np.pi / DIRECTIONS

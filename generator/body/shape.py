@@ -17,7 +17,7 @@ from gcd_dataset.records import Body, BodyShape
 __all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
 
 SPREAD = 0.7  # standard deviation of drawn weights, as in GarmentCodeData
-CLEFT = 0.1  # cm between skin and its mirror image
+CLEFT = 0.1  # cm: least gap between the skin and its mirror image
 MAX_ARM_ANGLE = np.radians(15.0)  # of drawn arms, up or down from the A-pose, as in GarmentCodeData
 ARM_ROOM = 1.2  # cm between arm and trunk below the armpits: room for two layers of cloth
 ARM_STEP = np.radians(2.0)  # arms are raised in these steps until they have room
@@ -63,7 +63,7 @@ def draw_shape(rng: np.random.Generator, *, sex: str | None = None, legs_apart: 
 
 def _with_clear_arms(shape: BodyShape) -> BodyShape:
     """The shape with its arms raised until there is room below the armpits, at most to ``MAX_ARM_ANGLE``."""
-    # With creases unresolved: an armpit that crosses itself needs a higher arm.
+    # Creases stay: a self-intersecting armpit is a reason to raise the arm, not to smooth the skin.
     while shape.arm_angle < MAX_ARM_ANGLE and arm_clearance(_built(shape, "body", resolve_creases=False)) < ARM_ROOM:
         shape = replace(shape, arm_angle=min(shape.arm_angle + ARM_STEP, MAX_ARM_ANGLE))
     return shape

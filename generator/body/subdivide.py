@@ -70,7 +70,7 @@ def _edge_opposites_rule(faces: np.ndarray, face_edges: np.ndarray, marks: np.nd
 
 
 def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Faces split by the new vertices on their edges: ``middle`` (f, 3), -1 for none; into 1, 2, 3 or 4."""
+    """Each face split into 1 to 4 by the new vertices on its edges, ``middle`` (f, 3); -1: no new vertex."""
     count = (middle >= 0).sum(axis=1)
     pieces = [faces[count == 0]]
     (a, b, c), (ab, bc, ca) = faces[count == 3].T, middle[count == 3].T

@@ -13,7 +13,7 @@ __all__ = ["Nearest", "SkinSurface", "subdivide_long_edges"]
 
 LONGEST_EDGE = 6.0  # cm; longer edges are halved, so that the centroid of a near triangle is near
 MAX_TRIANGLES = 300_000  # after subdivision; slivers a metre long would give millions
-CANDIDATES = 8  # triangles with the nearest centroids, of which the nearest is taken
+CANDIDATES = 8  # triangles with the nearest centroids, whose distances are computed exactly
 
 
 @dataclass(frozen=True, eq=False)

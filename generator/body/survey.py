@@ -1,8 +1,8 @@
 """Figures of the anthropometric survey ANSUR II, and its measures taken on the model's bodies.
 
 ``generator/data/survey.json`` holds means, standard deviations and correlations, and for each measure how the survey's
-definition differs from ours. The survey measures the waist at the navel, tailors at its narrowest level; such measures
-are taken here by the survey's definition.
+definition differs from ours. The survey measures the waist at the navel, tailors measure it at its narrowest
+level; the functions here use the survey's definition.
 """
 
 import functools
@@ -25,8 +25,8 @@ XZ, ZY = [0, 2], [2, 1]
 BACK = (-1.0, 0.0)  # the backward direction as (z, y), in a sagittal section
 NAVEL = "navel"
 BODY_DENSITY = 1.0
-"""[kg/l] with half-filled lungs. Lean tissue has 1.1, fat 0.9 (Siri, 1961): a quarter of fat makes 1.04, and 3 l of air
-in 70 l of body bring it to 1.00."""
+"""[kg/l] with half-filled lungs. Lean tissue has 1.1, fat 0.9 (Siri, 1961): with a quarter of fat it is 1.04,
+and with 3 l of air in 70 l of body 1.00."""
 CALF = np.linspace(0.14, 0.27, 27)  # levels between ankle and knee, as shares of the height
 SPINE = 3.0  # cm; distance from the median plane within which skin counts as the spine
 

@@ -51,8 +51,8 @@ USUAL_HEIGHT = 172.0  # cm
 SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, as in GarmentCodeData
 LEG_STEP = 0.5  # cm; the thigh's section is lowered in such steps until the legs are separate
 LEG_STEPS = 30
-LEG_LOWERED = 0.75  # cm; lowered further, the thigh may be more than half a centimetre thinner
-MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm beside the crotch: tried planes between the legs
+LEG_LOWERED = 0.75  # cm; lower down, the girth may be more than half a centimetre too small
+MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm from the crotch: planes between the legs to try
 NECK_CLEARANCE = 1.4  # cm from the side of the neck out to the plane over the bust, as on GarmentCodeData's bodies
 
 

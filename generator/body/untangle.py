@@ -76,7 +76,7 @@ class SkinMesh(Record):
         return self._intersecting(vertices, _normals(vertices, self.faces))
 
     def _intersecting(self, vertices: np.ndarray, normals: Float[np.ndarray, "3 f"]) -> Int[np.ndarray, " n"]:
-        # A crease has a face turned from its reference, which is cheaper to test than pairs of faces.
+        # Every crease has a face turned from its reference normal: a cheaper test than pairs of faces.
         turned = np.flatnonzero(_dot(normals, self.normals) < TURNED * np.sqrt(_dot(normals, normals)))
         normal, other = normals[:, turned, None], normals[:, self.adjacent[turned]]
         creased = _dot(normal, other) < CREASED * np.sqrt(_dot(normal, normal) * _dot(other, other))

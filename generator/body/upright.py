@@ -19,7 +19,7 @@ __all__ = ["StandingTransform", "UprightScan", "find_upright", "unit_of"]
 SHORTEST, TALLEST = 30.0, 300.0  # cm; heights accepted in deciding the unit
 UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
 MAX_MISFIT = 1.0  # cm; of an upright body in a coarse fit; drawn bodies have 0.2 to 0.6
-MIN_GAIN = 1.3  # factor by which the misfit of a turned orientation must be smaller than the upright one
+MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is larger by this factor
 SHORTLIST = 6  # orientations refined after the quick fits
 MAX_LEAN = np.radians(4.0)  # a body that leans or looks aside by less stays as it is
 
@@ -70,7 +70,7 @@ class UprightScan(Record):
 
 
 def unit_of(extent: float, name: str) -> tuple[str, float]:
-    """The unit in which ``extent`` is a person's height, and its length [cm]. Raises ``BodyError`` for none.
+    """The unit in which ``extent`` is a person's height, and the unit's length [cm]. Raises ``BodyError`` for none.
 
     >>> unit_of(1.72, "scan.obj")
     ('metres', 100.0)
@@ -78,7 +78,7 @@ def unit_of(extent: float, name: str) -> tuple[str, float]:
     for unit, factor in UNITS.items():
         if SHORTEST < extent * factor < TALLEST:
             return unit, factor
-    raise BodyError(f"{name}: {extent:.4g} tall, which is a person's height in no unit: turn y up, scale it to cm")
+    raise BodyError(f"{name}: {extent:.4g} tall, no person's height in {', '.join(UNITS)}: turn y up, scale it to cm")
 
 
 def find_upright(scan: Scan, name: str) -> UprightScan:
@@ -94,7 +94,7 @@ def find_upright(scan: Scan, name: str) -> UprightScan:
             found, turn = candidates[best], shortlist[best]
     if found.alignment.misfit > MAX_MISFIT:
         raise BodyError(
-            f"{name}: no standing body is found in it: the nearest one is {found.alignment.misfit:.1f} cm off on "
+            f"{name}: no standing body is found: the nearest is {found.alignment.misfit:.1f} cm off on "
             "average: give one whole body with bare arms and legs, standing along y and facing +z"
         )
     lean = found.alignment.turn

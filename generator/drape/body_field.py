@@ -1,7 +1,7 @@
 """Signed distance field of a body on a grid, with the nearest body part of each voxel, and the skin as a mesh.
 
-Internal faces (eyes, sockets, mouth) are left out and the openings closed with lids, so that the body is solid: cloth
-finds neither a cavity nor a second skin behind the first. Hands and toes are convex hulls: a voxel is as wide as
+Internal faces (eyes, sockets, mouth) are left out and the openings closed with lids, so that the body is solid, with
+neither a cavity nor a second skin behind the first. Hands and toes are convex hulls: a voxel is as wide as
 a finger, and fingers would pierce cloth that slips between them.
 """
 
@@ -71,7 +71,7 @@ class BodyField:
 
 
 def body_field(body: Body, device: str) -> BodyField:
-    """The field of a body on a device, from the cache if there."""
+    """The field of a body on a device, cached."""
     return body_fields([body], device)[0]
 
 
@@ -115,7 +115,7 @@ class HostField:
     extremities: tuple[Float[np.ndarray, "h 3"], ...]
     """The vertices of each hand, and of each foot up to the height of its toes [cm]."""
     planes: tuple[Float[np.ndarray, "p 4"], ...]
-    """Half-spaces of the convex hull of each: outward normal [1] and offset [cm]."""
+    """Half-spaces of the convex hull of each of ``extremities``: outward normal [1] and offset [cm]."""
 
     @classmethod
     def of(cls, body: Body) -> Self:
@@ -245,7 +245,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """See ``HostField.extremities``; without those that the body lacks."""
+    """See ``HostField.extremities``; a body without hands or feet gets fewer than four."""
     hands = points[np.unique(known.skin.faces[known.hands])]
     feet = points[np.unique(known.skin.faces[known.feet])]
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]

@@ -1,4 +1,4 @@
-"""Copy the state of garments that still move into the next batch, where they continue exactly."""
+"""Copy the state of garments that still move into the next batch, where they continue bit for bit."""
 
 from collections.abc import Sequence
 from operator import attrgetter

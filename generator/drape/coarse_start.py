@@ -19,8 +19,8 @@ def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, 
     """Start garments of ``fine`` from the end of their coarse drapes.
 
     ``worlds``: world index in ``coarse``, world index in ``fine``, and the coarse mesh that interpolates between them.
-    A garment whose coarse drape diverged starts from its placed panels. A garment whose coarse drape overran a contact
-    list is marked as overfull in ``fine`` too, since it is not deterministic which contacts were dropped.
+    A garment whose coarse drape diverged starts from its placed panels. A garment whose coarse drape overfilled a
+    contact list is marked as overfull in ``fine`` too, since the choice of dropped contacts is not deterministic.
     """
     status, time, held = (array.numpy() for array in (coarse.state.status, coarse.state.time, coarse.state.held))
     overfull, new_overfull = coarse.state.contacts.overfull.numpy(), fine.state.contacts.overfull.numpy().copy()

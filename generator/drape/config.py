@@ -18,7 +18,7 @@ USUAL_FABRIC = Fabric()
 
 @dataclass(frozen=True, slots=True)
 class DrapeConfig:
-    """Options of the solver. Times are simulated seconds; limits count frames, so results do not depend on speed."""
+    """Options of the solver. Times are simulated seconds. Limits count frames: a slow machine gives the same result."""
 
     substeps: int = 40
     """Substeps of a frame; their length follows from the mesh and the fabric."""
@@ -44,15 +44,15 @@ class DrapeConfig:
     pull_from_body: bool = True
     """Move cloth that is inside the body out to the skin."""
     part_filters: bool = True
-    """Collision filter: skirts and trousers pass through the arms, bodices above them through the forearms."""
+    """Collision filter: skirts and trousers pass through arms, sleeveless bodices above them through forearms."""
     untangling_steps: int = 60
     """Limit of the implicit steps that remove the self-crossings of a garment at rest; 0: no such steps."""
     exact_finish: bool = True
-    """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
+    """After the last frame, move cloth off the triangles of the skin: fingers and toes are finer than the voxels."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first and continue from its shape: faster, with fewer crossings."""
     sewing_start: bool = True
-    """Start wide skirts on a cone round the legs, wide bodices between the arms and sleeves round them, not flat."""
+    """Start wide skirts on a cone round the legs, wide bodices between the arms, and sleeves round the arms."""
     sewing_time: float = 0.2
     """The seams close over this time [s]."""
     held_time: float = 0.25
@@ -66,7 +66,7 @@ class DrapeConfig:
     sewing_damping: float = 12.0
     """Drag during sewing [1/s]."""
     braking: float = 30.0
-    """Drag where forces decelerate a vertex: ends swinging and ringing soon, does not delay falling [1/s]."""
+    """Drag on a vertex that forces decelerate: ends swinging and ringing early, without delaying free fall [1/s]."""
     max_speed: float = 200.0
     """Speed limit of a vertex [cm/s]."""
     body_gap: float = 0.35
@@ -83,8 +83,8 @@ class DrapeConfig:
     still_speed: float = 4.0
     """A vertex slower than this is at rest [cm/s]."""
     calm_speed: float = 18.0
-    """The threshold of rest rises linearly to this over the second half of the frames: 0.03 cm in 1/600 s, the limit of
-    Korosteleva et al. [cm/s]."""
+    """Over the second half of the frames the speed limit of rest rises linearly from ``still_speed`` to this: 0.03 cm
+    in 1/600 s, the limit of Korosteleva et al. [cm/s]."""
     moving_share: float = 0.015
     """A garment is at rest when at most this share of its vertices moves."""
     max_body_crossings: int = 35
@@ -116,5 +116,5 @@ class DrapeJob:
     coarse: CoarseMesh | None = None
     """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time of two drapes on a GPU."""
     start: Float[np.ndarray, "v 3"] | None = None
-    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without ``coarse`` [cm]; None: computed in the
-    drape."""
+    """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
+    drape computes them."""

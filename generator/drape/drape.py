@@ -19,7 +19,7 @@ __all__ = ["batch_capacity", "drape_all", "drape_batch"]
 DEFAULT = DrapeConfig()
 AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200
 GARMENT_BYTES = 100e6  # of GPU memory; measured: 60 MB at 1 cm, 12 000 vertices on average
-MEMORY_SHARE = 0.7  # of a GPU's free memory
+MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
 
 
 def drape_batch(
@@ -73,7 +73,7 @@ def capacity_for(free: float) -> int:
 
 
 def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
-    """The jobs, checked for faces. The first loads the kernels in the calling thread, where Ctrl-C works."""
+    """The jobs, checked for faces. The first job loads the kernels in the calling thread, where Ctrl-C works."""
     for number, job in enumerate(jobs):
         if len(job.box_mesh.faces) == 0:
             raise DrapeError(f"garment {number} has no faces: build its box mesh from a pattern with panels")
@@ -82,7 +82,7 @@ def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
         yield job
 
 
-class _Cancelled(Exception):  # noqa: N818 - no error: never leaves this module
+class _Cancelled(Exception):  # noqa: N818 - not an error: never leaves this module
     """Ends a drape after its caller has closed the iterator."""
 
 
@@ -106,7 +106,7 @@ def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> 
                 try:
                     while ended is None and len(running) < threads:
                         running.append(pool.submit(drape, next(pending)))
-                except Exception as error:  # noqa: BLE001 - StopIteration, or an error of the jobs: raised after the drapes before
+                except Exception as error:  # noqa: BLE001 - StopIteration, or an error of the jobs: raised after the earlier drapes
                     ended = error
                 if running:
                     yield running.popleft().result()

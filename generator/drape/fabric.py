@@ -11,8 +11,8 @@ __all__ = ["POISSON", "STIFFEST", "Bending", "Fabric", "Tensile", "bias_stiffnes
 GRAMS_PER_CM2 = 0.1  # one kg/m²
 DYNES_PER_CM = 1e3  # one N/m
 DYNE_CM = 1e7  # one N·m
-POISSON = 1 / 3  # Poisson's ratio of every fabric, as of a triangular mesh of springs
-STIFFEST = 500.0  # N·m/kg
+POISSON = 1 / 3  # Poisson's ratio of every fabric: that of a triangular mesh of springs
+STIFFEST = 500.0  # N·m/kg: tensile stiffness over density, see ``Fabric.softened``
 
 
 class Tensile(NamedTuple):
@@ -58,7 +58,7 @@ class Fabric:
     thickness: float = 0.2
     """Thickness of the cloth [cm]; layers keep at least ``DrapeConfig.layer_gap`` apart."""
     source: str = ""
-    """Publication of the figures."""
+    """Publication that the figures are from."""
 
     def __post_init__(self) -> None:
         for name in ("density", "thickness", "tensile", "bending"):
@@ -100,8 +100,8 @@ class Fabric:
 
         Tensile stiffness along warp and weft is limited to ``limit`` times the density [N·m/kg]: at the limit a metre
         of hanging cloth stretches by 9.81 / limit. Shear stiffness is limited to that of an isotropic sheet at the same
-        limit. Softer values stay: the shear of most woven cloth, knitted cloth in every direction. Bending, density,
-        thickness and friction stay, since they decide the folds.
+        limit. Values below their limit do not change: the shear stiffness of most woven cloth, and all stiffnesses of
+        knitted cloth. Bending, density, thickness and friction do not change, since they decide the folds.
         """
         ceiling, shear = limit * self.density, shear_stiffness(self.pull)
         if max(self.pull) <= ceiling:
@@ -117,7 +117,7 @@ def bias_stiffness(warp: float, weft: float, shear: float) -> float:
     """Tensile stiffness of an orthotropic sheet at 45° to the threads [N/m], from warp, weft and shear stiffness.
 
     4 / E45 = 1 / E1 + 1 / E2 - 2 nu / sqrt(E1 E2) + 1 / G: the compliance of an orthotropic sheet turned by 45° (Kilby,
-    Planar stress-strain relationships in woven fabrics, J. Textile Inst. 54, 1963), with the geometric mean for nu / E.
+    Planar stress-strain relationships in woven fabrics, J. Textile Inst. 54, 1963), with sqrt(E1 E2) for E in nu / E.
     """
     return 4 / (1 / warp + 1 / weft - 2 * POISSON / math.sqrt(warp * weft) + 1 / shear)
 

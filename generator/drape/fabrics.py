@@ -1,8 +1,8 @@
 """Fabrics by name, with the publications of their measurements.
 
-Where a figure is not published for a cloth, ``source`` names the cloth or class it is taken from. All fabrics have the
-reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70, 2022) measured 0.25 to 0.79 for one
-cotton at six sites of the body.
+Where a figure is not published for a cloth, ``source`` names the cloth, or class of cloth, that supplies it. All
+fabrics have the reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70, 2022) measured 0.25
+to 0.79 for one cotton at six sites of the body.
 """
 
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ GARMENTCODE = (
     "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
     "weight of 0.2 kg/m²; hinge stiffness {}"
 )
-# Warp: their v axis, the stiffer direction of their denim. Stretch: their matrix at small strain without the cross
-# term; shear stiffness is half of their c33, which multiplies the tensor shear strain. Bending: at small curvature;
-# they fitted hinge values to strips, and a mesh of hinges has a quarter of the hinge value as its rigidity.
+# Warp direction: their v axis, along which their denim is stiffer. Tensile stiffness: their matrix at small strain
+# without the cross term; shear stiffness is half of their c33, which multiplies the tensor shear strain. Bending
+# rigidity: at small curvature, a quarter of the hinge value that they fitted to strips, as of a mesh of such hinges.
 WANG = (
     "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
     "thickness: {}"

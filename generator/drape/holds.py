@@ -1,8 +1,8 @@
 """Constraints between a garment and its body: holds, keepers and collision filters; and whether a garment came off.
 
 Holds are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist of a bottom may not sink below the body's waist,
-a strapless top not below the armpits, and both halves of a neckline stay near the neck. Unlike theirs, a garment that
-hangs from the shoulders has no hold at the waist: a longer bodice held there would fold and cross itself.
+a strapless top not below the armpits, and both halves of a neckline stay near the neck. In contrast to their drape, a
+garment that hangs from the shoulders has no hold at the waist: there a long bodice would fold and cross itself.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ __all__ = ["BodyConstraints", "fell", "find_keepers", "floor_height", "holds", "
 
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 SLIDING_DROP = 18.0  # cm below its hold at which an edge has slid off: about armpits to waist
-UNDER_HIPS = 4.0  # cm below the hips, from where a waistband finds no support
-KNEES = 0.4  # of the waist's height: a garment that started at hip height and ends here is off the body
-HIPS = 0.75  # of the waist's height
+UNDER_HIPS = 4.0  # cm below the hips: the hips do not support a waistband that has slid further
+KNEES = 0.4  # share of the waist's height: a garment that started at hip height and ends here is off the body
+HIPS = 0.75  # share of the waist's height
 TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
 COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
 

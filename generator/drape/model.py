@@ -25,7 +25,7 @@ LEAVING_SPEED = 80.0  # cm/s, of cloth that leaves the body's inside
 UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
-COARSE_GAP = 2.5  # layer distance of coarse cloth over that of fine cloth
+COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
 INERTIA_GAIN = 1.3  # inertia over mass at the median vertex: added inertia allows a longer time step
 
 
@@ -111,7 +111,7 @@ def build_model(
 def _cloth(
     constraints: Sequence[BodyConstraints], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str
 ) -> Cloth:
-    """The cloth's arrays; the caller adds those of the bodies."""
+    """The ``Cloth`` struct without the body fields and meshes, which the caller adds."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
@@ -161,7 +161,7 @@ def _median_lengths(topology: Topology) -> list[float]:
 
 
 def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float) -> World:
-    """The parameters by options and fabric, with the layer distance multiplied by ``gap_factor``."""
+    """The parameters that follow from options and fabric; ``gap_factor`` multiplies the layer distance."""
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
@@ -184,11 +184,11 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float) -> World:
 
 
 def _add_garment(world: World, config: DrapeConfig, step: float, length: float, first: int, size: int) -> None:
-    """Add the parameters by the time step [s], the median edge length [cm] and the number of vertices."""
+    """Add the parameters that follow from time step [s], median edge length [cm] and number of vertices."""
     frame = config.substeps * step
     world.first, world.size, world.dt = first, size, step
-    # Worst case: two median edges, a margin apart, that cross in their midpoints. Triangles are nearer to their
-    # corners.
+    # Reach of the broad phase, which lists pairs of vertices. Worst case: the ends of two median edges that cross in
+    # their midpoints, a margin apart. A point is nearer to a corner of its triangle than these ends to each other.
     world.near = float(np.hypot(world.margin, length))
     world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
     world.frame = frame

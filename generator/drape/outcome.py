@@ -22,7 +22,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     if not worlds:
         return []
     state, topology = solver.state, solver.model.topology
-    overfull = state.contacts.overfull.numpy()  # of the drape: the searches below may overflow lists that end with them
+    overfull = state.contacts.overfull.numpy()  # read now: the searches below may overflow their lists too
     chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
     if solver.config.untangling_steps:
         with launch_lock:

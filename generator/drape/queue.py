@@ -1,7 +1,7 @@
 """Continuous batching: a garment that has come to rest leaves its world in the batch to the next job.
 
-A garment takes two passes: first its coarse mesh, then the fine mesh from the coarse drape's shape. A pass gives the
-same result whenever it begins and whatever else is in the batch.
+A garment takes two passes: first its coarse mesh, then the fine mesh from the coarse drape's shape. The result of a
+pass depends neither on the time at which it begins nor on the other garments in the batch.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -64,7 +64,7 @@ def drape_unordered(
 ) -> Iterator[tuple[int, Drape]]:
     """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` share a batch.
 
-    ``jobs`` may receive jobs while others drape. It yields ``None`` whenever it has no job; ``None`` counts for no
+    ``jobs`` may receive jobs while others drape. It yields ``None`` whenever it has no job; ``None`` gets no
     number. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
     and ``jobs`` has none. ``between`` is called between substeps; an exception that it raises ends the drapes.
     """
@@ -100,7 +100,7 @@ class _Pass:
     """The constraints of ``job``."""
     prepared: PreparedJob | None = None
     coarse_frames: int = 0
-    """Frames of the coarse pass, in the fine pass."""
+    """In the fine pass: the frames that the coarse pass took."""
     previous_world: int | None = None
     """The garment's world in the previous batch."""
     refined_from: CoarseMesh | None = None
@@ -212,10 +212,10 @@ def _run(
     arrived: Callable[[], int],
     between: Callable[[], None],
 ) -> Bool[np.ndarray, " w"]:
-    """Step until no world runs, or until so many are idle that a new batch pays; returns the worlds that still run.
+    """Step until no world runs, or until enough worlds are idle (``IDLE``); returns the worlds that still run.
 
-    Idle worlds: those at rest that a pending job or the garment's own fine pass could use, and free worlds for the jobs
-    that have arrived.
+    Idle: an ended world that a pending job or its own garment's fine pass could use, and a free world for each job that
+    has arrived.
     """
     refining = np.array([each.coarse is not None for each in passes])
     while True:

@@ -1,4 +1,4 @@
-"""NumPy reference of the drape's energies and intersection tests, from their definitions; tests compare the kernels."""
+"""NumPy reference of the drape's energies and intersection tests, by definition; tests compare the kernels to it."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -56,9 +56,9 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
     """Quadratic bending energy of all hinges (Bergou et al. 2006), from the heights of their triangles [g cm²/s²].
 
     With ``n0, n1`` the in-plane directions from the edge to the two opposite vertices, the bending vector is
-    ``L (n0 + n1)``, of the *deformed* triangles at the foot points of the *flat* ones. The energy of the sheet is a
-    third of Bergou's, see ``kernels.sheet``. A hinge that bends by a share ``s`` along the weft has the rigidity
-    ``warp + 3/2 s (weft - warp)``, at least half of the softer direction's.
+    ``L (n0 + n1)``: directions of the *deformed* triangles, foot points and heights of the *flat* ones. The energy of
+    the sheet is a third of Bergou's, see ``kernels.sheet``. A hinge that bends by a share ``s`` along the weft has the
+    rigidity ``warp + 3/2 s (weft - warp)``, at least half of the softer direction's.
     """
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for f, face in enumerate(mesh.faces):

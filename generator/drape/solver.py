@@ -1,4 +1,4 @@
-"""The solver of a batch: substeps captured as graphs, on the CPU as on a GPU, and replayed frame by frame."""
+"""The solver of a batch: substeps captured as graphs, on CPU and GPU alike, and replayed frame by frame."""
 
 from collections.abc import Callable
 
@@ -61,7 +61,7 @@ class Solver:
         self.frames += 1
 
     def captured(self, launches: Callable[[], None]) -> wp.Graph:
-        """The launches as a graph."""
+        """Capture the kernel launches of a function as a graph."""
         with wp.ScopedCapture(device=self.model.device) as capture:
             launches()
         return capture.graph
@@ -146,7 +146,7 @@ class Solver:
         return ratio.numpy()
 
     def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
-        """A flag for each world; all worlds for None."""
+        """(w) 1 in the given worlds, 0 in others; None: 1 in all."""
         every = np.ones(self.model.n_worlds, bool)
         return wp.array((every if worlds is None else worlds).astype(np.int32), dtype=int, device=self.model.device)
 

@@ -11,7 +11,7 @@ from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "new_state"]
 
-NOT_COUNTED = 2**31 - 1  # crossings: more than any count
+NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ClothState:
     ahead: wp.array
     """(v) predicted positions at which elastic forces are evaluated, see ``kernels.elastic`` [cm]."""
     ahead_next: wp.array
-    """(v) the same for the next substep; the two buffers swap."""
+    """(v) predicted positions for the next substep; the two buffers swap after each substep [cm]."""
     x_seen: wp.array
     """(v) positions at the end of the last frame [cm]."""
     push: wp.array

@@ -3,7 +3,7 @@
 An explicit substep moves each vertex on its own, and the neighbours of a vertex that crosses a layer pull it back. An
 implicit step moves whole layers: crossing edges and faces are pushed along the gradient of the intersection contour
 (Volino and Magnenat-Thalmann, SIGGRAPH 2006), and the conjugate gradient method solves for the displacement of all
-vertices. Garments without self-crossings keep their bytes.
+vertices. The positions of garments without self-crossings do not change.
 """
 
 import numpy as np
@@ -17,13 +17,13 @@ from gcd_dataset.generator.drape.solver import Solver
 __all__ = ["untangle"]
 
 STEP = 1.0 / 120.0  # s
-ITERATIONS = 10  # of the conjugate gradient method in each step; 20 clean no more garments
+ITERATIONS = 10  # of the conjugate gradient method in each step; 20 iterations untangle no more garments
 POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
-UNCOUNTED = 2**31 - 1  # crossings: more than any count
+UNCOUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 # See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing
-# stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm clean 13 of them in 20 steps; 0.1, 3 cm and 1 cm clean 22
-# in 60 steps.
+# stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm untangle 13 of them in 20 steps; 0.1, 3 cm and 1 cm
+# untangle 22 in 60 steps.
 CROSSING_STIFFNESS = 0.1
 CROSSING_MOVE = 3.0  # cm
 POINT_STIFFNESS = 0.5

@@ -54,7 +54,10 @@ class DraperAddress:
         return connection
 
     def _try_connect(self) -> Connection | None:
-        """A connection on which ``READY`` has come. A process about to end may still accept, but sends nothing."""
+        """A connection after its ``READY`` message; ``None`` if there is no process.
+
+        A process that is about to end may still accept the connection, but sends no ``READY``.
+        """
         try:
             connection = Client(str(socket_file(self.folder)), "AF_UNIX")
         except (FileNotFoundError, ConnectionRefusedError):
@@ -73,7 +76,7 @@ class DraperAddress:
             file = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         except FileNotFoundError as error:
             raise DrapeError(
-                f"{self.folder}: removed at the end of the process that created this GeneratedGarments: create it anew"
+                f"{self.folder}: removed at the end of the process that created its GeneratedGarments: create a new one"
             ) from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -109,7 +112,7 @@ def address_for(device: str, number: int = 0) -> DraperAddress:
     ``number``: index among several draping processes on the device.
     """
     key = device, number
-    if key not in _addresses or not _addresses[key].folder.is_dir():  # inherited from an owner that has ended
+    if key not in _addresses or not _addresses[key].folder.is_dir():  # removed by its owner, a parent process
         _addresses[key] = _create(device)
     return _addresses[key]
 

@@ -32,7 +32,7 @@ def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, a
 
     Begins up to ``ahead`` pieces before it yields the first, and drapes up to ``at_once`` pieces at a time. A piece
     without jobs is finished as it begins and needs no ``draper``. An error of a piece is raised after the results
-    before it. Raises ``DrapeError`` if the draper fails.
+    of the earlier pieces. Raises ``DrapeError`` if the draper fails.
     """
     upcoming = iter(work)
     tasks: deque[_Task[Made]] = deque()
@@ -47,7 +47,7 @@ def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, a
             try:
                 tasks.append(dispatcher.begin(next(upcoming)))
                 begun = True
-            except Exception as error:  # noqa: BLE001 -- StopIteration, or an error: raised after the results before it
+            except Exception as error:  # noqa: BLE001 -- StopIteration, or an error: raised after the earlier results
                 ended = error
         if tasks and tasks[0].results:
             yield tasks.popleft().results.pop()
@@ -105,7 +105,7 @@ class _Dispatcher:
         task.replies[job] = reply
         try:
             self._finish(task)
-        except Exception as error:  # noqa: BLE001 -- raised after the results before it
+        except Exception as error:  # noqa: BLE001 -- raised after the earlier results
             task.error = error
             self.busy -= 1
 

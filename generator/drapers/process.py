@@ -61,7 +61,7 @@ def main(folder: Path, device: str) -> None:
         reason = " ".join(str(error).split()) or type(error).__name__
         # Errors of other types come from the device, such as a lost GPU.
         requests.fail(
-            reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if it comes back"
+            reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if the error repeats"
         )
         raise
 
@@ -124,7 +124,7 @@ class RequestQueue:
         self._arrived = threading.Condition()
         self._connections: set[ClientConnection] = set()
         self._draping: dict[int, tuple[Client, DrapeRequest]] = {}
-        """By number of the job in the batch."""
+        """Client and request of each garment in the batch, by the number of its job."""
         self._clock = WaitClock()
 
     def put(self, client: Client, request: DrapeRequest) -> None:
@@ -207,7 +207,7 @@ def _prepared(job: DrapeJob) -> DrapeJob | PreparedJob:
 
 
 def _raise_file_limit() -> None:
-    """Raise the limit of open files: each waiting request has one, and the soft limit is often 1024."""
+    """Raise the limit of open files: each waiting request holds one open, and the soft limit is often 1024."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.suppress(ValueError, OSError):  # macOS reports no hard limit, but enforces one
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

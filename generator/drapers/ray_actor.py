@@ -104,7 +104,7 @@ class RayDraper:
 
 @dataclass(frozen=True)
 class ActorLost:
-    """Instead of a reply: the actor has ended, or is about to."""
+    """Takes the place of a reply: the actor has ended, or is about to end."""
 
     reason: str
 

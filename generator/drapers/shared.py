@@ -54,7 +54,7 @@ class SharedDraper:
         self._connection.close()
 
     def _closed(self) -> DrapeError:
-        """A ``DrapeError`` with the last error that the draping process sent; if it sent none: that it has ended."""
+        """The error that the draping process sent last; if it sent none, an error that says that it has ended."""
         with contextlib.suppress(EOFError, OSError):
             while self._connection.poll():
                 if isinstance(last := self._connection.recv(), str):

@@ -1,7 +1,7 @@
 """Transport of requests to the draping process: arrays in a shared memory file, the rest as a pickle.
 
-Through the socket, a request of five megabytes would cost the draping process ten milliseconds to read and unpack, in
-which it launches no kernels.
+Through the socket, the draping process would need ten milliseconds to read and unpack a request of five megabytes, and
+would launch no kernels meanwhile.
 """
 
 import mmap

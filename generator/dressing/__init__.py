@@ -17,7 +17,7 @@ class Dressing:
 
     pattern: Pattern
     assumed: tuple[str, ...]
-    """Assumptions where the file has gaps, one sentence each, with the reason."""
+    """Corrected placements, and assumptions where the file has gaps: one sentence each, with the reason."""
 
 
 def dress(pattern: Pattern, body: Body, size: Measurements) -> Dressing:

@@ -13,14 +13,14 @@ from gcd_dataset.spec import role_by_name
 
 __all__ = ["describe_labels", "label_panels", "trunk_part"]
 
-ASIDE = 0.1  # of half the trunk's width: a panel nearer to the middle is on no arm
+ASIDE = 0.1  # share of half the trunk's width: a panel nearer to the middle is on no arm
 BESIDE = 20.0  # cm from an arm's axis to the centroid of a panel on that arm, at most
-BEFORE = 28.0  # cm before or behind the arm, at most: lapels hang further out
+BEFORE = 28.0  # cm before or behind the arm's axis, at most: panels further out are on the trunk, such as lapels
 BEYOND = 25.0  # cm from the end of an arm to the centroid of its panel, at most: cuffs hang there before sewing
 ABOVE_WAIST = 15.0  # cm: a skirt's panel may reach this far above the waist
-ABOVE_CROTCH = 4.0  # cm: a panel that ends higher above the crotch is a band
-BAND = 24.0  # cm: the tallest panel for which ``UNDER_CROTCH`` applies instead
-UNDER_CROTCH = 2.0  # cm: a short panel that ends no further below the crotch is a band
+ABOVE_CROTCH = 4.0  # cm above the crotch: a tall panel that ends higher covers the trunk
+BAND = 24.0  # cm: a panel above this height counts as tall
+UNDER_CROTCH = 2.0  # cm below the crotch: a short panel that ends higher is a band and covers the trunk
 POSITIONS = {
     PanelRole.ARM: "beside an arm",
     PanelRole.LEG: "round hips and legs",

@@ -1,9 +1,9 @@
 """Hang the panels of a lay plan round a body, by their seams.
 
-First lay the garment flat on a table as it is worn, front over back, joining the panels along their seams one after the
-other. A panel with its right side to the table is a back. Seams between front and back then coincide, seams within a
-layer join neighbours. Then place the flat garment before and behind the body by its openings, its sleeves along the
-arms.
+First the panels are laid on a table and joined along their seams one after the other, as the garment lies when folded
+flat: front over back. A panel with its right side to the table belongs to the back. The two sides of a seam between
+front and back then coincide; a seam within a layer joins neighbours. Then the front is placed before the body and the
+back behind it, at the height that the openings determine, with the sleeves along the arms.
 """
 
 import functools
@@ -25,19 +25,19 @@ from gcd_dataset.spec import is_bodice, role_by_name
 __all__ = ["hang_from_lay_plan", "height_for"]
 
 ON_SEAM = 9  # points of a seam, for aligning its two sides
-CLOSED = 12.0  # cm: mean distance between the sides of a closed seam on the table, at most
+CLOSED = 12.0  # cm: a seam closes if the mean distance between its sides on the table is smaller
 UPRIGHT = 5.0  # cm: a panel stays upright if turning it would close its seams by less than this
 SURE = 0.9  # share of the seams' length that must close; otherwise the layout is refused
 GAP = 8.0  # cm between the body and the panels before and behind it
-OVER = 0.2  # share of the smaller of two overlapping panels of a layer, above which one hangs further out
-STEP = 5.0  # cm: how much further out
+OVER = 0.2  # overlap of two panels of a layer, as a share of the smaller, above which one hangs further out
+STEP = 5.0  # cm by which the overlapping panel hangs further out
 ARMHOLE = 4.0  # cm from the armpit down to the centre of an armhole, as GarmentCode hangs bodices
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 PAIRED = 40  # openings that are compared in pairs, the longest first; a garment has up to ten
 UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
 ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
-SLEEVE_REACH = 0.8  # of half the trunk's width: a sleeve's centroid lies further out
-SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest one
+SLEEVE_REACH = 0.8  # share of half the trunk's width: a sleeve's centroid lies further out
+SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest centroid
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def _flat_panel(panel: Panel) -> _FlatPanel:
 
 
 def _join_on_table(table: Sequence[_FlatPanel], pattern: Pattern) -> dict[str, _FlatPanel]:
-    """The panels joined along their seams: first the largest, then always the one with the longest seam to the rest."""
+    """The panels joined along their seams: the largest first, then in turn the one with the longest seams to these."""
     waiting = {flat_panel.panel.name: flat_panel for flat_panel in table}
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
     first = max(
@@ -304,7 +304,7 @@ def _along_arm(
         [flat.panel(n).placement.apply(panel_outline(flat.panel(n))) for n, s in sleeves.items() if s == side]
     )
     direction = complex(*(outlines.mean(axis=0) - armhole)[:2])
-    if direction == 0:  # skirt panels taken for sleeves may lie centred about the seam: no direction to turn
+    if direction == 0:  # skirt panels mistaken for sleeves may be centred on the seam: there is no direction
         return flat_panel
     turn = complex(arm.axis[0], arm.axis[1]) / direction
     turn /= abs(turn)

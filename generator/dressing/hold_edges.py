@@ -19,7 +19,7 @@ ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it b
 LEGS_WITHIN = 36.0  # cm from the middle to the centre of an opening, beyond which it belongs to a sleeve
 OVER_WAIST = 12.0  # cm above the waist: a higher top edge belongs to a bodice
 BELOW_WAIST = 35.0  # cm below the waist: the lowest top edge of a bottom
-ONE_SIDE = 0.2  # of the width of an edge or panel: its mean is further off the middle if it belongs to one side
+ONE_SIDE = 0.2  # share of the width of an edge or panel: if its mean is further off the middle, it belongs to one side
 
 
 def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -41,7 +41,7 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     if top is None:
         return pattern, (
             "no opening lies round the waist or the bust: nothing holds the garment up; "
-            "label the edge to hold lower_interface or strapless_top",
+            "add the label lower_interface or strapless_top to the edge that should hold it",
         )
     is_bodice = top.centre[1] > wearer.waist + OVER_WAIST
     label = EdgeRole.STRAPLESS_TOP if is_bodice else EdgeRole.LOWER_INTERFACE
@@ -62,7 +62,8 @@ def _hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], weare
 def has_legs(pattern: Pattern) -> bool:
     """Whether the garment has two legs, so that it must be draped on a body with its legs apart.
 
-    By the names of its panels, or by its openings: one low on either side, and a single one round the middle, above.
+    Decided by the names of its panels, or by its openings: a low one on each side, and exactly one round the middle,
+    above these.
     """
     if any(is_trouser_leg(panel.name) for panel in pattern.panels):
         return True

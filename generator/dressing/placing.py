@@ -14,11 +14,11 @@ from gcd_dataset.records import BodyPart, Panel, Pattern, Placement
 
 __all__ = ["place_panels"]
 
-LEVEL = 1.0  # cm: panels nowhere further from one plane lie in it
+LEVEL = 1.0  # cm: largest distance of panels from the plane in which they lie
 LATTICE = 4.0  # cm between the sample points of a panel
 INSIDE = 0.15  # share of a panel's points inside the body, above which the panel is moved out
-FURTHER = 3.0  # cm beyond the first position clear of the body
-FURTHEST = 80.0  # cm: search range of that position
+FURTHER = 3.0  # cm that a panel is moved beyond the first position clear of the body
+FURTHEST = 80.0  # cm: search range for that first position
 
 
 def place_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -74,7 +74,7 @@ def _out_of_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
 
 
 def _outward(panel: Panel, wearer: Wearer) -> Float[np.ndarray, "3"]:
-    """The horizontal unit vector out of the body: to the panel's right side, or away from the trunk if it lies flat."""
+    """The horizontal unit vector out of the body: to the panel's right side; for a flat panel away from the trunk."""
     flat = panel_outline(panel)
     sign = 1.0 if shapely.LinearRing(flat).is_ccw else -1.0
     outward = sign * panel.placement.matrix[:, 2] * [1.0, 0.0, 1.0]

@@ -1,4 +1,4 @@
-"""Start positions of sewing that avoid tangles: wide skirts on a cone, wide bodices between the arms, sleeves on them.
+"""Start positions of sewing: wide skirts on a cone, wide bodices between the arms, sleeves round the arms.
 
 A pattern places panels flat before and behind the wearer. Closing seams from there tangles three kinds of cloth:
 
@@ -41,7 +41,7 @@ SLEEVE_GAP = 1.0  # cm that a cross section of a sleeve must reach beyond the ar
 
 
 def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
-    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` but for the cases above."""
+    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` except in the cases above."""
     roles = np.array([str(role) for role in mesh.panel_labels])
     skirts = (roles == PanelRole.LEG) & ~np.array([is_trouser_leg(name) for name in mesh.panel_names])
     skirt = _Skirt.of(mesh, skirts) if skirts.any() else None
@@ -164,7 +164,7 @@ class _Skirt:
 
     @cached_property
     def _aside(self) -> Float[np.ndarray, " s"]:
-        """1 for vertices of the left side seam, -1 for those of the right."""
+        """1 for vertices of the left side seam, -1 for vertices of the right."""
         return np.sign(self.mesh.vertices[self.side, 0])
 
     @cached_property
@@ -227,7 +227,7 @@ def _fit_between_arms(
     bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
     bodice = np.setdiff1d(bodice, mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]])
-    bodice = bodice[(placed[bodice] == mesh.vertices[bodice]).all(axis=1)]  # without the top of a skirt on a cone
+    bodice = bodice[(placed[bodice] == mesh.vertices[bodice]).all(axis=1)]  # without vertices of a skirt on a cone
     height, reach = mesh.vertices[bodice, 1], side * mesh.vertices[bodice, 0]
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
     armhole = mesh.labels.get(EdgeRole.LEFT_ARMHOLE if side > 0.0 else EdgeRole.RIGHT_ARMHOLE)

@@ -11,7 +11,7 @@ A new garment, for example a skirt, takes one file and one line. ``gathered_skir
    for all test wearers.
 
 ``cape.py`` and ``poncho.py`` are such uppers. Shirts are in ``upper.py``, waistbands in ``waistband.py``, the rules
-that reject designs in ``rules.py``.
+that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks a value taken from GarmentCode.
 """
 
 from gcd_dataset.generator.garments.design import OutfitDesign

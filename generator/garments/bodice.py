@@ -14,10 +14,10 @@ WAIST_DART_SHARE = 2 / 3  # of the front's waist excess; the side takes in the r
 WAIST_DART_LEG = 0.9  # of waist to bust, GarmentCode
 SIDE_DART_LEG = 0.75  # of side to bust point, GarmentCode
 OUTER_DART_LEG = 0.9  # of the inner dart's leg, GarmentCode
-DARTS_APART = 0.25  # of half the distance of the bum points: offset of the back's darts from them, GarmentCode
-SIDE_SHARE = 1 / 6  # of the back's waist excess: the side's part, GarmentCode
+DARTS_APART = 0.25  # offset of the back's darts from the bum points, of half their distance, GarmentCode
+SIDE_SHARE = 1 / 6  # of the back's waist excess: taken in at the side seam, GarmentCode
 SIDE_STRAIGHT = 4.0  # cm of waist excess below which the side stays straight, GarmentCode
-WAIST_RISE = 0.25  # of the back's shoulder rise: how far its waist rises at the centre, GarmentCode
+WAIST_RISE = 0.25  # of the back's shoulder rise: rise of its waist at the centre, GarmentCode
 LEFTWARDS = pi  # heading of the hem [rad]
 UPWARDS = pi / 2  # heading of the side [rad]
 
@@ -80,6 +80,6 @@ def _taken_in(size: Measurements, back: TorsoHalf, *, excess: float, leg: float)
 
 
 def _with_dart(drawn: Outline, heading: float, width: float, leg: float, name: str) -> Outline:
-    """With a dart in an edge of this heading [rad], its tip to the right of the drawing direction."""
+    """The outline extended by a dart in an edge of this heading [rad]; the tip lies to the right of the edge."""
     legs = (stroke.mirrored().rotated(heading - pi) for stroke in dart(width, leg, name=name))
     return drawn.then(*chain_from(drawn.pen, *legs))

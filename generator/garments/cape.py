@@ -67,7 +67,7 @@ def _right_front(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outl
 
 
 def _to_hem(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
-    """From the right side of the neck down the shoulder, and along the hem to the middle."""
+    """An open half outline: from the right side of the neck down the shoulder, and along the hem to the middle."""
     low, fall = hole.back + design.length * size.waist_line, 0.5 * pi * (1 - design.circle)
     drawn = with_shoulder(Outline.start(-hole.half_width, 0), size, fall=fall, length=low)
     return drawn.curve(0, -low, _level_arc(drawn.pen, low), name="hem")

@@ -15,8 +15,8 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
-LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it is moved to the side seam, GarmentCode
-FRONT, BACK = 15.0, -15.0  # cm before and behind the axis, GarmentCode
+LEAST_HEM = 0.01  # of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
+FRONT, BACK = 15.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
 
 def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
@@ -62,10 +62,10 @@ def _half_ring(radius: float, near: float, far: float) -> Piece:
     """Half of a disk with a round hole off its centre.
 
     ``near`` and ``far``: width of the ring in the middle of this half and of the other half [cm].
-    The origin is the middle between the ends of its ``top``; its edges have the names of a ``band``'s.
+    The origin is the middle between the ends of its ``top``. Edges are named as in ``band``.
     """
     outer = radius + 0.5 * (near + far)
-    centre = 0.5 * (far - near)  # height of the disk's centre over that of the hole
+    centre = 0.5 * (far - near)  # height of the disk's centre over the hole's centre
     side = sqrt(outer**2 - centre**2)
     outline = (
         Outline.start(-radius, 0)

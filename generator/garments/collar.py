@@ -15,8 +15,8 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["Collar", "CollarDesign", "with_collar"]
 
-TURTLENECK_OUT = 10.0  # cm before and behind the axis, GarmentCode
-LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm before and behind it, GarmentCode
+TURTLENECK_OUT = 10.0  # cm: z of the front, and -z of the back, before sewing, GarmentCode
+LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm: z of front and back before sewing, GarmentCode
 LAPEL_EDGE = Quadratic((0.7, 0.2))  # edge frame, from the lower tip to the upper, GarmentCode
 LYING = (pi / 2, pi / 4, 0.0)  # rad: rotation of a collar that lies on the shoulders, GarmentCode
 
@@ -109,12 +109,13 @@ def _standing_back(torso: Piece, depth: float, position: Vector) -> tuple[Piece,
 
 
 def _round_back(torso: Piece, depth: float, position: Vector) -> tuple[Piece, Interface, Interface]:
-    """A ring sector round the arc of the neckline, and the same two interfaces as of ``_standing_back``."""
+    """A ring sector round the arc of the neckline, and the same two interfaces as ``_standing_back``."""
     neck = torso.outline.edge("neck")
     width, drop = abs(neck.chord[0]), abs(neck.chord[1])
     turn = 2 * atan2(drop, width)  # an arc turns by twice the angle between its chord and its level end
     piece = replace(sector("right_collar_back", neck.length, turn, depth), rotation=LYING)
-    # GarmentCode places it by its shoulder end after turning x into y; readers of its files turn x into z about it.
+    # GarmentCode computes the shoulder end with the piece's x axis turned towards y; readers of its files rotate the
+    # piece about that end with x turned towards z. The offset keeps the shoulder end at GarmentCode's position.
     offset = 0.5 * hypot(width, drop) * sin(LYING[1])
     x, y, z = position
     return piece.at(x, y - offset, z - offset), piece.against("top"), piece.along("right")

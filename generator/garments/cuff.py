@@ -30,7 +30,7 @@ __all__ = [
 
 LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: the shortest cuff
-ON_SHOULDER = 0.12  # of shoulder to wrist, about: the part above the armhole, where a sleeve's length begins
+ON_SHOULDER = 0.12  # of shoulder to wrist, approximately: the part above the armhole, not part of a sleeve's length
 ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # of shoulder to wrist
 ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means over this package's bodies, ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
@@ -51,7 +51,7 @@ class SleeveCuffDesign(Design):
 
     type: Cuff | None = choice(None, *Cuff, None)
     top_ruffle: float = real(1.0, 1.0, 3.0)
-    """Gathers at the sleeve's end: sleeve over cuff."""
+    """Gathers at the sleeve's end: ratio of the sleeve's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.7)
     """Length, as a fraction of the arm."""
     skirt_fraction: float = real(0.5, 0.1, 0.9, keep=0.5)
@@ -68,7 +68,7 @@ class PantsCuffDesign(Design):
 
     type: Cuff | None = choice(None, *Cuff, None, keep=0.5)
     top_ruffle: float = real(1.0, 1.0, 2.0)
-    """Gathers at the leg's end: leg over cuff."""
+    """Gathers at the leg's end: ratio of the leg's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.3)
     """Length, as a fraction of hips to floor; taken off the leg."""
     skirt_fraction: float = real(0.5, 0.1, 0.9)
@@ -98,11 +98,11 @@ class CuffedSleeve(Protocol):
 
     @property
     def length(self) -> float:
-        """As a fraction of armhole to wrist."""
+        """Length, as a fraction of armhole to wrist."""
 
     @property
     def cuff(self) -> SleeveCuffDesign:
-        """The design of its cuff."""
+        """The design of the sleeve's cuff."""
 
 
 def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
@@ -113,7 +113,7 @@ def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
 
 
 def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
-    """The right sleeve along the x axis, wrist to the left, with its cuff, which is no tighter than the wrist.
+    """The right sleeve along the x axis, wrist to the left, with its cuff, at least as wide as the wrist.
 
     Offers ``opening`` like the sleeve, and the top of a band as the ring ``band``.
     """

@@ -56,5 +56,5 @@ class FlareSkirtDesign(Design):
 
 
 def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
-    """From the top to the hem along the cloth [cm]; measured behind if the front is shorter."""
+    """From the top to the hem along the cloth [cm]; along the back if the front is shorter."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)

@@ -48,7 +48,7 @@ class Garment(ABC, Generic[D]):
     weight: int = 1
     """Sampling weight relative to the other garments; with 0, only overlays that name the garment sample it."""
     mends: frozenset[Mend] = frozenset()
-    """Faults of GarmentCode's drawing of this garment that this package mends."""
+    """Corrections of faults in GarmentCode's drawing of this garment."""
 
     @property
     def field(self) -> str:
@@ -129,7 +129,7 @@ class SimpleUpper(UpperGarment[D]):
 
 @dataclass(frozen=True, slots=True)
 class Cutting:
-    """Rise and length of a bottom in an outfit, which may differ from those of its section."""
+    """Rise and length of a bottom as drawn in an outfit; the values in its section may differ."""
 
     rise: float
     """Position of its top: 0 at the hips, 1 at the waist."""
@@ -155,7 +155,7 @@ class BottomGarment(Garment[D]):
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
-    """Whether sampling can skip the check that the panels can be sewn: no cut can run into another edge."""
+    """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 
@@ -172,7 +172,7 @@ class BottomGarment(Garment[D]):
         """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
 
     def parts(self, design: "OutfitDesign") -> "tuple[BottomGarment[Any], ...]":
-        """The bottoms that a combined one consists of, from the top down; empty for a simple bottom."""
+        """The parts of a combined bottom, from the top down; empty for a simple bottom."""
         return ()
 
     def top(self, design: "OutfitDesign") -> "BottomGarment[Any]":
@@ -180,7 +180,7 @@ class BottomGarment(Garment[D]):
         return next(iter(self.parts(design)), self)
 
     def length_garment(self, design: "OutfitDesign") -> "BottomGarment[Any]":
-        """The bottom that owns the ``length`` parameter: this bottom, or the part that lends its length."""
+        """The bottom with the ``length`` parameter: this bottom, or its uppermost part if the length is inherited."""
         return self
 
 

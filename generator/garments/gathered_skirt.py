@@ -13,7 +13,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GATHERED_SKIRT", "GatheredSkirtDesign", "gathered_skirt"]
 
-FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
+FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class GatheredSkirtDesign(Design):
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     ruffle: float = real(1.3, 1.0, 2.0, keep=0.3)
-    """Gathers at the top: skirt over body."""
+    """Gathers at the top: ratio of the skirt's top to the body's girth."""
     bottom_cut: float = real(0.0, 0.0, 0.9, keep=0.3)
     """Slits at both sides, as a fraction of the part below the hips."""
     flare: int = integer(0, 0, 20, keep=0.5)

@@ -15,7 +15,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
 
-LEAST_HEM = 0.01  # of the remaining hem: a cut with less hem than this before it starts without any, GarmentCode
+LEAST_HEM = 0.01  # of the remaining hem: a smaller gap before a cut is dropped, GarmentCode
 NARROWEST, SHALLOWEST = 1.0, 1.0  # cm: least width and depth of a cut, GarmentCode
 CLOSED = 1e-6  # cm: shorter pieces of hem are left out
 STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode
@@ -53,7 +53,7 @@ class _Cut:
     width: float
     depth: float
     distance: float
-    """Length of hem between two cuts; half of it lies before the first."""
+    """Length of hem between two cuts; half of this length lies before the first cut."""
 
 
 def with_godets(skirt: Component, design: GodetSkirtDesign) -> Component:
@@ -91,7 +91,7 @@ def _godets(piece: Piece, design: GodetSkirtDesign) -> tuple[Piece, ...]:
 def _opened(piece: Piece, design: GodetSkirtDesign, *, from_right: bool) -> Piece:
     """The panel with cuts in its straight hem, which is drawn from the wearer's left to right.
 
-    The cuts are laid out from one end of the hem; the remaining hem is at the other. They are numbered from the
+    The cuts are laid out from one end of the hem, and the remaining hem is at the other end. Cuts are numbered from the
     wearer's right. Raises ``PatternError`` for cuts deeper than the panel.
     """
     hem, count = piece.outline.edge("bottom"), design.num_inserts // 2

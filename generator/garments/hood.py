@@ -8,7 +8,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["hood_outline", "with_hood"]
 
-# GarmentCode: 10 and 0 cm, then up to 1 cm lower and further back, since its files truncate the pivot.
+# GarmentCode draws at 10 and 0 cm; its files truncate the pivot, which moves the hood up to 1 cm down and back.
 RAISED, SET_BACK = 9.6, 0.4  # cm above and behind the shoulder
 FORWARD = 1.2  # of half the neckline's width: from the shoulder forward to the hood's opening, GarmentCode
 OVER_CROWN = 0.5  # of half the neckline's width: height of the hood above ``height``, GarmentCode
@@ -50,9 +50,9 @@ def hood_outline(
     """The outline: from the nape along the neckline to the throat, up the opening, and back over the head.
 
     ``front``, ``back``: width and depth of the shirt's half necklines [cm]; ``front_length``, ``back_length``: lengths
-    of their edges [cm]; ``top``: length of the top edge, as a fraction of half the neckline's width; ``height``: over
-    the shoulder, without ``OVER_CROWN`` [cm]. Both neck edges start and end about level and meet near the origin, the
-    shoulder: the end of the back's edge slides.
+    of their edges [cm]; ``top``: length of the top edge, as a fraction of half the neckline's width; ``height``: height
+    over the shoulder, without ``OVER_CROWN`` [cm]. Both neck edges are nearly level at their ends. They meet near
+    the origin, the shoulder: ``s_shaped_cubic`` may move the end of the back's edge along its chord.
     """
     half_width = back[0]
     back_neck = s_shaped_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)

@@ -24,7 +24,7 @@ HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.LOWER: (False, True),
     Kind.FULL: (True, True),
 }
-"""Kind to (has an upper, has a bottom)."""
+"""Whether a garment of each kind has an upper, and whether it has a bottom."""
 
 
 def choice_of(space: DesignSpace[Any], name: str) -> Choice:

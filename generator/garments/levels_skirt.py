@@ -42,7 +42,7 @@ class Level(GarmentChoice):
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
-"""Draws a level from measures and a suffix of its panels' names; the waist of the measures is the level's top."""
+"""Draws a level from measures, with the girth of its top as the waist, and a suffix of its panels' names."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LevelsSkirtDesign(Design):
     num_levels: int = integer(1, 1, 5)
     """Number of levels under the base."""
     level_ruffle: float = real(1.0, 1.0, 1.7)
-    """Gathers at the top of a level: level over the hem above."""
+    """Gathers at the top of a level: ratio of its top to the hem above."""
     length: float = real(0.5, 0.2, 0.95)
     """Length of the whole skirt below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)

@@ -5,8 +5,8 @@ Faults corrected without a switch, since they change neither outlines nor placem
 - every part of an edge that a seam divides keeps the edge's label;
 - the order of panels and seams is the same in every run;
 - designs are written with all digits, not with three digits;
-- crossings are found by distance: edges that touch where both start do not cross, and arcs are tested in full;
-- seams do not depend on the path of a solver: curves are closed forms, or solved to rounding;
+- crossings are found by distance: edges with a common start do not cross there, and whole arcs are tested;
+- seam curves do not depend on a solver's path: they are closed forms, or converged to rounding error;
 - a design without upper and bottom, a waistband alone included, is rejected with a reason.
 
 For some curves GarmentCode runs an underdetermined minimiser: a quadratic with one end tangent, the cap of a sleeve,
@@ -20,30 +20,32 @@ __all__ = ["ALL_MENDS", "Mend"]
 
 
 class Mend(Enum):
-    """A corrected fault; its value describes the drawing of this package and that of GarmentCode."""
+    """A corrected fault; its value compares the drawings of this package and of GarmentCode."""
 
     SLIT_LENGTH = (
-        "skirt.bottom_cut is a fraction of the skirt below the hips; GarmentCode takes that fraction, "
-        "times skirt.length, for centimetres, so slits vanish"
+        "skirt.bottom_cut is a fraction of the skirt below the hips; GarmentCode reads "
+        "skirt.bottom_cut * skirt.length, a fraction, as centimetres, so slits vanish"
     )
     LEVEL_GIRTH = (
-        "a level is as wide as the hem above times level_ruffle; GarmentCode mixes that with the hips by the rise of "
-        "the level's own section, and takes a rise that the fitted shirt overrides for the base's length"
+        "a level is as wide as the hem above times level_ruffle; GarmentCode interpolates between that width and the "
+        "hips by the rise of the level's own section, and computes the base's length from levels-skirt.rise even where "
+        "a fitted shirt overrides it"
     )
     SLEEVE_START = (
-        "sleeves start clear of the trunk, drawn out along the arm; GarmentCode's start inside wide or gathered shirts"
+        "sleeves start clear of the trunk, moved out along the arm; GarmentCode's sleeves start inside wide or "
+        "gathered shirts"
     )
     ARMHOLE_ROOM = (
-        "an armhole leaves a centimetre of side seam in front and behind; GarmentCode looks at the front alone, along "
-        "its slope, and leaves slivers or cuts through a fitted back"
+        "an armhole leaves a centimetre of side seam in front and behind; GarmentCode limits the depth by the front "
+        "side's length alone, which leaves slivers, or cuts through a fitted back"
     )
     SLEEVE_SURPLUS = (
         "the surplus of a sleeve's front half over its back moves to the back if it is long enough to sew; GarmentCode "
         "moves any surplus over two millimetres"
     )
     EXPORT_PIVOT = (
-        "a panel hangs in the file where it hung in the drawing; GarmentCode moves the drawing's origin to the first "
-        "corner by whole centimetres, and the panel by the rest"
+        "a panel has the same position in the file as in the drawing; GarmentCode moves the drawing's origin to the "
+        "first corner in whole centimetres, so that the panel shifts by the remaining fraction"
     )
 
 

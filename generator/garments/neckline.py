@@ -48,31 +48,31 @@ class NecklineDesign(Design):
     """Shape and size of the opening for the neck."""
 
     f_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.4)
-    """In front."""
+    """Shape in front."""
     b_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.8)
-    """At the back."""
+    """Shape at the back."""
     width: float = real(0.2, -0.5, 1.0, keep=0.4)
-    """-1: closed; 0: as wide as the neck; 1: as wide as the shoulders allow."""
+    """Width of the opening; -1: closed; 0: as wide as the neck; 1: as wide as the shoulders allow."""
     fc_depth: float = real(0.4, 0.3, 2.0, keep=0.3)
-    """In front, as a fraction of shoulder to bust."""
+    """Depth in front, as a fraction of shoulder to bust."""
     bc_depth: float = real(0.0, 0.0, 2.0, keep=0.4)
-    """At the back, as a fraction of shoulder to bust."""
+    """Depth at the back, as a fraction of shoulder to bust."""
     fc_angle: int = integer(95, 70, 110)
     """In front: slope of a trapezoid's sides, or angle of an arc [degrees]."""
     bc_angle: int = integer(95, 70, 110)
-    """At the back."""
+    """The same angle at the back."""
     f_bezier_x: float = real(0.3, 0.05, 0.95, keep=0.4)
     """In front: position of a Bézier neckline's control point along its chord, as a fraction of the chord."""
     f_bezier_y: float = real(0.55, 0.05, 0.95, keep=0.4)
     """In front: distance of the control point from the chord, as a fraction of the chord."""
     b_bezier_x: float = real(0.15, 0.05, 0.95, keep=0.4)
-    """At the back: position along the chord."""
+    """At the back: position of the control point along the chord."""
     b_bezier_y: float = real(0.1, 0.05, 0.95, keep=0.4)
-    """At the back: distance from the chord."""
+    """At the back: distance of the control point from the chord."""
     f_flip_curve: bool = flag(False, keep=0.8)
     """In front: whether a curvy, arc or Bézier neckline bulges the other way."""
     b_flip_curve: bool = flag(False, keep=0.8)
-    """At the back."""
+    """The same flag for the back."""
     component: CollarDesign = part(CollarDesign)
 
 

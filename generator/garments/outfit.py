@@ -47,7 +47,7 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
 
 
 def bottom_rise(design: OutfitDesign) -> float:
-    """Position of the bottom's top: 0 at the hips, 1 at the waist, as for no bottom or under an ``at_waist`` upper."""
+    """Position of the bottom's top: 0 hips, 1 waist; 1 without a bottom or under an ``at_waist`` upper."""
     upper, bottom = design.meta.upper, design.meta.bottom
     if bottom is None or (upper is not None and upper.garment.at_waist):
         return 1.0
@@ -56,7 +56,7 @@ def bottom_rise(design: OutfitDesign) -> float:
 
 @lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
-    """The bottom of a design that has one; offers the ring ``top``."""
+    """The bottom of a design with a bottom; offers the ring ``top``."""
     assert design.meta.bottom is not None
     return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
@@ -69,7 +69,9 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
     if meta.upper is not None:
         parts.append(meta.upper.garment.draw(size, design, mends=mends))
         if not meta.upper.garment.carries and (meta.wb or meta.bottom):
-            raise PatternError(f"nothing is sewn to the hem of a {meta.upper.value}: leave out meta.wb and meta.bottom")
+            raise PatternError(
+                f"nothing can be sewn to the hem of a {meta.upper.value}: set meta.wb and meta.bottom to null"
+            )
     if meta.wb is not None:
         parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
     if meta.bottom is not None:
@@ -78,7 +80,7 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
 
 
 def _placed(parts: tuple[Component, ...]) -> tuple[Component, ...]:
-    """The parts, each moved under the one before."""
+    """The parts, each moved under the previous part."""
     placed = parts[:1]
     for below in parts[1:]:
         placed = (*placed, below.placed_by("top", placed[-1], "bottom", gap=GAP))
@@ -92,10 +94,10 @@ def _with_export_pivot(piece: Piece) -> Piece:
 
 
 def _checked(size: Measurements) -> Measurements:
-    """The measurements. Raises ``BodyError`` if a measure is missing, or a back is no part of its girth."""
+    """The measurements. Raises ``BodyError`` if a measure is missing, or a back not less than its girth."""
     size.require(*MEASURES_USED)
     for back, girth in BACKS:
         if not 0 < getattr(size, back) < getattr(size, girth):
-            figures = f"{back} is {getattr(size, back):.1f} cm of a {girth} of {getattr(size, girth):.1f} cm"
-            raise BodyError(f"{figures}: the back is a part of the girth, mend the measurement file")
+            figures = f"{back} is {getattr(size, back):.1f} cm, and {girth} is {getattr(size, girth):.1f} cm"
+            raise BodyError(f"{figures}: a back is part of its girth, so mend the measurement file")
     return size

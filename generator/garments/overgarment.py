@@ -16,7 +16,7 @@ __all__ = ["NeckHole", "both_halves", "neck_hole", "placed_at_neck", "right_neck
 
 NECK_WIDTH = 0.8  # of neck_w, which is measured round the back of the neck: width of the neck straight across
 FRONT_DROP, BACK_DROP = 0.42, 0.1  # of neck_w: depth of throat and nape below the sides of the neck
-FRONT, BACK = 30.0, -25.0  # cm before and behind the axis
+FRONT, BACK = 30.0, -25.0  # cm: z of front and back before sewing
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,10 @@ def right_neck(hole: NeckHole, kind: Neckline, *, front: bool) -> tuple[Stroke, 
 
 
 def with_shoulder(outline: Outline, size: Measurements, *, fall: float, length: float) -> Outline:
-    """With the shoulder seam from the right side of the neck: straight along the shoulder, then a curve to the hem.
+    """The outline with a shoulder seam added: straight from the neck along the shoulder, then a curve to the hem.
 
-    ``length``: of the whole seam [cm]; ``fall``: slope of its end below the horizontal [rad], and the upper bound of
-    the shoulder's slope.
+    ``length``: length of the whole seam [cm]; ``fall``: slope of its end below the horizontal [rad], which also limits
+    the slope along the shoulder.
     """
     slope, (x, y) = min(size.shoulder_incl, fall), outline.pen
     shoulder = min((0.5 * size.shoulder_w + x) / cos(slope), 0.5 * length)

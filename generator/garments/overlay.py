@@ -1,8 +1,8 @@
 """Overlays: a data set's restrictions on its designs ("only hoodies", "no asymmetry"), as a narrower design space.
 
 An overlay is a TOML file with the names of a design file. A value fixes a parameter; a table narrows its space:
-``range`` (of a number) or ``options`` (of a choice; ``"none"`` for none of them), and ``keep``, the probability of the
-default::
+``range`` (for a number) or ``options`` (for a choice; ``"none"`` stands for ``None``), and ``keep``, the probability of
+the default::
 
     [meta]
     bottom = { options = ["Pants", "none"], keep = 0.2 }
@@ -92,9 +92,9 @@ def read_overlay(path: Path | str) -> Overlay:
 def _no_garment(meta: DesignSpace[MetaDesign]) -> str:
     """The error message for a ``meta`` section that allows no garment."""
     if all(choice_of(meta, name).range == [None] for name in ("upper", "bottom")):
-        return "meta.upper and meta.bottom are both none, so there is no garment: leave one of them in"
+        return "meta.upper and meta.bottom are both none, so there is no garment: allow one of them"
     uppers = ", ".join(name for name in choice_of(meta, "upper").range if name is not None)
-    return f"nothing is sewn to meta.upper = {uppers}, so there is no garment: let meta.wb and meta.bottom be none"
+    return f"nothing can be sewn to meta.upper = {uppers}, so there is no garment: set meta.wb and meta.bottom to none"
 
 
 def _changes(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str) -> Iterator[Leaf]:

@@ -29,7 +29,7 @@ def band(name: str, width: float, height: float) -> Piece:
 def skirt_panel(
     name: str, width: float, length: float, *, flare: float, ruffle: float = 1.0, bottom_cut: float = 0.0
 ) -> Piece:
-    """A trapezoid below the origin, which is the middle of its ``top``; its edges have the names of a ``band``'s.
+    """A trapezoid below the origin, which is the middle of its ``top``. Edges are named as in ``band``.
 
     The top is ``ruffle`` times ``width``, the width after gathering [cm]; ``flare`` is added to each side of the hem
     [cm]. Below a height of ``bottom_cut`` over the hem [cm] the sides are named ``right_slit`` and ``left_slit``.
@@ -50,8 +50,8 @@ def skirt_panel(
 def sector(name: str, top: float, angle: float, height: float) -> Piece:
     """A ring sector: ``top`` is the length of its upper arc, ``height`` its width [cm], ``angle`` its opening [rad].
 
-    The origin is the middle between the ends of its top; its edges have the names of a ``band``'s. With a negative
-    angle the piece narrows downwards and its arcs bulge up instead of sagging.
+    The origin is the middle between the ends of its top. Edges are named as in ``band``. With a negative angle the
+    piece narrows downwards, and its arcs bulge upwards instead of sagging.
     """
     turn, sags = abs(angle), angle > 0
     if turn < STRAIGHT:

@@ -18,7 +18,7 @@ __all__ = ["PANEL_SKIRT", "panel_skirt"]
 
 
 def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """Panels sewn to a ring, each at least 5 cm high; the hems together are as long as that of a skirt of ``suns``.
+    """Panels sewn to a ring, each at least 5 cm high; ``suns`` sets the length of all hems as for a circle skirt.
 
     Offers the ring ``top``.
     """
@@ -54,10 +54,10 @@ def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
 
 
 def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
-    """The upright panel in its position of a ring, which begins at the wearer's right and continues over the front.
+    """The upright panel at its place in a ring, which begins at the wearer's right and continues over the front.
 
-    As in GarmentCode: the ring is as far from the axis as a regular polygon of the hems; a panel touches the ring with
-    the right corner of its top, and its middle faces outwards.
+    As in GarmentCode: the ring's radius is the inradius of a regular polygon of the hems; the right corner of a panel's
+    top lies on the ring, and the panel's middle faces outwards.
     """
     away = panel.outline.length("bottom") / (2 * tan(pi / count))
     half = 0.5 * panel.outline.length("top")

@@ -22,14 +22,14 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["PANTS", "PantsDesign", "cuff_and_leg_girth", "pants"]
 
-CROTCH_EASE = 5.0  # cm added to the difference of two legs and the hips, GarmentCode
+CROTCH_EASE = 5.0  # cm added to the difference of a thigh and half the hips, GarmentCode
 FRONT_CROTCH = 0.25  # of the front's hip: extent of the crotch beyond the centre, GarmentCode
 BACK_RAISE = 1.1  # height from hips to waist behind, over the seat, as a fraction of that in front, GarmentCode
 CENTRE_STRAIGHT = 0.45  # of hips to waist: the centre seam curves into the crotch below this height, GarmentCode
 INSIDE_DROP = 1.5  # crotch heights below the hips: the highest position of the hem's inner end, GarmentCode
 INSIDE_SHIFT = 2.0  # cm by which the inside leg leans in from the crotch, GarmentCode
 HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # of the chord: position of the bend of side seam and inside leg, GarmentCode
-DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg, of hips to waist; the back's outer dart over its inner one, GarmentCode
+DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg, of hips to waist; outer dart of the back, of its inner dart, GarmentCode
 SHORTEST_LEG = 0.2  # of hips to floor: least length of the leg without its cuff, GarmentCode
 CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the crotch to the axis; before and behind it, GarmentCode
 CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
@@ -47,7 +47,7 @@ class PantsDesign(Design):
     length: float = real(0.3, 0.2, 0.9)
     """Below the hips, as a fraction of hips to floor; cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
-    """Width of the crotch, as a fraction of the least possible width."""
+    """Width of the crotch, as a fraction of the smallest possible width."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
     """Hem, as a fraction of a straight leg's hem; each of its four ends moves by a quarter of the change."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
@@ -156,7 +156,7 @@ def _cuff_length(size: Measurements, design: PantsDesign) -> float:
 
 
 def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float:
-    """Extent of the back's crotch beyond the centre [cm]; ``front``: that of the front.
+    """Extent of the back's crotch beyond the centre [cm]; ``front``: extent of the front's crotch [cm].
 
     Raises ``PatternError`` for legs so thin relative to the hips that nothing is left for the back.
     """

@@ -39,7 +39,7 @@ class Space(ABC):
 
     @abstractmethod
     def read(self, value: Any) -> Any:
-        """The value for a plain value, such as an enum member. Raises ``ConfigError`` for a value outside the space."""
+        """The parameter's value from a plain value, such as an enum member from its name. Raises ``ConfigError``."""
 
     @abstractmethod
     def within(self, value: Any, low: float, high: float) -> bool:
@@ -106,7 +106,7 @@ class Real(Space):
             raise ConfigError(f"has a range of {len(values)} values: give two, the lowest and the highest")
         low, high = (self.read(value) for value in values)
         if low > high:
-            raise ConfigError(f"has its range turned round: write [{high:g}, {low:g}]")
+            raise ConfigError(f"has a range in descending order: write [{high:g}, {low:g}]")
         return replace(self, low=low, high=high, keep=self.keep if low <= self.default <= high else None)
 
     def with_keep(self, keep: float) -> Self:
@@ -114,7 +114,7 @@ class Real(Space):
         if keep == 0 and nearest != self.default:
             return self
         if keep == 0 and self.low == self.high:
-            raise ConfigError(f"has no value left: keep is 0, and {nearest:g} is all that its range holds")
+            raise ConfigError(f"has no value left: keep is 0, and its range holds {nearest:g} alone")
         return replace(self, default=nearest, keep=keep)
 
     def _clipped(self, low: float, high: float) -> tuple[float, float]:
@@ -200,9 +200,9 @@ class Choice(Space):
         drawn = self.narrowed(self.range)
         left_in = drawn.accepts(self.default)
         if keep == 0 and left_in and len(drawn.options) == 1:
-            raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is all there is")
+            raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is the only option")
         if keep > 0 and not left_in:
-            raise ConfigError(f"keeps {plain(self.default)}, which is none of its options: add it, or leave keep out")
+            raise ConfigError(f"has keep, but no option {plain(self.default)}, its default: add it, or leave keep out")
         return replace(drawn, keep=keep if left_in else None)
 
     def _weighed(self) -> Iterable[tuple[Any, int]]:

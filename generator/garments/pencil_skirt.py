@@ -27,17 +27,17 @@ from gcd_dataset.records import Measurements
 __all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
 
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
-FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
-BACK_EASE = 1.05  # height from hips to top behind, over that of the flatter front, GarmentCode
+FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
+BACK_EASE = 1.05  # height from hips to top behind, over the height in front, GarmentCode
 FRONT_DART, BACK_DART = 0.8, 0.85  # dart leg, of the height from hips to top, GarmentCode
-OUTER_DART = 0.9  # leg of the back's outer dart over that of its inner dart, GarmentCode
+OUTER_DART = 0.9  # leg of the back's outer dart, of its inner dart's leg, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
 
 
 class StyleCut(Enum):
-    """Ornaments cut into a side seam: names only, never sampled, and refused by the drawing."""
+    """Ornaments cut into a side seam: read from design files, but never sampled, and rejected by ``pencil_skirt``."""
 
     SUN = "Sun"
     SIGGRAPH_LOGO = "SIGGRAPH_logo"
@@ -98,7 +98,7 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
     """
     if design.style_side_cut is not None:
         raise PatternError(
-            f"no ornament is drawn: set pencil-skirt.style_side_cut, {design.style_side_cut.value}, to null"
+            f"pencil-skirt.style_side_cut is {design.style_side_cut.value}, but ornaments are not drawn: set it to null"
         )
     rise, suffix = cutting.rise, cutting.suffix
     below = cutting.length - rise * size.require(*MEASURES_USED).hips_line

@@ -98,7 +98,7 @@ def check_outfit(outfit: DrawnOutfit) -> tuple[Reject, ...]:
 
 
 def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
-    """The parts, one under the other, reach past the floor, from the nape or, for a bottom alone, from the waist."""
+    """The summed length of the parts reaches past the floor, from the nape or, for a bottom alone, from the waist."""
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
         return None
@@ -107,7 +107,7 @@ def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
 
 
 def slides_off(outfit: DrawnOutfit) -> Reject | None:
-    """A bottom alone is wider at its top than waist and hips."""
+    """A bottom without an upper is wider at its top than waist and hips."""
     if not _is_bottom_alone(outfit.design):
         return None
     size = outfit.size
@@ -119,7 +119,7 @@ def slides_off(outfit: DrawnOutfit) -> Reject | None:
 
 
 def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
-    """A gathered skirt alone has no band, or one wider than the body."""
+    """A gathered skirt without an upper has no waistband, or a waistband wider than the body."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
@@ -130,7 +130,7 @@ def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
 
 
 def too_heavy(outfit: DrawnOutfit) -> Reject | None:
-    """A flared skirt alone is long or wide, and has no firm band."""
+    """A flared skirt without an upper is long or wide, and has no firm band."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
         return None
@@ -142,7 +142,7 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
 
 
 def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
-    """A band at the end of a leg or sleeve is narrower than the limb inside it, by more than cloth stretches."""
+    """A band at the end of a leg or sleeve is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg_girth(size, design)
@@ -242,7 +242,7 @@ def has_firm_band(design: OutfitDesign) -> bool:
 
 
 def top_of_bottom(design: OutfitDesign) -> BottomGarment[Any] | None:
-    """The record of the bottom, of a combined one its uppermost part; ``None`` without a bottom."""
+    """The record of the bottom, or of the uppermost part of a combined bottom; ``None`` without a bottom."""
     return design.meta.bottom.garment.top(design) if design.meta.bottom else None
 
 
@@ -259,7 +259,7 @@ def is_flared(design: OutfitDesign) -> bool:
 
 
 def top_parameter(design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
-    """The value of the parameter that gathers the bottom's top, or makes it wide; 0 without such a parameter."""
+    """The value of the parameter for the gathers or the width of the bottom's top; 0 without such a parameter."""
     top = top_of_bottom(design)
     name = "" if top is None else getattr(top, role)
     return float(getattr(top.section_design(design), name)) if top is not None and name else 0.0

@@ -4,8 +4,8 @@ Each parameter keeps its default with its ``keep`` probability, and is uniform o
 the limits set by the rest of the design and by the wearers' measures is drawn again within them; ``rules.py`` catches
 the rest. Unlike GarmentCode's sampler, this one
 
-- chooses upper, lower and full-body garments with a third each, first of all (GarmentCode redraws a rejected design
-  completely, which favours designs that are rarely rejected);
+- draws the kind of garment first: upper, lower or full-body, with equal probability (GarmentCode redraws a rejected
+  design completely, which favours kinds that are rarely rejected);
 - leaves sections that the garment does not use at their defaults;
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
@@ -49,7 +49,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
-# With a band or bottom sewn to it, a shirt ends near the waist, where its hem has about their girth.
+# A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
 NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES = 10, 5, 10
 
@@ -206,7 +206,7 @@ class _Draft:
 
     def _shirt(self, design: OutfitDesign, garment: Shirt) -> ShirtDesign:
         shirt: ShirtDesign = self.draw_section("shirt")
-        joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)  # a part is sewn to its hem
+        joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)  # a part is sewn to the hem
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         limits = JOINED_SHIRT if joined else (-np.inf, longest)
         in_limits: ShirtDesign = self.redrawn_within("shirt", shirt, length=limits)
@@ -228,7 +228,7 @@ class _Draft:
         )
 
     def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
+        """With a snug band for a gathered bottom without an upper; without gathers if the overlay allows no band."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
         bands = choice_of(self.sections["meta"], "wb")
@@ -239,7 +239,7 @@ class _Draft:
         return replace(design, meta=meta, waistband=band)
 
     def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
+        """With a shorter and narrower bottom, if it is flared, without an upper and without a firm band."""
         if design.meta.upper:
             return design
         if is_flared(design) and not has_firm_band(design):
@@ -251,7 +251,7 @@ class _Draft:
     def _with_top_within(
         self, design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"], limits: tuple[float, float]
     ) -> OutfitDesign:
-        """With the parameter that gathers the bottom's top, or makes it wide, within limits."""
+        """With the parameter for the gathers or the width of the bottom's top redrawn within limits."""
         top = top_of_bottom(design)
         name = "" if top is None else getattr(top, role)
         if top is None or not name:

@@ -1,4 +1,4 @@
-"""Sewability of drawn parts: no crossing, no spike, no short edge, seams with sides of fitting lengths, wide cuffs."""
+"""Sewability of drawn parts: checks for crossings, spikes, short edges, mismatched seams and tight cuffs."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -31,9 +31,9 @@ __all__ = [
     "upper_is_sewable",
 ]
 
-CLOTH_GIVES = 1.2  # times its length: the most that cloth stretches without losing its shape
+CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
-SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam: sides may differ by the larger without gathers
+SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
@@ -82,7 +82,7 @@ def _is_fitted(design: OutfitDesign) -> bool:
 
 
 def _can_be_sewn(part: Callable[[], Component]) -> bool:
-    """Whether a part of an outfit can be drawn, its panels be sewn, and its seams match."""
+    """Whether a part of an outfit can be drawn, its panels can be sewn, and its seams match."""
     try:
         drawn = part()
         panels = [panel_of(piece) for piece in drawn.pieces]

@@ -1,4 +1,4 @@
-"""The shirt: its design, and the half front and half back of a straight one."""
+"""The shirt: its design, and the half front and half back of a straight shirt."""
 
 from dataclasses import dataclass
 from math import tan

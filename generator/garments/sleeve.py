@@ -1,4 +1,4 @@
-"""Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is drawn as a right one and mirrored."""
+"""Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is a mirrored right sleeve."""
 
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, radians, sin
@@ -16,7 +16,7 @@ from gcd_dataset.records import Measurements, PanelRole
 __all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
-EVEN = 0.2  # cm along the front's opening: a crease nearer to an end is ignored, GarmentCode
+EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
 SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
@@ -25,7 +25,7 @@ DOWN: Point = (0.0, -1.0)
 
 @dataclass(frozen=True)
 class SleeveDesign(Design):
-    """A sleeve, or an armhole without one."""
+    """A sleeve, or an armhole without a sleeve."""
 
     sleeveless: bool = flag(True, keep=0.7)
     armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
@@ -46,14 +46,14 @@ class SleeveDesign(Design):
     standing_shoulder_len: float = real(5.0, 4.0, 10.0)
     """Length of the part that continues the shoulder [cm]."""
     connect_ruffle: float = real(1.0, 1.0, 2.0, keep=0.4)
-    """Gathers at the armhole: opening over armhole."""
+    """Gathers at the armhole: ratio of the sleeve's opening to the armhole."""
     smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)
     """Position of an angled armhole's corner, as a fraction of its width and height."""
     cuff: SleeveCuffDesign = part(SleeveCuffDesign)
 
     @property
     def has_flared_cuff(self) -> bool:
-        """Whether the design has a sleeve, and its cuff a skirt."""
+        """Whether the design has a sleeve with a skirt in its cuff."""
         return not self.sleeveless and self.cuff.type in (Cuff.SKIRT, Cuff.BAND_SKIRT)
 
 

@@ -1,4 +1,4 @@
-"""Sew a sleeve into its armhole, with a placement before sewing that is clear of the trunk."""
+"""Sew a sleeve into its armhole, placed clear of the trunk before sewing."""
 
 from bisect import bisect_left
 from math import cos, pi, sin
@@ -13,10 +13,10 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["with_sleeve"]
 
-SLEEVE_GAP = 1.0  # cm into the armhole, GarmentCode
+SLEEVE_GAP = 1.0  # cm by which a sleeve starts inside its armhole, GarmentCode
 SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre per degree, GarmentCode
-OVERLAP = 150.0  # cm²: area of sleeve in front of the trunk, at most; with this much plain shirts drape cleanly
-DRAWN_OUT = 24  # cm: the furthest shift of a sleeve along the arm
+OVERLAP = 150.0  # cm²: largest overlap of sleeve and trunk, seen from the front; plain shirts with it drape cleanly
+DRAWN_OUT = 24  # cm: upper bound of a sleeve's shift along the arm
 
 
 def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
@@ -34,9 +34,9 @@ def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, me
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:
-    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as a plain shirt's does.
+    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as on a plain shirt.
 
-    Without the shift, seams of wide sides and gathered sleeves close in tangles.
+    Without the shift, shirts with wide sides or gathered sleeves tangle while their seams close.
     """
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])

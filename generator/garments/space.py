@@ -62,7 +62,7 @@ class Design:
                 raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
 
     def includes(self, name: str) -> bool:
-        """Whether design files include this part, added by ``with_parts``."""
+        """Whether design files include the part of this name, which ``with_parts`` added."""
         return True
 
 

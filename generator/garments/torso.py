@@ -45,8 +45,8 @@ class TorsoHalf:
     def armhole_room(self, shoulder_end: float) -> float:
         """Largest depth of an armhole with its upper end ``shoulder_end`` cm from the centre [cm].
 
-        The upper end lies on the shoulder seam, above the shoulder's outer end by a rise that counts towards the depth;
-        it moves inwards by the lean over that rise.
+        The upper end lies on the shoulder seam, ``over`` cm above the shoulder's outer end. This rise adds to the
+        depth, and moves the upper end inwards by ``lean * over`` cm.
         """
         slope = self.rise / self.shoulder
         over = slope * (self.shoulder - shoulder_end) / (1 - slope * self.lean)

@@ -1,4 +1,4 @@
-"""Shirts, straight or fitted: two halves, mirror images or different."""
+"""Shirts, straight or fitted: two halves, mirror images unless the design is asymmetric."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -20,7 +20,7 @@ from gcd_dataset.records import EdgeRole, Measurements, PanelRole
 __all__ = ["UpperHalf", "right_half", "right_torso"]
 
 SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
-FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
+FRONT, BACK = 30.0, -25.0  # cm: z of front and back before sewing, GarmentCode
 FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"
 
 UpperHalf: TypeAlias = tuple[ShirtDesign, NecklineDesign, SleeveDesign]
@@ -97,7 +97,7 @@ def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
 def _armhole_depth(
     size: Measurements, arm: SleeveDesign, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
 ) -> float:
-    """Depth of the armhole [cm], which leaves at least a centimetre of side seam."""
+    """Depth of the armhole [cm], limited so that a centimetre of side seam is left."""
     depth = min(size.eased_armscye_depth * (1 + arm.connecting_width), front.upper_side - SEAM_LEFT)
     if Mend.ARMHOLE_ROOM not in mends:
         return depth
@@ -105,7 +105,7 @@ def _armhole_depth(
 
 
 def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth: float) -> TorsoHalf:
-    """The half with its armhole cut; curved if it has a sleeve."""
+    """The half with its armhole cut; the armhole is curved if a sleeve is set into it."""
     shoulder_end = 0.5 * size.sleeve_balance
     width, room = half.width_below_shoulder(depth) - shoulder_end, half.armhole_room(shoulder_end)
     if width <= 0.0:
@@ -115,7 +115,7 @@ def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth:
         )
     if depth >= room:
         raise PatternError(
-            f"an armhole of {depth:.1f} cm where {room:.1f} cm reach the end of the side: lower sleeve.connecting_width"
+            f"an armhole {depth:.1f} cm deep in a side with room for {room:.1f} cm: lower sleeve.connecting_width"
         )
     kind = arm.armhole_shape if arm.sleeveless else Armhole.CURVE
     shape = armhole(kind, width, depth, corner=arm.smoothing_coeff)

@@ -11,7 +11,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["Waistband", "WaistbandDesign", "band_rise", "waistband"]
 
-FRONT, BACK = 20.0, -15.0  # cm before and behind the axis, GarmentCode
+FRONT, BACK = 20.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
 
 class Waistband(Enum):
@@ -32,7 +32,7 @@ class WaistbandDesign(Design):
 
 
 def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float) -> Component:
-    """A band with its lower edge at ``rise`` (0 hips, 1 waist), or lower to end at the waist.
+    """A band with its lower edge at ``rise`` (0 hips, 1 waist), or lower if its top would rise above the waist.
 
     Offers the rings ``top`` and ``bottom``.
     """
@@ -56,7 +56,7 @@ def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, r
 
 
 def band_rise(design: WaistbandDesign, rise: float) -> float:
-    """Position of the lower edge: at ``rise``, or low enough for the band to end at the waist."""
+    """Position of the lower edge: ``rise``, or lower if the band would rise above the waist."""
     return min(rise, 1.0 - design.width)
 
 

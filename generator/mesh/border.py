@@ -12,7 +12,7 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern
 
 __all__ = ["MOST_POINTS", "Border", "edge_counts", "sample_border"]
 
-MOST_POINTS = 1_500_000  # of a panel: the largest panel that ``validate`` accepts, ten metres square, at 1 cm
+MOST_POINTS = 1_500_000  # points of a panel: the largest panel that ``validate`` accepts, ten metres square, at 1 cm
 ROUNDING = 1e-9  # of a spacing: a 10 cm edge gets 11 points even if its computed length is slightly longer
 
 
@@ -61,7 +61,7 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
     Raises ``MeshError`` for a panel without edges or with too many points, and for edges that do not close a loop.
     """
     if not panel.edges:
-        raise MeshError(f"panel {panel.name} has no edges: draw its outline or take it away")
+        raise MeshError(f"panel {panel.name} has no edges: draw its outline or remove the panel")
     total = sum(counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges)))
     if total > MOST_POINTS:
         raise MeshError(

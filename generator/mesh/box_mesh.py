@@ -114,7 +114,9 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
     for number, seam in enumerate(pattern.seams):
         if seam.right_wrong != (over[seam.left.panel] != over[seam.right.panel]):
             name = seam_name(number, seam)
-            log.warning("%s: %s closes a band with one side only: faces disagree along it", pattern.name, name)
+            log.warning(
+                "%s: %s closes a band with one side only: the faces along it have opposite windings", pattern.name, name
+            )
     return np.where(turned[panel, None], panels.corners[:, [0, 2, 1]], panels.corners)
 
 
@@ -188,7 +190,7 @@ def _labels(
     for number, seam in enumerate(pattern.seams):
         left, right = label_of.pop(seam.left), label_of.pop(seam.right)
         if left and right and left != right:
-            raise MeshError(f"{seam_name(number, seam)} joins labels {left} and {right}: take one of them away")
+            raise MeshError(f"{seam_name(number, seam)} joins labels {left} and {right}: remove one of them")
         found.setdefault(left or right, []).append(vertex[edges[seam.left]])
     for ref, label in label_of.items():
         found.setdefault(label, []).append(vertex[edges[ref][1:-1]])

@@ -19,7 +19,7 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
-STRAIGHT = np.cos(np.radians(25.0))  # a border point where the outline turns by more than 25 degrees stays
+STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 
 
@@ -64,7 +64,7 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
 
 @dataclass(frozen=True)
 class _Border:
-    """The border segments of all panels, each with its panel on the same side."""
+    """The border segments of all panels, directed so that every panel lies on the same side of its segments."""
 
     names: tuple[str, ...]
     """Names of the panels."""
@@ -199,7 +199,7 @@ class _Panel:
 def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], cache: Fillings) -> _Panel:
     border = mesh.uv[rows]
     if len(rows) < 3 or not shapely.Polygon(border).is_valid:
-        raise MeshError(f"panel {mesh.panel_names[number]} is too narrow for half its points")
+        raise MeshError(f"panel {mesh.panel_names[number]} is too narrow to lose half of its border points")
     spacing = float(np.percentile(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1), 75))
     return _Panel(number, rows, *fill_outline(border, spacing, cache))
 
@@ -262,7 +262,8 @@ def _in_space(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarr
     free = free if len(free) > 2 else rows
     uv, vertices = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
     flat_centre, centre = uv.mean(axis=0), vertices.mean(axis=0)
-    # Not one temporary: NumPy hands A.T @ A of one array to another BLAS routine, which rounds differently.
+    # ``uv - flat_centre`` twice, not once in a variable: for A.T @ A of one array NumPy calls another BLAS routine,
+    # which rounds differently.
     gram = (uv - flat_centre).T @ (uv - flat_centre)
     linear = np.linalg.pinv(gram) @ (uv - flat_centre).T @ (vertices - centre)
     return centre + (points - flat_centre) @ linear
@@ -273,8 +274,8 @@ def _locate(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """The triangle that holds each query point, and the point's barycentric weights in it, none below zero.
 
-    Only the triangles round the nearest corner are tried; a point outside all of them gets the one with
-    the least negative weight.
+    Only the triangles round the nearest corner are tried; a point outside all of them gets the triangle
+    with the least negative weight.
     """
     around = _faces_around(faces, len(points))
     _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries)

@@ -87,7 +87,7 @@ def _crossing_edges(
 def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
     """Flip, in place, edges with a corner of one face in the circumcircle of the other, at most one edge of each face.
 
-    Leaves the loop's segments. Returns whether any edge was illegal.
+    Never flips a segment of the loop. Returns whether any edge was illegal.
     """
     f, i, g, j = _inner_edges(faces)
     u, v, p, q = faces[f, i], faces[f, (i + 1) % 3], faces[f, i - 1], faces[g, j - 1]

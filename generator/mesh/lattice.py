@@ -23,7 +23,7 @@ ROW = np.sqrt(0.75)  # pitches from row to row
 
 @dataclass(frozen=True)
 class Lattice:
-    """Seeds inside a border, and those of their triangles that are Delaunay whatever the border."""
+    """Seeds inside a border, and the lattice triangles between them that are Delaunay for any border."""
 
     number: Int[np.ndarray, "row column"]
     """The seed at each lattice point; -1 for none."""

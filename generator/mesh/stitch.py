@@ -15,7 +15,7 @@ __all__ = ["SewnPoints", "mean_positions", "merge_points", "seam_name", "stitch_
 
 @dataclass(frozen=True)
 class SewnPoints:
-    """Pairs of points that meet in seams; ``m`` counts the pairs, ``c`` below the points of all panels."""
+    """Pairs of points that meet in seams; ``m`` counts the pairs; below, ``c`` counts the points of all panels."""
 
     left: Int[np.ndarray, " m"]
     right: Int[np.ndarray, " m"]
@@ -49,7 +49,7 @@ def merge_points(sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Se
     """The vertex of every point: seam vertices first, in the order of the seams, then the rest in their own order.
 
     ``panel``: the panel of each point. Raises ``MeshError`` for a seam whose two ends become one vertex, and for a seam
-    that joins two points of one panel which no seam within that panel, such as a dart, joins.
+    that joins two points of one panel, unless seams within that panel, such as darts, join them too.
     """
     group = _groups(len(panel), sewn.left, sewn.right)
     _require_open_seams(group, sewn, seams)
@@ -101,6 +101,6 @@ def _require_darts(
         pairs = np.flatnonzero(joined[sewn.left] | joined[sewn.right])
         number = int(sewn.seam[pairs[-1]])
         raise MeshError(
-            f"{seam_name(number, seams[number])} joins two points of one panel that no dart brings together: "
+            f"{seam_name(number, seams[number])} joins two points of one panel that no dart joins: "
             "check its direction, or sew the edges between the points as a dart"
         )

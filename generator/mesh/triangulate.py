@@ -22,9 +22,9 @@ __all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
-ROUNDS = 10  # a seam gathered to a third of the spacing takes four
-EMPTY = 0.99  # circumradii round a new seed without another point
-APART = 0.8  # circumradii between new seeds of one round
+ROUNDS = 10  # rounds of refinement; a seam gathered to a third of the spacing takes four
+EMPTY = 0.99  # circumradii: least distance of a new seed from all older points
+APART = 0.8  # circumradii: least distance between new seeds of one round
 SAME_AREA = 1e-9  # relative: tolerance of the test that triangles neither overlap nor leave a hole
 JITTER = 1e-6  # spacings: shift of each point before Qhull
 
@@ -109,7 +109,7 @@ class _Strip:
     def refined(
         self, before: "_Strip", faces: Int[np.ndarray, "f 3"]
     ) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
-        """The triangles of the strip, and those of them that its last seeds have created.
+        """The triangles of the strip, and the subset that its newest seeds have created.
 
         ``before`` and ``faces``: the strip without those seeds, and its triangles. Incremental insertion (Bowyer, 1981;
         Watson, 1981): a seed removes the triangles with the seed in their circumcircle and creates triangles among

@@ -35,7 +35,7 @@ def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Seq
     """Flags of the panels to turn over, so that all seams join faces of the same winding.
 
     Of each set of connected panels the part with the larger area (``areas``, flat) stays right side out. A one-sided
-    band (a Möbius strip) cannot satisfy all of its seams: the last of them is left with opposite windings.
+    band (a Möbius strip) cannot satisfy all of its seams: at least one joins faces of opposite windings.
     """
     number = {name: row for row, name in enumerate(names)}
     beside: list[list[tuple[int, bool]]] = [[] for _ in names]

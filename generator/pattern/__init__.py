@@ -11,7 +11,7 @@ A bag, open at the top, with a notch 10 cm deep in the hem of its front:
 >>> pattern = assemble(bag, "bag")
 >>> [edge.name for edge in pattern.panel("front").edges]
 ['hem', 'notch.0', 'notch.1', 'hem', 'left', 'top', 'right']
->>> len(pattern.seams)  # the hem of the back is divided to match that of the front
+>>> len(pattern.seams)  # the back's hem is divided to match the front's
 4
 """
 

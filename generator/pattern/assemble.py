@@ -24,7 +24,7 @@ class _WalkedStroke:
     stroke: int
     """Its number in the piece's outline."""
     backward: bool
-    """Walked against the direction in which it was drawn."""
+    """Whether it is walked against its drawing direction."""
     length: float
     """Projected length: without the gathers [cm]."""
 
@@ -52,7 +52,7 @@ class MeasuredJoin:
 
 
 def assemble(component: Component, name: str) -> Pattern:
-    """The finished pattern. Raises ``PatternError`` for a seam of a missing edge, or of one that is sewn already."""
+    """The finished pattern. Raises ``PatternError`` for a join on a missing or already sewn edge."""
     return assemble_and_measure(component, name)[0]
 
 
@@ -75,7 +75,7 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
 
 
 def measure_joins(component: Component) -> tuple[MeasuredJoin, ...]:
-    """The joins of a component with their lengths. Raises ``PatternError`` for a seam of a missing edge."""
+    """The joins of a component with their lengths. Raises ``PatternError`` for a join on a missing edge."""
     return _measured(
         component, [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     )
@@ -147,7 +147,7 @@ def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], li
 
 
 def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
-    """(stroke, part) to the number of its edge in the panel's loop."""
+    """Number of the edge in the panel's loop, by (stroke, part)."""
     keys = [(stroke, part) for stroke, own_parts in enumerate(parts) for part in range(len(own_parts))]
     return {key: number if outward else len(keys) - 1 - number for number, key in enumerate(keys)}
 

@@ -33,7 +33,9 @@ class Component:
         pieces = tuple(piece for part in components for piece in part.pieces)
         names = [piece.name for piece in pieces]
         if twice := {name for name in names if names.count(name) > 1}:
-            raise PatternError(f"panels {', '.join(sorted(twice))} stand twice in one component")
+            raise PatternError(
+                f"panels {', '.join(sorted(twice))} appear twice in one component: give each panel its own name"
+            )
         return cls(pieces, tuple(join for part in components for join in part.joins))
 
     def sewn(self, left: Interface, right: Interface, *, gathered: bool = False) -> Self:
@@ -106,8 +108,8 @@ class Component:
         """Moved so that its interface lies at the interface of another component, with a gap between them [cm].
 
         Aligns the centres of the interfaces' bounding boxes, or with ``top`` the centres of their upper sides. The gap
-        runs from the centre of the component to its interface, so that the component stays on its side of the other.
-        Raises ``PatternError`` where those two centres coincide: the side is then undefined.
+        points from the component's interface to its centre, so that a positive gap moves the components apart.
+        Raises ``PatternError`` if centre and interface coincide, which leaves the direction undefined.
         """
         edge = self.points(interface)
         start, target = _centre(edge, top), _centre(other.points(other_interface), top)
@@ -115,7 +117,7 @@ class Component:
         distance = float(np.linalg.norm(away))
         if distance == 0.0:
             raise PatternError(
-                f"interface {interface} lies in the middle of its component: there is no side to stand off on"
+                f"interface {interface} lies in the middle of its component, so the direction of the gap is undefined"
             )
         shift = target - (start + gap / distance * away)
         return self.moved((float(shift[0]), float(shift[1]), float(shift[2])))

@@ -14,7 +14,7 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 __all__ = ["s_shaped_cubic", "smooth_cubic"]
 
 SLIDE_WEIGHT = 1e-3  # cm⁻⁴: weight of the end's squared slide against squared curvature, GarmentCode
-EXACT_TANGENT_SLIDE_WEIGHT = 8e-4  # the same for exact tangents: GarmentCode's tangents yield, so its ends slide more
+EXACT_TANGENT_SLIDE_WEIGHT = 8e-4  # the same for exact tangents: GarmentCode's are soft, so its ends slide more
 CURVATURE_NORM = 16  # exponent of the power mean that replaces the peak curvature: it is differentiable
 S_SHAPED_NORM = 48  # the same for an S, whose peaks are narrower
 FIRST_GUESS = (0.5, 0.35, 0.08)  # chords: arms and slide for a typical sleeve opening
@@ -24,7 +24,7 @@ NEWTON_STEPS = 40
 STEP_TOLERANCE = 1e-4  # of the chord
 LENGTH_TOLERANCE = 1e-6  # of the chord
 STEP_SHARES = 0.5 ** np.arange(11)  # of a Newton step: the line search, in this order
-LEAST_EIGENVALUE = 1e-2  # of the Hessian, below which its eigenvalues are raised
+LEAST_EIGENVALUE = 1e-2  # lower bound of the Hessian's eigenvalues in absolute value
 PROBE = 1e-3  # of the chord: step of the finite differences
 
 SAMPLES = np.linspace(0.0, 1.0, 49)[:, None]
@@ -62,7 +62,7 @@ def s_shaped_cubic(start: Point, end: Point, *, tangent: Point, length: float) -
 
 
 def _solved(fit: "_CubicFit", guess: tuple[float, float, float]) -> Stroke:
-    """The curve of least cost that has the length: damped Newton steps from a guess."""
+    """The curve of least cost among the curves of the given length, by damped Newton steps from a guess."""
     unknowns, multiplier = np.array(guess), 0.0
     for _ in range(NEWTON_STEPS):
         step, multiplier = fit.newton_step(unknowns, multiplier)
@@ -96,7 +96,7 @@ class _CubicFit:
 
     @property
     def chord(self) -> float:
-        """[cm]"""
+        """Distance from start to end [cm]."""
         return hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
 
     def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
@@ -122,7 +122,7 @@ class _CubicFit:
         (cost_slope, cost_bend), (excess_slope, excess_bend) = _derivatives(cost), _derivatives(excess)
         values, axes = np.linalg.eigh(cost_bend + multiplier * excess_bend)
         system = np.zeros((4, 4))
-        # Positive definite, so that the step descends where the Hessian is not.
+        # Made positive definite, so that the step descends even where the Hessian is indefinite.
         system[:3, :3] = axes * np.maximum(np.abs(values), LEAST_EIGENVALUE) @ axes.T
         system[:3, 3] = system[3, :3] = excess_slope
         solved = np.linalg.solve(system, -np.array([*cost_slope, excess[0]]))

@@ -73,7 +73,7 @@ def cut_end(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, last: boo
 def cut_corner(outline: Outline, low: str, high: str, shape: tuple[Stroke, ...]) -> Outline:
     """The outline with the corner between two straight edges replaced by a shape, which is moved but not turned.
 
-    ``low`` ends at the corner and ``high`` begins there; of divided edges, their last and first part. Both are
+    ``low`` ends at the corner and ``high`` begins there; of divided edges the adjacent parts are taken. Both are
     shortened to the ends of the shape, at parameters ``a`` and ``b``: ``low(a) + chord = high(b)``, two linear
     equations.
     Raises ``PatternError`` for a shape that does not fit between the edges.

@@ -25,7 +25,7 @@ CLOSED = 1e-6  # cm between the last point and the first, at most
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A chain of strokes, each from the end of the one before. Drawing methods return a new outline."""
+    """A chain of strokes, each from the end of the previous stroke. Drawing methods return a new outline."""
 
     origin: Point
     strokes: tuple[Stroke, ...] = ()
@@ -49,7 +49,7 @@ class Outline:
         return self.then(Stroke(self.pen, (float(x), float(y)), curve, name, label))
 
     def then(self, *strokes: Stroke) -> Self:
-        """With more strokes. Raises ``PatternError`` for one that does not begin at the end of the one before."""
+        """With more strokes. Raises ``PatternError`` unless each stroke begins at the end of the previous one."""
         pen = self.pen
         for stroke in strokes:
             if not _meet(pen, stroke.start):

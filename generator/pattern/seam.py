@@ -1,8 +1,8 @@
 """Interfaces, joins of two interfaces, and the breaks that divide their edges to match.
 
 An interface is a walk along named edges, perhaps of several panels. A join sews two interfaces in the order of their
-walks: where only one has a corner, the edge of the other is divided, so that every seam of the finished pattern joins
-one edge to one edge.
+walks. Where only one side has a corner, the edge on the other side is divided, so that every seam of the finished
+pattern joins one edge to one edge.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from typing import TypeAlias
 __all__ = ["Interface", "Join", "Section", "backwards", "shared_breaks"]
 
 EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
-SAME_BREAK = 0.01  # share of a seam: breaks that differ by less are one, GarmentCode
+SAME_BREAK = 0.01  # share of a seam: breaks that differ by less count as one, GarmentCode
 UNDER_HALF = 0.49  # of the shortest edge: limit of SAME_BREAK, so that no break matches both ends of an edge
 
 
@@ -24,7 +24,7 @@ class Section:
     panel: str
     edge: str
     backward: bool = False
-    """Walked against the direction in which it was drawn."""
+    """Whether it is walked against its drawing direction."""
     ruffle: float = 1.0
     """Gathers: length of the edge over its projected length in the seam."""
 

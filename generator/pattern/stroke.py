@@ -1,4 +1,4 @@
-"""Strokes: drawn edges with their own two end points; the edges of a finished panel share its corners instead.
+"""Strokes: drawn edges, each with two end points of its own; edges of a finished panel share corners.
 
 >>> side = Stroke((0.0, 0.0), (0.0, 30.0), name="side")
 >>> [round(part.length, 3) for part in side.split([0.25])]
@@ -199,7 +199,7 @@ class Stroke:
         return self._drawn(start, end, self.curve)
 
     def _drawn(self, start: Point, end: Point, curve: Curve) -> Self:
-        """As ``replace(self, start=…, end=…, curve=…)``, in a third of the time."""
+        """Same as ``replace(self, start=…, end=…, curve=…)``, three times as fast."""
         return type(self)(start, end, curve, self.name, self.label)
 
 

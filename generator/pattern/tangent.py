@@ -37,9 +37,9 @@ ARMS: Mapping[float, tuple[tuple[float, ...], tuple[float, ...]]] = {
 }  # fmt: skip
 """Start of the control point on the chord [chords] to (angles between tangent and chord [degrees], arms [chords]).
 
-GarmentCode gives the tangent alone: from a start on the chord, its minimiser slides the control point along the
-tangent. The table holds the control arm where the minimiser stops, for the three starts that garments use. The point
-hardly slides for small angles, and jumps at some others.
+GarmentCode prescribes only the tangent: its minimiser starts with the control point on the chord and moves it along
+the tangent. The table holds the control arm where the minimiser stops, for the three starts that garments use. At small
+angles the point hardly moves; at some larger angles the arm jumps.
 """
 
 
@@ -48,9 +48,9 @@ def tangent_quadratic(
 ) -> Quadratic:
     """The curve between two points [cm] with a given tangent at its start, at its end, or at both.
 
-    With two tangents the control point is their intersection. With one tangent the control point lies on it, about as
-    far from that end as the point at the share ``at`` of the chord: 0.5 for a tangent at the start, 0.75 or 0.3 for one
-    at the end (the shares in ``ARMS``).
+    With two tangents the control point is their intersection. With one tangent the control point lies on the tangent,
+    about as far from its end as the point at the share ``at`` of the chord: 0.5 for a tangent at the start, 0.75 or 0.3
+    for a tangent at the end (the shares in ``ARMS``).
     Raises ``PatternError`` for tangents that do not cross between the ends.
     """
     leaves, reaches = (_from_chord(start, end, tangent) for tangent in (start_tangent, end_tangent))

@@ -205,7 +205,7 @@ def _require_sound(recipe: Recipe) -> None:
     if recipe.patterns and not re.fullmatch(r"[0-9a-f]{64}", recipe.patterns):
         raise ConfigError(f"patterns is {recipe.patterns!r:.99}: give 64 hexadecimal digits, or leave it out")
     if empty := [name for name, size in recipe.sizes().items() if not size]:
-        raise ConfigError(f"splits: {empty[0]} gets none of {recipe.designs} designs: give it more share")
+        raise ConfigError(f"splits: {empty[0]} gets none of {recipe.designs} designs: give it a larger share")
 
 
 @lru_cache(maxsize=8)

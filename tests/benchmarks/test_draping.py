@@ -27,10 +27,10 @@ def worn(index: int) -> Worn:
     return Worn(index, "neutral", "Shirt", "", "", DrapeJob(patch(4, 4), far_ball(), SIZE))
 
 
-def test_each_switch_is_varied_once_alone() -> None:
+def test_each_switch_is_varied_alone_in_one_variant() -> None:
     switches = {entry.name for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
     alone = [name for variant in variants() if len(variant.switched) == 1 for name in variant.switched]
-    assert sorted(alone) == sorted([*switches, "untangling_steps"])  # a count: 0 switches it off
+    assert sorted(alone) == sorted([*switches, "untangling_steps"])  # a number of steps; 0 switches untangling off
     for variant in variants():
         changed = {name for name in switches if getattr(variant.config(), name) != getattr(DrapeConfig(), name)}
         assert changed == set(variant.switched) - {"untangling_steps"}
@@ -68,7 +68,7 @@ def test_memory_needs_more_drapes_than_the_warm_up() -> None:
 
 
 def test_each_failure_has_its_picture(tmp_path: Path) -> None:
-    """Also a garment with NaN positions; a settled one has no picture."""
+    """A picture also of a garment with NaN positions, none of a settled garment."""
     garments = [worn(0), worn(1), worn(2)]
     [falling] = drape_batch([garments[0].job], DrapeConfig(max_frames=1), device="cpu")
     assert falling.outcome is Outcome.NOT_SETTLED
@@ -78,7 +78,7 @@ def test_each_failure_has_its_picture(tmp_path: Path) -> None:
     assert names == ["0_NOT_SETTLED.jpg", "2_DIVERGED.jpg", "kinds.jpg"]
 
 
-def test_a_missing_newton_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_without_newton_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "newton", None)
     with pytest.raises(ConfigError, match=r"pip install 'gcd-dataset\[bench\]'"):
         require_newton()

@@ -15,7 +15,7 @@ CALM = Fleet(machines=8, rate=30.0, begin=0.0, again=0.0)
 SPOT = Fleet(machines=1, rate=30.0, begin=20.0, failing=1800.0, again=120.0)
 
 
-def test_machines_that_never_fail_take_the_garments_over_their_rate() -> None:
+def test_without_failures_the_time_is_garments_over_rate() -> None:
     done = simulate(CALM, 240_000, 10_000)
     assert done.seconds == pytest.approx(240_000 / (8 * 30.0))
     assert (done.failures, done.lost, done.away) == (0, 0.0, 0.0)
@@ -23,7 +23,7 @@ def test_machines_that_never_fail_take_the_garments_over_their_rate() -> None:
     assert done.efficiency == pytest.approx(1.0)
 
 
-def test_every_part_is_started_once() -> None:
+def test_every_part_pays_the_start_up_time_once() -> None:
     assert simulate(replace(CALM, begin=25.0), 240_000, 10_000).away == 24 * 25.0
 
 
@@ -33,7 +33,7 @@ def test_machines_are_idle_during_the_last_part() -> None:
     assert done.idle == pytest.approx(7 * 10_000 / 30.0)
 
 
-def test_a_part_of_odd_size_is_simulated_too() -> None:
+def test_a_smaller_last_part_is_simulated() -> None:
     assert simulate(replace(CALM, machines=1), 25_001, 10_000).seconds == pytest.approx(25_001 / 30.0)
 
 
@@ -45,12 +45,12 @@ def test_failures_cost_what_the_restart_model_expects(kept: int) -> None:
     assert taken == pytest.approx(expected_seconds(fleet, 54_000), rel=0.03)
 
 
-def test_a_stretch_without_delays_takes_the_textbook_time() -> None:
+def test_the_expected_time_without_delays_is_the_closed_form() -> None:
     fleet = replace(SPOT, kept=54_000, begin=0.0, again=0.0)
     assert expected_seconds(fleet, 54_000) == pytest.approx(1800.0 * (math.e - 1))
 
 
-def test_rare_failures_cost_half_a_stretch_each() -> None:
+def test_a_rare_failure_costs_a_restart_and_half_the_unsaved_work() -> None:
     fleet = replace(SPOT, kept=256, failing=100_000.0)
     work = 1_000_000 / 30.0
     extra = expected_seconds(fleet, 1_000_000) - fleet.begin - work
@@ -74,7 +74,7 @@ def test_the_bottleneck_has_the_least_rate() -> None:
     assert min(many, key=lambda name: many[name]) == "requests"
 
 
-def test_a_bill_adds_up() -> None:
+def test_costs_of_compute_and_store_add_up() -> None:
     cost = bill(Machine(), ObjectStore(), garments=10_000_000, gpus=8, size=1e6, gpu_usd=2.0)
     assert cost.shards == 39_063
     assert cost.size == 1e13

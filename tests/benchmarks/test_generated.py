@@ -1,4 +1,4 @@
-"""The benchmark of fresh garments in a training loop."""
+"""The benchmark of garments generated during training."""
 
 import argparse
 
@@ -27,7 +27,7 @@ def test_a_duration_of_zero_is_refused() -> None:
 
 
 def test_the_networks_waiting_times_are_measured() -> None:
-    """The large network is sized by the garments' rate: one layer if they are fast."""
+    """The large network is just slow enough for the garments' rate: one layer at a million garments per second."""
     asked = options("--workers", "0", "--seconds", "0.1", "--warm", "2", "--batch", "2")
     garments = GeneratedGarments(99, stage="mesh", resolution=8.0, fields=generated.FIELDS["mesh"])
     figures = {figure.metric: figure.value for figure in generated._trained(garments, asked, 1e6, "cpu")}

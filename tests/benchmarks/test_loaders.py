@@ -18,7 +18,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_shards(tmp_path_factory.mktemp("data"), COUNT)
 
 
-def test_garments_are_of_the_size_of_a_dress() -> None:
+def test_garments_have_the_size_of_a_dress() -> None:
     garments = [large_sample(index) for index in range(12)]
     counts = [len(garment.box_mesh.vertices) for garment in garments if garment.box_mesh is not None]
     assert 12_000 < sum(counts) / len(counts) < 17_000

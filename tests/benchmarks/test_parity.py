@@ -1,4 +1,4 @@
-"""Comparison of patterns: equal ones agree, differences are named with their size."""
+"""Comparison of patterns: equal patterns agree; each difference is reported with its size."""
 
 import argparse
 from dataclasses import replace
@@ -36,7 +36,7 @@ def test_a_rotated_panel_is_off_by_its_farthest_corner() -> None:
     assert found.placement["one"] == pytest.approx(2 * np.hypot(10.0, 5.0) * np.sin(0.1))
 
 
-def test_a_loop_may_begin_anywhere() -> None:
+def test_a_loop_may_begin_at_any_corner() -> None:
     """The same panel drawn from its second corner, its seam renumbered."""
     panel = napkins().panels[0]
     begun = changed(napkins(), edges=(*panel.edges[1:], panel.edges[0]))

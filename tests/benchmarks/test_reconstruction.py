@@ -1,4 +1,4 @@
-"""The reconstruction benchmark, on garments small enough for seconds."""
+"""The reconstruction benchmark on small garments: the tests take seconds."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -101,7 +101,7 @@ def as_predicted(garments: GarmentBatch) -> Predicted:
     )
 
 
-def test_the_truth_has_no_loss(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_the_targets_as_prediction_have_zero_loss(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     said = as_predicted(shuffled(four[0]))
     assert loss_of([said], four[0]) == pytest.approx(0.0, abs=1e-5)
     rows, queries, panels = match_panels(as_predicted(four[0]), four[0])
@@ -137,7 +137,7 @@ def test_the_same_seed_trains_the_same_network(four: tuple[GarmentBatch, list[Ar
     assert losses[0] == losses[1]
 
 
-def test_the_nearest_training_garment_of_itself_is_itself(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_the_nearest_garment_to_a_training_garment_is_itself(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     points = four[0].points[..., :3].float()
     assert nearest_garments(points[:, :256], points[:, 256:]).tolist() == [0, 1, 2, 3]
 

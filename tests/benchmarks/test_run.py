@@ -12,7 +12,7 @@ from benchmarks.cases.figures import Figure, Measured
 
 @pytest.fixture(autouse=True)
 def tape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Installs a single case, and a folder for the reports of the tree."""
+    """``tape`` is the only case; reports of the tree go to a temporary folder."""
 
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--length", type=float)

@@ -12,16 +12,16 @@ from gcd_dataset.hub.publish import Staged, stage
 from tests.hub.test_publish import put, sample
 
 MISSING = {"citeAs", "datePublished"}
-"""Recommended properties that a data set which is not published yet cannot have."""
+"""Recommended properties that an unpublished data set lacks."""
 pytestmark = [
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of the libraries under mlcroissant
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # in the dependencies of mlcroissant
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),  # mlcroissant leaves files open
 ]
 
 
 @pytest.fixture(scope="module")
 def mlc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
-    """``mlcroissant``, which reads the folder of its cache from the environment when it is imported."""
+    """The module ``mlcroissant``; on import it reads its cache folder from ``CROISSANT_CACHE``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROISSANT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield pytest.importorskip("mlcroissant", reason="mlcroissant is not installed: make test-extras")
@@ -34,7 +34,7 @@ def staged(tmp_path_factory: pytest.TempPathFactory) -> Staged:
     return stage(made, "org/new-set", folder / "up", license="cc-by-4.0", endpoint="https://hub.example")
 
 
-def test_it_is_valid_croissant(mlc: ModuleType, staged: Staged, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_description_is_valid_croissant(mlc: ModuleType, staged: Staged, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         described = mlc.Dataset(jsonld=staged.folder / "croissant.json").metadata
     assert {described.name, *described.license} == {"new-set", "cc-by-4.0"}
@@ -43,7 +43,7 @@ def test_it_is_valid_croissant(mlc: ModuleType, staged: Staged, caplog: pytest.L
     assert "not standard" not in caplog.text
 
 
-def test_its_records_are_the_files_of_the_shards(mlc: ModuleType, staged: Staged) -> None:
+def test_records_equal_the_files_of_the_shards(mlc: ModuleType, staged: Staged) -> None:
     shards = {record.name: staged.folder / record.name for record in staged.manifest.splits["train"].shards}
     records = mlc.Dataset(jsonld=staged.folder / "croissant.json", mapping=shards).records("train")
     found = {record["train/file"].decode(): record["train/content"] for record in records}

@@ -64,7 +64,7 @@ sys.meta_path.insert(0, Refuse())
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A cluster whose head node makes no garments."""
+    """A cluster; its head node has no CPUs, so no tasks run there."""
     from ray.cluster_utils import Cluster
 
     started = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
@@ -75,7 +75,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.fixture
 def node(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Any]]:
-    """Adds nodes of one CPU to the cluster of ``RAY_ADDRESS``; removed after the test."""
+    """A function that adds one-CPU nodes to the cluster of ``RAY_ADDRESS``; they are removed after the test."""
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
 
     def added(**options: Any) -> Any:
@@ -93,7 +93,7 @@ def files(folder: Path) -> Mapping[str, bytes]:
 
 
 @pytest.mark.parametrize(("config", "count"), [(MESHED, 24), (DRAPED, 6)])
-def test_a_node_killed_in_the_middle_changes_no_byte(
+def test_a_killed_node_changes_no_byte(
     config: MakeConfig, count: int, tmp_path: Path, cluster: Any, node: Callable[..., Any]
 ) -> None:
     nodes = [node(), node()]
@@ -108,7 +108,7 @@ def test_a_node_killed_in_the_middle_changes_no_byte(
     assert files(tmp_path / "ray") == files(tmp_path / "here")
 
 
-def test_a_design_without_wearers_gives_the_same_error_as_without_ray(
+def test_an_unwearable_design_gives_the_same_error_with_and_without_ray(
     tmp_path: Path, node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     node()
@@ -175,7 +175,7 @@ def test_a_node_whose_gpu_fails_is_dropped(
     cluster: Any, node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = ray_actor.start_actor
-    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # Ray counts GPUs
+    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # on CPUs
     nodes = [node(num_gpus=1), node(num_gpus=1)]
     made: list[Sample] = []
     with ray_engine.ray_cluster(replace(DRAPED, device="auto")) as connected:
@@ -217,7 +217,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
     name, _, value = mark.partition("=")
     env = os.environ | {name: value, "RAY_ADDRESS": "local", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path / "data"), "--count", "100000"]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell ignore SIGINT
     process = subprocess.Popen(
         [*command, "--stage", "pattern", "--engine", "ray", "--quiet"],
         stderr=subprocess.PIPE,
@@ -227,10 +227,10 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
     )
     signal.signal(signal.SIGINT, before)
     wait_until(lambda: sum(path.stat().st_size for path in tmp_path.glob("data/*.part")) > 50_000)
-    os.killpg(process.pid, signal.SIGINT)  # like a terminal
+    os.killpg(process.pid, signal.SIGINT)  # a terminal signals the whole process group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert "the same command goes on from there" in one_line(said)
+    assert "the same command continues from there" in one_line(said)
     wait_until(lambda: not marked(mark))
 
 
@@ -241,7 +241,7 @@ def marked(mark: str) -> list[str]:
         try:
             if mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
                 found.append(folder.name)
-        except OSError:  # has ended, or belongs to another user
+        except OSError:  # the process has ended, or belongs to another user
             continue
     return found
 
@@ -249,5 +249,5 @@ def marked(mark: str) -> list[str]:
 def wait_until(holds: Callable[[], bool], *, seconds: float = 90.0) -> None:
     end = time.monotonic() + seconds
     while not holds():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, f"not within {seconds:.0f} s"
         time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""The programs of docs/training.md run verbatim: two processes train on each garment once, stopped or not."""
+"""The programs of docs/training.md run verbatim: two ranks see each garment once per epoch, stopped or not."""
 
 import ast
 import os
@@ -22,7 +22,7 @@ BIN = Path(sys.executable).parent
 N, RANKS, EPOCHS = 48, 2, 2
 TORCHRUN = ["torchrun", "--standalone", "--nproc-per-node", str(RANKS), "--log-dir", "logs", "--redirects", "3"]
 TORCH_ABORT = "terminate called without an active exception"  # pytorch#179291: a gloo thread outlives Python
-RANK_VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would mix ranks' lines
+RANK_VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would interleave ranks' lines
 
 
 def run(workspace: Path, *command: str) -> list[str]:
@@ -62,7 +62,7 @@ def workspace(made: Path, tmp_path: Path) -> Path:
 
 
 def steps_of(lines: list[str]) -> dict[int, list[tuple[float, list[int]]]]:
-    """Step to the (loss, garments) of each rank."""
+    """The (loss, garments) of each rank, by step."""
     found = defaultdict(list)
     for line in lines:
         if match := re.fullmatch(r"(\d+) (\S+) (\[.*\])", line.removeprefix("train ")):
@@ -94,7 +94,7 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one(
     told = run(workspace, *command, program)
     whole = steps_of(told)
     assert_each_once(whole, count, ranks)
-    # Also the first, which follows Lightning's sanity check of two batches.
+    # Complete also in the first epoch, after Lightning's sanity check of two batches.
     validated = {name: seen for name, seen in counted(told).items() if name.startswith("validate")}
     expected = {f"validate {epoch}": Counter(range(count, N)) for epoch in range(EPOCHS)}
     assert validated == (expected if program == "lit.py" else {})
@@ -132,12 +132,12 @@ def test_arrow_holds_each_garment_once(workspace: Path) -> None:
     assert sorted(numbers) == list(range(N))
 
 
-def test_accelerate_splits_what_is_not_split_yet(workspace: Path) -> None:
-    """The program asserts it in each rank; ``run`` fails if a rank does."""
+def test_accelerate_splits_unsplit_loaders(workspace: Path) -> None:
+    """The program itself asserts this in each rank."""
     run(workspace, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
 
 
-def test_lightning_does_not_split_again(workspace: Path) -> None:
+def test_lightning_does_not_split_a_split_loader(workspace: Path) -> None:
     seen = counted(run(workspace, *TORCHRUN, str(HERE / "under_lightning.py"), "garments"))
     names = [f"{kind} {epoch}" for kind in ("train", "validate", "fabric") for epoch in range(EPOCHS)]
     assert seen == {name: Counter(range(N)) for name in names}

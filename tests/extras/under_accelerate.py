@@ -1,4 +1,4 @@
-"""A program of two ranks: accelerate's loaders in each of their ways to split garments."""
+"""A program of two ranks: each of accelerate's ways to split the garments of a loader."""
 
 import sys
 from typing import Any
@@ -64,9 +64,9 @@ for workers in (0, 2):
         require_each_once(f"{options} {workers}", loader)
     require_each_once(f"a stream, {workers}", prepared(streamed(workers), dispatch_batches=False))
 require_each_once("a stream, dispatched", prepared(streamed()))
-require_each_once("all of them, explicitly", prepared(sampled(rank=0, world_size=1)))
+require_each_once("all garments, explicitly", prepared(sampled(rank=0, world_size=1)))
 require_refused(prepared(sampled(rank=dist.get_rank(), world_size=2)), "world_size=2: accelerate splits garments")
-if dist.get_rank() == 0:  # the only rank that reads; it broadcasts to the others
+if dist.get_rank() == 0:  # rank 0 alone reads, and broadcasts to the other ranks
     require_refused(streamed(1), "streaming=True in workers with accelerate")
 
 sampler = ElasticSampler(garments)

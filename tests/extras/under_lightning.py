@@ -16,7 +16,7 @@ def numbers(items: list[Any]) -> torch.Tensor:
     return torch.tensor([item["meta"]["index"] for item in items])
 
 
-class Model(lightning.LightningModule):  # type: ignore[misc]  # it is untyped
+class Model(lightning.LightningModule):  # type: ignore[misc]  # lightning is untyped
     def __init__(self) -> None:
         super().__init__()
         self.net = torch.nn.Linear(1, 1)

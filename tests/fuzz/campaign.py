@@ -1,4 +1,4 @@
-"""Every reader tried with many inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``."""
+"""Give each reader many damaged inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``."""
 
 import argparse
 import tempfile
@@ -17,8 +17,8 @@ __all__ = ["documents", "try_documents", "try_files"]
 ABOUT = """
 Readers of files from outside, each given damaged files and documents: `make fuzz N=10000`. A file is damaged by one to
 three edits of its bytes (bits, ranges, binary integers, numbers in text); a document by one to three edits of its tree.
-`read` counts the inputs that were accepted: where checksums protect the file (shards, index, HDF5, body sets) an
-accepted input read as the original, else it is counted as `silent`. Limits for one input: 10 s and 1 GiB.
+`read` counts the inputs that were accepted: if checksums protect the file (shards, index, HDF5, body sets), an
+accepted input was read as the original; otherwise it counts as `silent`. Limits for one input: 10 s and 1 GiB.
 """
 
 
@@ -29,7 +29,7 @@ def try_files(name: str, folder: Path, count: int) -> Tally:
 
 
 def try_documents(name: str, folder: Path, count: int) -> Tally:
-    """The tally of a reader on up to ``count`` edited documents; fewer if the strategy repeats itself."""
+    """The tally of a reader on ``count`` edited documents; fewer if Hypothesis finds no more distinct ones."""
     reader = reader_named(name, folder)
     contents: list[bytes] = []
 
@@ -55,7 +55,7 @@ def documents() -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Try all readers, or those named, and print a table. Exit 1 for any fault."""
+    """Try the named readers (default: all), and print a table. Exit status 1 for any fault."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.campaign", description=__doc__)
     parser.add_argument("readers", nargs="*", metavar="READER", help=f"default: all of {', '.join(READERS)}")
     parser.add_argument("--examples", type=int, default=200, help="inputs for each reader (default: 200)")

@@ -68,7 +68,7 @@ def _insert_noise(content: bytes, chance: random.Random) -> bytes:
 
 
 def _overwrite_integer(content: bytes, chance: random.Random) -> bytes:
-    """Write an extreme binary integer, as sizes and offsets in headers are."""
+    """Overwrite 1 to 8 bytes by an extreme binary integer, as if a size or offset in a header were wrong."""
     size, order = chance.choice((1, 2, 4, 8)), chance.choice("<>")
     value = chance.choice(EXTREME_INTEGERS) % 2 ** (8 * size)
     at = chance.randint(0, max(len(content) - size, 0))
@@ -76,7 +76,7 @@ def _overwrite_integer(content: bytes, chance: random.Random) -> bytes:
 
 
 def _replace_number(content: bytes, chance: random.Random) -> bytes:
-    """Replace a number written as text, as JSON, YAML, OBJ and tar headers hold them."""
+    """Replace a number that is written as text (in JSON, YAML, OBJ and tar headers)."""
     start = chance.randint(0, len(content))
     match = NUMBER.search(content, start) or NUMBER.search(content)
     if match is None:

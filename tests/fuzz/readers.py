@@ -49,14 +49,14 @@ class Reader:
     """A reader, and a file that it reads."""
 
     content: bytes
-    """Of the undamaged file."""
+    """Content of the undamaged file."""
     read: Callable[[bytes], Any]
-    """Reads the file with other content."""
+    """Replaces the content of the file, and reads it."""
     protected: bool
     """Whether checksums cover the file: changed content is refused, or reads as the original."""
 
     def expected(self) -> object:
-        """The result that damage must not change; ``None`` without checksums."""
+        """The result for the undamaged file, which damage must not change; ``None`` without checksums."""
         return self.read(self.content) if self.protected else None
 
 
@@ -133,7 +133,7 @@ def _people(folder: Path) -> Reader:
 
 
 def _member(_: Path, field: str) -> Reader:
-    """One member of a sample, as a reader without checksums gets it."""
+    """One member of a sample, decoded without checksums."""
     return Reader(encode_sample(garments()[0])[FIELDS[field]], partial(_decoded, field), protected=False)
 
 
@@ -149,7 +149,7 @@ def _sample(_: Path, field: str) -> Reader:
 
 
 def _sealed_again(data: bytes) -> bytes:
-    """An edited meta.json with a valid seal; otherwise the seal check would hide all others."""
+    """An edited meta.json with a valid seal, so that the checks after the seal are tried."""
     head, comma, _ = data.rpartition(b',"crc32_before":')
     return head + comma + b"%d}" % zlib.crc32(head) if comma else data
 
@@ -188,7 +188,7 @@ def _state(folder: Path) -> Reader:
     def read(data: bytes) -> Any:
         try:
             state = json.loads(data)
-        except (ValueError, RecursionError) as error:  # the checkpoint's reader, not ours
+        except (ValueError, RecursionError) as error:  # users parse their checkpoints themselves
             raise GcdError("no JSON") from error
         fresh = GarmentLoader(dataset, batch_size=1)
         fresh.load_state_dict(state)
@@ -277,7 +277,7 @@ def _body(folder: Path, changed: str) -> Reader:
         (folder / changed).write_bytes(data)
         body, size = read_body(mesh, folder / "measures.yaml", folder / "parts.json")
         if not (np.isfinite(body.vertices).all() and 0 <= body.faces.min() <= body.faces.max() < len(body.vertices)):
-            raise ValueError("a body with faces beyond its vertices, or vertices that are no numbers")
+            raise ValueError("a body with vertex ids out of range, or positions that are not finite")
         return size.to_file_values()
 
     return Reader(files[changed], read, protected=False)
@@ -318,7 +318,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "measurements": partial(_body, changed="measures.yaml"),
     "body-parts": partial(_body, changed="parts.json"),
 }
-"""Name to what makes the reader, in a folder of its own."""
+"""Name to a function that makes the reader, with its files in a given folder."""
 
 
 # ----------------------------------------------------------------------------------------------------------- documents
@@ -340,9 +340,9 @@ DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
     ),
     **dict.fromkeys(("measurements", "release-design", "release-labels"), yaml.safe_load),
 }
-"""Readers of documents, and what parses these: their trees are edited too, beside their bytes."""
+"""Readers of documents, with the parser of each document: its tree is edited in addition to its bytes."""
 
 
 def edited_documents(reader: Reader, name: str) -> SearchStrategy[bytes]:
-    """The reader's file with some of its branches changed, as JSON, which is YAML too."""
+    """The reader's file with some branches changed, as JSON: YAML parsers read it too."""
     return edited(DOCUMENTS[name](reader.content)).map(json_bytes)

@@ -43,7 +43,7 @@ class Tally:
 
     counts: Counter[Verdict] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)
-    """Number of the input, verdict and cause of those that were neither read nor refused."""
+    """For each input that was neither read nor refused: its number, verdict and cause, as one line."""
 
     @property
     def tried(self) -> int:
@@ -58,7 +58,7 @@ class Tally:
 
 
 class _Hang(BaseException):
-    """Raised by the timer: a reader that catches ``Exception`` does not stop it."""
+    """Raised by the timer; as a ``BaseException`` it passes the ``except Exception`` of a reader."""
 
 
 def try_all(read: Callable[[bytes], Any], inputs: Iterable[bytes], *, expected: object = None) -> Tally:
@@ -77,7 +77,7 @@ def try_all(read: Callable[[bytes], Any], inputs: Iterable[bytes], *, expected: 
 def _by_child(
     read: Callable[[bytes], Any], inputs: list[bytes], first: int, expected: object
 ) -> Iterator[tuple[int, Verdict, str]]:
-    """The verdicts on the inputs from ``first`` up to one at which the child dies."""
+    """The verdicts on the inputs from ``first`` to the last, or to the input that kills the child."""
     ours, theirs = get_context("fork").Pipe(duplex=False)
     child = os.fork()
     if not child:
@@ -126,10 +126,10 @@ def _judged(read: Callable[[bytes], Any], content: bytes, expected: object) -> t
         return Verdict.MEMORY, _cause(error)
     except _Hang as error:
         return Verdict.HANG, _cause(error)
-    except BaseException as error:  # noqa: BLE001 -- that is what is looked for
+    except BaseException as error:  # noqa: BLE001 -- any other exception is a crash
         return Verdict.CRASH, _cause(error)
     if expected is not None and pickle.dumps(found) != pickle.dumps(expected):
-        return Verdict.SILENT, "read as something else"
+        return Verdict.SILENT, "read as other values"
     return Verdict.READ, ""
 
 

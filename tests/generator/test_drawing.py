@@ -36,7 +36,7 @@ def test_a_panel_with_any_name_is_drawn(name: str) -> None:
     assert not is_paper(drawn).all()
 
 
-def test_sheets_and_files() -> None:
+def test_contact_sheets_place_pictures_and_files_decode_to_them() -> None:
     pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
     sheet = contact_sheet(pictures, columns=2, gap=2)
     assert sheet.shape == (10, 14, 3)

@@ -25,7 +25,7 @@ MESHED = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=16, device="cpu", on_fail="keep")
 
 
-def test_workers_make_the_samples_of_one_process() -> None:
+def test_workers_and_a_single_process_make_the_same_samples() -> None:
     alone = list(produce(5, range(7), MESHED))
     assert list(produce(5, range(7), MESHED, workers=3)) == alone
 
@@ -61,12 +61,12 @@ def test_workers_serve_scripts_and_standard_input(tmp_path: Path) -> None:
         assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
 
 
-def test_a_script_without_a_main_guard_gets_an_error_that_says_so(tmp_path: Path) -> None:
+def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(guarded=False))
     finished = run(str(script))
     assert finished.returncode == 1
-    assert "begins its work under if __name__" in finished.stderr
+    assert "must start them under if __name__" in finished.stderr
 
 
 def test_indices_may_be_infinite() -> None:
@@ -112,7 +112,7 @@ def test_a_malformed_device_is_an_error() -> None:
 
 
 def test_a_failure_waits_for_the_results_before_it() -> None:
-    """The third piece of work fails first, while the first two are still in work."""
+    """The third piece of work fails first, while the first two are pending."""
     begun: list[DrapeRequest] = []
 
     class Backwards:

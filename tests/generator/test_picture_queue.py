@@ -44,7 +44,7 @@ def assert_own_pictures(replies: list[DrapeReply], requests: list[DrapeRequest])
 def test_every_garment_gets_its_own_pictures(
     jobs: list[DrapeJob], batch_size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever the batch size; sizes change, and some requests ask for no pictures."""
+    """For any batch size; picture sizes vary, and some requests ask for no pictures."""
     monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: batch_size)
     sizes = [24, 24, 32, 0, 24, 24, 24, 0]
     requests = [DrapeRequest(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]

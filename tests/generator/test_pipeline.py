@@ -151,7 +151,7 @@ class Failing:
         self.replies.clear()
 
 
-def test_a_drape_that_fails_raises_the_attempt() -> None:
+def test_failed_drapes_raise_the_number_of_attempts() -> None:
     config = replace(DRAPED, picture=0)
     samples = list(produce(5, range(3), config, draper=Failing(2)))
     assert [sample.provenance.index for sample in samples] == [0, 1, 2]
@@ -162,7 +162,7 @@ def test_a_drape_that_fails_raises_the_attempt() -> None:
         assert sample.drape.outcome is Outcome.SETTLED
 
 
-def test_a_drape_that_fails_can_be_kept() -> None:
+def test_a_failed_drape_can_be_kept() -> None:
     rejects = make(5, 0, FLAT).provenance.rejects
     [sample] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
     assert sample.drape is not None
@@ -265,7 +265,7 @@ def only(**meta: str) -> Overlay:
 
 
 def test_trousers_are_draped_on_legs_apart() -> None:
-    """Measured with legs together, like every body."""
+    """The measures are taken with legs together, as for every body."""
     trousers = make(5, 0, replace(FLAT, design=only(upper="none", bottom="Pants")))
     skirt = make(5, 0, replace(FLAT, design=only(upper="none", bottom="PencilSkirt")))
     assert trousers.shape is not None

@@ -1,4 +1,4 @@
-"""Recipes decide the content of a data set and, for good, the split of each design."""
+"""A recipe determines the content of a data set and, permanently, the split of each design."""
 
 from pathlib import Path
 

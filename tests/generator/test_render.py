@@ -1,4 +1,4 @@
-"""Renders show shapes, sides, colours and shading as the geometry demands."""
+"""Shapes, sides, colours and shading of renders agree with the geometry."""
 
 import io
 from dataclasses import replace
@@ -43,7 +43,7 @@ def test_a_ball_fills_its_circle() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
     picture = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
     share = 1 - is_paper(picture).mean()
-    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # of half the picture
+    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # in units of half the picture
     assert share == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
 
 
@@ -96,7 +96,7 @@ def test_a_corner_that_sees_little_sky_is_darker() -> None:
     assert shaded[far_from_it][0] == pytest.approx(bare[far_from_it][0], abs=3)
 
 
-def test_front_and_back_of_a_garment_are_its_views() -> None:
+def test_render_garment_returns_front_and_back_views() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
     cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
     scene = garment_scene(cloth.vertices, cloth, body_from(ball))
@@ -131,7 +131,7 @@ def test_meshes_of_a_scene_render_like_their_union() -> None:
         assert np.array_equal(apart, whole)
 
 
-def test_the_same_pixels_on_every_run() -> None:
+def test_repeated_renders_have_the_same_pixels() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
     scene = coloured(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
     first, second = (render_view(scene, size=48, device="cpu") for _ in range(2))
@@ -152,7 +152,7 @@ def test_a_picture_of_size_zero_is_an_error() -> None:
         render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
 
 
-def test_a_draped_sample_is_two_jpegs() -> None:
+def test_a_draped_sample_renders_to_two_jpegs() -> None:
     cloth = patch(4, 4, spacing=2.0, origin=(-4.0, -4.0, 8.0))
     ball = body_from(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
     drape = Drape(cloth.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)

@@ -124,7 +124,7 @@ def test_a_curve_is_drawn_with_its_own_command(curve: Curve, clockwise: bool) ->
     assert drawn[0] == pytest.approx(truth[0], abs=TOLERANCE)
     assert drawn[-1] == pytest.approx(truth[-1], abs=TOLERANCE)
     far = shapely.hausdorff_distance(shapely.LineString(drawn), shapely.LineString(truth))
-    assert far < 0.01  # of chords of either
+    assert far < 0.01  # both are polylines
 
 
 def assert_true_to_scale(pattern: Pattern) -> None:
@@ -202,7 +202,7 @@ def test_the_grain_runs_along_the_y_axis() -> None:
 
 
 @pytest.mark.parametrize("name", ["a<b>&\"'", "\x01\x00", "\ud800", "", "Ärmel"])
-def test_any_name_makes_a_file_that_can_be_read(name: str) -> None:
+def test_a_drawing_with_any_name_can_be_parsed(name: str) -> None:
     _, [piece] = read_back(Pattern(name, (replace(lens(CURVES[0]), name=name),), ()))
     assert piece.name == (name if name.isprintable() else ascii(name))
 

@@ -14,7 +14,7 @@ COUNT = 10
 
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Patience of milliseconds; no token and no cache of the user."""
+    """Waits of milliseconds, and neither the user's token nor the user's cache."""
     for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.006)):
         monkeypatch.setattr(retry, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
@@ -36,7 +36,7 @@ def hub() -> Iterator[Hub]:
 
 @pytest.fixture
 def commit(hub: Hub, folder: Path) -> str:
-    """The commit under which the data set is published as ``org/garments``; also below ``/files/garments``."""
+    """Publish the data set as ``org/garments`` and below ``/files/garments``; the commit's hash."""
     sha = hub.publish("org/garments", folder)
     hub.static |= {f"garments/{name}": data for name, data in hub.repos["org/garments"].commits[-1][1].items()}
     return sha

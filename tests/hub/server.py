@@ -1,4 +1,4 @@
-"""A loopback server with the part of the Hugging Face Hub's API that ``huggingface_hub`` uses, and with faults.
+"""A loopback server for the part of the Hugging Face Hub's API that ``huggingface_hub`` uses; it can inject faults.
 
 Large files are redirected to another address (``localhost`` for ``127.0.0.1``), as the Hub sends them to its storage.
 """
@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 LARGE = (".tar", ".npz", ".h5")
-"""Endings of files that are kept in large storage."""
+"""Endings of files in the large-file storage."""
 
 
 @dataclass(frozen=True)
@@ -31,37 +31,37 @@ class Request:
     """Its ``Range`` header."""
     status: int
     size: int
-    """Bytes of the answer's body that are sent."""
+    """Bytes sent of the answer's body."""
     authorization: str
 
 
 @dataclass
 class Fault:
-    """A fault of requests with a matching path, ``times`` times."""
+    """A fault of the next ``times`` requests with a path that matches ``pattern``."""
 
     pattern: str
     times: int = 1
     method: str = "GET"
     drop: bool = False
-    """Close the line without an answer."""
+    """Close the connection without an answer."""
     status: int = 0
-    """Answer with this."""
+    """Status code to answer with; 0: none."""
     headers: Mapping[str, str] = field(default_factory=dict)
     cut: int | None = None
-    """Close the line after so many bytes of the body."""
+    """Close the connection after this many bytes of the body."""
     hold: bool = False
-    """After the cut, keep the line open and silent until the server goes."""
+    """After the cut, keep the connection open and send nothing more."""
     flip: int | None = None
-    """Change one bit of this byte of the file."""
+    """Offset of a byte of the file; one of its bits is changed."""
     whole: bool = False
-    """Send all of the file, whatever part of it is asked for."""
+    """Ignore ``Range`` and send the whole file."""
     flip_share: float | None = None
-    """Change one bit of the byte in this place of what is sent, from 0 to 1."""
+    """Position of a byte in the sent data, from 0 (first) to 1 (last); one of its bits is changed."""
 
 
 @dataclass
 class Repo:
-    """Commits, the newest last, each from path to content."""
+    """A repository. Each commit is a hash and a map from path to content; the newest comes last."""
 
     commits: list[tuple[str, dict[str, bytes]]] = field(default_factory=list)
     private: bool = False
@@ -69,7 +69,7 @@ class Repo:
     """Name to commit."""
 
     def commit(self, files: Mapping[str, bytes]) -> str:
-        """Add a commit; its hash."""
+        """Add a commit; return its hash."""
         seen = "".join(sha for sha, _ in self.commits) + json.dumps(
             {name: _sha256(data) for name, data in files.items()}
         )
@@ -86,16 +86,16 @@ class Repo:
 
 
 class Hub:
-    """The server; use it as a context."""
+    """The server, a context manager."""
 
     def __init__(self) -> None:
         self.repos: dict[str, Repo] = {}
         self.static: dict[str, bytes] = {}
-        """Files below ``/files/``, of a plain web server."""
+        """Path to content of the files below ``/files/``, served as by a plain web server."""
         self.large: dict[str, bytes] = {}
         self.faults: list[Fault] = []
         self.counting = threading.Lock()
-        """Held while it is seen whether a fault is due: several requests come at once."""
+        """Held while a due fault is looked up and counted, since each request has its own thread."""
         self.log: list[Request] = []
         self.token = "hf_right"
         self._server: _Server | None = None
@@ -106,7 +106,7 @@ class Hub:
         return f"http://127.0.0.1:{self._port}"
 
     def publish(self, name: str, files: Mapping[str, bytes] | Path, *, private: bool = False) -> str:
-        """Commit files, given as a mapping or a folder, to a repository; the commit's hash."""
+        """Commit files, given as a mapping or a folder, to a repository; return the commit's hash."""
         content = read_folder(files) if isinstance(files, Path) else dict(files)
         repo = self.repos.setdefault(name, Repo(private=private))
         return repo.commit(content)
@@ -116,14 +116,14 @@ class Hub:
         return [request for request in list(self.log) if request.method == method and re.search(pattern, request.path)]
 
     def start(self) -> None:
-        """Listen, on the same port as before."""
+        """Listen; after ``stop``, on the same port as before."""
         handler = type("BoundHandler", (_Handler,), {"hub": self})
         self._server = _Server(("127.0.0.1", self._port), handler)
         self._port = self._server.server_address[1]
         threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
 
     def stop(self) -> None:
-        """Stop listening."""
+        """Stop listening and break open connections."""
         if self._server is not None:
             self._server.shutdown()
             self._server.server_close()
@@ -236,7 +236,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, status: int, body: bytes, headers: Mapping[str, str]) -> None:
         part = b"" if self.command == "HEAD" else self._cut(body)
-        self._note(status, len(part))  # first: who has the answer may look for it at once
+        self._note(status, len(part))  # before the answer: a test may read the log as soon as it has the answer
         self.send_response(status)
         for name, value in {"Content-Length": str(len(body)), **headers}.items():
             self.send_header(name, value)
@@ -244,7 +244,7 @@ class _Handler(BaseHTTPRequestHandler):
         with contextlib.suppress(OSError):
             self.wfile.write(part)
             if self.fault is not None and self.fault.hold:
-                self.rfile.read(1)  # until the other side is gone
+                self.rfile.read(1)  # returns when the connection closes
 
     def _cut(self, body: bytes) -> bytes:
         cut = self.fault.cut if self.fault is not None else None
@@ -284,7 +284,7 @@ class _Handler(BaseHTTPRequestHandler):
     # ------------------------------------------------------------------------------------------------------ reading
 
     def _repo_at(self, name: str, revision: str) -> tuple[str, dict[str, bytes]] | None:
-        """Commit and files; ``None``, with an error response sent, for a missing one."""
+        """Commit and files; ``None`` after an error response, if repository or revision are missing."""
         repo = self.hub.repos.get(name)
         allowed = repo is not None and (
             not repo.private or self.headers.get("Authorization") == f"Bearer {self.hub.token}"
@@ -430,6 +430,6 @@ ROUTES: list[tuple[str, Callable[..., None]]] = [
 
 @contextlib.contextmanager
 def running_hub() -> Iterator[Hub]:
-    """A server for the time of a test."""
+    """A server that runs within a ``with`` block."""
     with Hub() as hub:
         yield hub

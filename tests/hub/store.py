@@ -1,4 +1,4 @@
-"""A loopback S3 store by moto, with faults."""
+"""A loopback S3 store by moto that can inject faults."""
 
 import contextlib
 import functools
@@ -19,12 +19,12 @@ ERROR = "<?xml version='1.0'?><Error><Code>{code}</Code><Message>{code} by this 
 
 @dataclass
 class Fault:
-    """A fault of requests with a matching method and path, ``times`` times."""
+    """A fault of the next ``times`` requests with a method and path that match ``pattern``."""
 
     pattern: str
     times: int = 999
     code: str = ""
-    """Code of the error that is answered; without one the line breaks."""
+    """S3 error code to answer with; without a code the connection is closed."""
     status: str = "403 Forbidden"
 
 
@@ -34,11 +34,11 @@ class Store:
 
     endpoint: str
     log: list[str] = field(default_factory=list)
-    """Method and path of each request, and the bytes asked for."""
+    """Method, path and ``Range`` header of each request."""
     faults: list[Fault] = field(default_factory=list)
 
     def asked(self, pattern: str) -> list[str]:
-        """The requests that match."""
+        """The requests that match ``pattern``."""
         return [request for request in self.log if re.search(pattern, request)]
 
     def objects(self, url: str) -> dict[str, bytes]:
@@ -49,7 +49,7 @@ class Store:
         return {}
 
     def put(self, url: str, files: Mapping[str, bytes] | Path) -> str:
-        """Store objects, or the files of a folder, below a URL; the URL."""
+        """Store objects, or the files of a folder, below a URL; return the URL."""
         if isinstance(files, Path):
             files = {path.name: path.read_bytes() for path in files.iterdir() if not path.name.startswith(".")}
         store, path = self._files(url)
@@ -86,7 +86,7 @@ class Store:
 
 @contextlib.contextmanager
 def running_store() -> Iterator[Store]:
-    """A store with one bucket, ``bucket``; environment variables point to it during the block."""
+    """A store with one bucket, ``bucket``; within the block, environment variables point to it."""
     from werkzeug.serving import make_server
 
     store = Store("")
@@ -119,5 +119,5 @@ def _application() -> Any:
 
 
 def hashes(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Name to SHA-256."""
+    """Name to SHA-256 of the content."""
     return {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}

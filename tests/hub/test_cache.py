@@ -20,7 +20,7 @@ from tests.hub.server import Hub
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import forbidden, public_folder
 
-# To start a process afresh would take longer than all else here.
+# Spawned processes would take longer to start than the tests to run.
 pytestmark = pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 
 SIZE = 1000  # bytes of a member
@@ -76,7 +76,7 @@ def test_the_least_recently_used_shard_is_evicted_first(tmp_path: Path) -> None:
     for order, key in enumerate("abcd"):
         cache.keep(key, MEMBERS, [piece(0)])
         os.utime(tmp_path / "shards" / f"{key}.have", (order, order))
-    assert Cache(tmp_path).read("a", MEMBERS, parts([0]))  # asked for just now
+    assert Cache(tmp_path).read("a", MEMBERS, parts([0]))  # now the most recently used
     cache.keep("e", MEMBERS, [piece(0)])
     assert [key for key in "abcde" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c", "d", "e"]
 
@@ -85,7 +85,7 @@ def test_a_shard_in_constant_use_is_not_evicted(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(cache_module, "TOUCHED_EVERY", 0.0)
     reader, writer = Cache(tmp_path), Cache(tmp_path, 2 * SIZE)
     writer.keep("a", MEMBERS, [piece(0)])
-    assert reader.read("a", MEMBERS, parts([0]))  # opened once, and held open
+    assert reader.read("a", MEMBERS, parts([0]))  # stays open from here on
     writer.keep("b", MEMBERS, [piece(0)])
     for order, key in enumerate("ab"):
         os.utime(tmp_path / "shards" / f"{key}.have", (order, order))
@@ -210,7 +210,7 @@ def test_a_shard_replaced_while_it_is_opened_yields_no_wrong_bytes(
 
 
 def fill_at_random(folder: Path, limit: int | None, seed: int, count: int) -> int:
-    """Cache and read members in random order; the number of wrong results."""
+    """Cache and read members in random order; return the number of wrong results."""
     cache, wrong = Cache(folder, limit), 0
     for shard, flag in np.random.default_rng(seed).integers((6, MEMBERS), size=(count, 2)).tolist():
         found = cache.read(f"{shard}", MEMBERS, parts([flag]))
@@ -243,7 +243,7 @@ def test_killed_processes_leave_a_consistent_cache(tmp_path: Path) -> None:
         while not used.exists() or used.stat().st_ino == before:
             assert child.is_alive()
             time.sleep(0.001)
-        time.sleep(0.003 * seed)  # each in another place
+        time.sleep(0.003 * seed)  # each kill comes at another moment
         child.kill()
         child.join()
         cache = Cache(tmp_path, 20 * SIZE)
@@ -261,11 +261,11 @@ def test_threads_share_a_cache(tmp_path: Path) -> None:
     assert Cache(tmp_path).used == int((tmp_path / "used").read_text()) <= 20 * SIZE
 
 
-# ---------------------------------------------------------------------------------------------- through the front door
+# ---------------------------------------------------------------------------------------------- through GarmentDataset
 
 
 def read_all(endpoint: str, cache_dir: Path, limit: int | None) -> list[float]:
-    """The sums of all vertices, read from a server."""
+    """The sum of each garment's vertices, read from a server forwards and backwards."""
     ds = GarmentDataset("org/garments", fields=["verts"], endpoint=endpoint, cache_dir=cache_dir, max_cache_size=limit)
     return [float(ds[i]["verts"].sum()) for i in [*range(len(ds)), *reversed(range(len(ds)))]]
 

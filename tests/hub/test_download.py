@@ -64,7 +64,7 @@ def test_the_published_recipe_is_downloaded(hub: Hub, tmp_path: Path) -> None:
     assert manifest.recipe == record
 
 
-def test_fields_make_a_data_set_of_their_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_downloaded_fields_form_a_complete_data_set(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     fields = ["panels", "edges", "stitches", "points"]
     data = bring(hub, tmp_path, fields=fields)
     ds = GarmentDataset(data)
@@ -103,7 +103,7 @@ def test_a_tag_is_downloaded_once(
     hub.repos["org/garments"].tags["v1"] = commit
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "revision": "v1"}
     GarmentDataset("org/garments", root=tmp_path / "data", **options)
-    monkeypatch.setattr(DownloadRecord, "write", lambda self, folder: pytest.fail("begun once more"))
+    monkeypatch.setattr(DownloadRecord, "write", lambda self, folder: pytest.fail("downloaded again"))
     for download_ in (True, False):
         ds = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
         assert_all_same(ds, GarmentDataset(folder))
@@ -174,7 +174,7 @@ def test_an_interrupted_download_may_be_restarted_with_other_fields(
 def test_a_flipped_byte_is_discarded(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.remote.GAP", 0)  # a byte that nobody wants may well be wrong
+    monkeypatch.setattr("gcd_dataset.hub.remote.GAP", 0)  # else the flipped byte could lie between wanted members
     hub.faults = [Fault(r"storage/.*train-00001", flip_share=0.4)]
     assert_all_same(
         GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
@@ -236,7 +236,7 @@ def test_a_grown_data_set_is_updated(hub: Hub, tmp_path: Path, fields: Any) -> N
     hub.log.clear()
     data = refreshed(hub, tmp_path, fields)
     assert_all_same(GarmentDataset(data), GarmentDataset(theirs, fields=_with_meta(fields)))
-    assert not hub.asked(r"train-0000[01]\.tar")  # those are full, and here
+    assert not hub.asked(r"train-0000[01]\.tar")  # full shards that are here already
     hub.log.clear()
     refreshed(hub, tmp_path, fields)
     assert not hub.asked(r"\.tar")
@@ -350,7 +350,7 @@ def test_a_shard_name_cannot_point_outside(
 
 
 def brought(endpoint: str, folder: Path) -> int:
-    """Garments of a folder, downloaded first if needed."""
+    """Number of garments in a folder, downloaded first if needed."""
     cache = folder.with_name("cache")
     return len(GarmentDataset("org/garments", root=folder, endpoint=endpoint, cache_dir=cache, verify="full"))
 

@@ -47,13 +47,13 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make(out: Path | str, count: int = COUNT, **options: Any) -> int:
-    """Generate a data set; the indices of the samples made."""
+    """Generate a data set; return the number of samples made in this run."""
     return generate(out, count, config=CONFIG, workers=0, **options).made
 
 
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data set in a folder."""
+    """The same data set generated into a folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gcd_dataset.verbs.storing.SHARD_SIZE", SHARD)
         folder = tmp_path_factory.mktemp("here")
@@ -67,13 +67,13 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def published(s3: Store, here: Path, request: pytest.FixtureRequest) -> str:
-    """The URL at which the data set lies."""
+    """URL of a copy of the data set in the store."""
     url = s3.put(f"s3://bucket/{request.node.name}/set", here)
     s3.log.clear()
     return url
 
 
-class Stopped(Exception):  # noqa: N818 - what a user does
+class Stopped(Exception):  # noqa: N818 - an interruption, not an error
     """Raised to stop a run."""
 
 
@@ -118,12 +118,12 @@ def test_cached_members_are_read_without_the_store(s3: Store, published: str, tm
     assert not s3.log
 
 
-def test_workers_read_too(published: str, here: Path, tmp_path: Path) -> None:
+def test_workers_read_from_the_store(published: str, here: Path, tmp_path: Path) -> None:
     ds, expected = (
         GarmentDataset(published, fields=["panels"], cache_dir=tmp_path),
         GarmentDataset(here, fields=["panels"]),
     )
-    assert_all_same([ds[0]], [expected[0]])  # the parent has spoken to the store
+    assert_all_same([ds[0]], [expected[0]])  # opens a connection in the parent
     loader = DataLoader(ds, batch_size=None, num_workers=1, multiprocessing_context="fork")
     assert_all_same(list(loader), expected)
     assert_all_same(pickle.loads(pickle.dumps(ds)), expected)
@@ -225,7 +225,7 @@ def test_options_of_the_hub_are_refused(tmp_path: Path, options: dict[str, Any])
     assert "secret" not in str(caught.value)
 
 
-def test_verbs_take_the_url(
+def test_commands_accept_the_url(
     published: str, here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -243,7 +243,7 @@ def test_verbs_take_the_url(
 # -------------------------------------------------------------------------------------------------------------- making
 
 
-def test_objects_are_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_objects_equal_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/made"
     assert make(url, spool=tmp_path) == COUNT
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -266,13 +266,13 @@ def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: P
         ".unfinished/00000/index-train.npz",
         ".unfinished/00000/rejects.jsonl",
     }
-    with pytest.raises(MissingError, match="a data set appears when all of it is uploaded"):
+    with pytest.raises(MissingError, match="a data set becomes visible when its upload is complete"):
         GarmentDataset(url, cache_dir=tmp_path / "cache")
     assert make(url, spool=tmp_path) == 1
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_run_continues_from_the_store_alone(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_the_store_without_its_spool(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/elsewhere"
     with pytest.raises(Stopped):
         make(url, spool=tmp_path / "one", on_progress=stopping(5))
@@ -291,7 +291,7 @@ def test_removed_objects_are_written_again(s3: Store, here: Path, tmp_path: Path
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_finished_set_grows(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_finished_data_set_is_extended(s3: Store, here: Path, tmp_path: Path) -> None:
     url = s3.put("s3://bucket/grows", here)
     assert make(url, COUNT + 5, spool=tmp_path) == 5
     make(tmp_path / "folder", COUNT + 5)
@@ -321,13 +321,13 @@ def test_a_killed_run_continues(s3: Store, here: Path, tmp_path: Path) -> None:
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_second_writer_is_refused(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/writers"
 
     def second(progress: Progress) -> None:
         if progress.made == 1:
             for spool, told in (
-                ("other", "another run .* writes there: wait for it"),
+                ("other", "another run .* is writing there: wait for it"),
                 ("one", "another process"),
             ):
                 with pytest.raises(OutputError, match=told):
@@ -341,7 +341,7 @@ def test_of_two_simultaneous_writers_one_gets_the_lease(
     s3: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = s3.put("s3://bucket/at-once", {".writing.json": b'{"run": "1", "host": "node7", "process": 12}'})
-    monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # it has come since
+    monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # the lease appears after this check
     with pytest.raises(OutputError, match=r"process 12 on node7"):
         make(url, spool=tmp_path)
     assert set(s3.objects(url)) == {".writing.json"}
@@ -442,7 +442,7 @@ def test_options_that_need_a_folder_are_reported(
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
     assert "parts are made in a folder" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="URLs takes them as str"):
+    with pytest.raises(OutputError, match="URLs expect them as str"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())
 
@@ -457,7 +457,7 @@ def test_a_full_spool_costs_no_garment(s3: Store, here: Path, tmp_path: Path) ->
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_folder_has_no_spool(tmp_path: Path) -> None:
+def test_spool_and_patience_with_a_folder_are_errors(tmp_path: Path) -> None:
     for option in ({"spool": tmp_path}, {"patience": 3.0}):
         with pytest.raises(ConfigError, match=r"is for URLs, and .* is a folder"):
             make(tmp_path / "set", **option)

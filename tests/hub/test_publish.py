@@ -25,7 +25,7 @@ from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import fill, open_writer
 
-# How ``huggingface_hub`` sends files is not for us to mend.
+# A deprecation within ``huggingface_hub``.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
 
 NEUTRAL = neutral_shape()
@@ -39,7 +39,7 @@ def put(folder: Path, samples: Iterable[Sample], *, split: str = "train") -> Pat
 
 
 def sample(index: int, *, design: int, body: int | None = None) -> Sample:
-    """Garment ``index`` of a design, on a body; on the neutral one for ``None``."""
+    """Garment ``index`` of a design on a body; ``None`` is the neutral body."""
     shape = NEUTRAL if body is None else BodyShape(np.full(8, float(body + 1)))
     made = fake_sample(0, index)
     named = replace(made.provenance, body_name="neutral" if body is None else f"random:0:{body}")
@@ -56,7 +56,7 @@ def hf_endpoint(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Forty designs, each on the neutral body and on one of its own, as ``--bodies both`` makes them."""
+    """Forty designs, each on the neutral body and on a body of its own, as ``--bodies both`` makes them."""
     samples = (sample(i, design=i // 2, body=None if i % 2 == 0 else i) for i in range(80))
     return put(tmp_path_factory.mktemp("both"), samples)
 
@@ -87,7 +87,7 @@ def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path:
         assert positions == [position for position in after[name] if position < 60]
 
 
-def test_few_designs_have_all_splits_too(tmp_path: Path) -> None:
+def test_four_designs_fill_all_splits(tmp_path: Path) -> None:
     put(tmp_path, (sample(i, design=i) for i in range(4)))
     parts = partition(ShardReader(tmp_path))
     assert list(parts) == ["train", "validation", "test"]
@@ -115,7 +115,7 @@ def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None
     assert staged.files.keys() == read_folder(staged.folder).keys()
 
 
-def test_the_card_names_every_split(staged: Staged) -> None:
+def test_the_card_lists_every_split(staged: Staged) -> None:
     text = (staged.folder / "README.md").read_text()
     facts = yaml.safe_load(text.split("---")[1])
     assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])
@@ -160,7 +160,7 @@ def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:
 def test_a_regenerated_data_set_is_staged_again(tmp_path: Path) -> None:
     shares = {"train": 1.0, "validation": 0.0, "test": 0.0}
     stage(fill(tmp_path / "data", range(6)), "org/new", tmp_path / "up", shares=shares)
-    (tmp_path / "up" / "train-00001.tar").rename(tmp_path / "up" / "train-00001.tar.part")  # stopped in the middle
+    (tmp_path / "up" / "train-00001.tar").rename(tmp_path / "up" / "train-00001.tar.part")  # stopped staging
     other = fill(tmp_path / "other", range(6), seed=1)
     stage(other, "org/new", tmp_path / "up", shares=shares)
     assert_all_same(GarmentDataset(tmp_path / "up"), GarmentDataset(other))
@@ -199,7 +199,7 @@ def test_existing_splits_are_kept(tmp_path: Path) -> None:
 def test_empty_splits_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
     assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
-    assert "nothing for validation and test: garments that share a design or a body stay in one split" in caplog.text
+    assert "no garments for validation and test: garments that share a design or a body stay in one" in caplog.text
     caplog.clear()
     stage(tmp_path / "one", "org/new", tmp_path / "all", shares={"train": 1.0, "validation": 0.0, "test": 0.0})
     assert not caplog.text
@@ -257,17 +257,15 @@ def test_an_endpoint_unsupported_by_an_old_client_is_reported(
     hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    message = (
-        rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
-    )
+    message = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it, or install"
     with pytest.raises(ConfigError, match=message):
         upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
 
 
-@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="its client does not ask again")
+@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="this client never retries")
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
-    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # sent once more
+    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # the second attempt succeeds
 
 
 def test_an_unreachable_hub_is_reported(hub: Hub, staged: Staged) -> None:

@@ -1,4 +1,4 @@
-"""Garments read from a server: the requested bytes, and the cached ones."""
+"""Garments read from a server: which bytes are requested, and which are cached."""
 
 import gzip
 import pickle
@@ -67,15 +67,15 @@ def test_neighbouring_members_take_one_request(hub: Hub, commit: str, tmp_path: 
         ds[index]
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
     assert len(answered) == 3
-    # The first request of a shard is redirected; the place that it leads to is remembered for the others.
+    # The first request of a shard is redirected; later requests go to the remembered target.
     assert len(hub.asked(r"resolve/.*tar")) == 1
 
 
-def test_a_batch_is_requested_in_parallel(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_batch_takes_one_request_per_shard(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
     (batch,) = DataLoader(ds[:], batch_size=COUNT, collate_fn=collate_packed)
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
-    # Samples so small lie closer together than it pays to ask for them one by one: one request a shard.
+    # The gaps between these small members are below ``GAP``: one request per shard.
     assert len(answered) == 3
     (expected,) = DataLoader(GarmentDataset(folder, fields=["verts"]), batch_size=COUNT, collate_fn=collate_packed)
     assert same(batch, expected)
@@ -147,15 +147,15 @@ def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path:
         opened(hub, tmp_path)
     assert opened(hub, tmp_path, token=hub.token, fields=["meta"])[1]["meta"]["index"] == 1
     assert hub.asked("storage")
-    assert all(not request.authorization for request in hub.asked("storage"))  # the token stays with the Hub
+    assert all(not request.authorization for request in hub.asked("storage"))  # the storage host gets no token
 
 
 def test_a_missing_data_set_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
-    with pytest.raises(RefusedError, match=r"no folder org/nothing here"):
+    with pytest.raises(RefusedError, match=r"no local folder org/nothing"):
         GarmentDataset("org/nothing", endpoint=hub.endpoint, cache_dir=tmp_path)
     with pytest.raises(MissingError, match="not found"):
         opened(hub, tmp_path, revision="v9")
-    with pytest.raises(ShardError, match="no samples of split test: there is train"):
+    with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         opened(hub, tmp_path, split="test")
     with pytest.raises(ConfigError, match="revision='main' is for repositories"):
         GarmentDataset(f"{hub.endpoint}/files/garments", revision="main")
@@ -163,7 +163,9 @@ def test_a_missing_data_set_is_reported(hub: Hub, commit: str, tmp_path: Path) -
         opened(hub, tmp_path, max_cache_size="lots")
 
 
-def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_path_of_a_file_is_not_taken_for_a_repository(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "train.h5").touch()
@@ -173,9 +175,7 @@ def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypat
     assert not hub.asked()
 
 
-def test_a_url_whose_files_appear_one_by_one_is_read_in_the_end(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path
-) -> None:
+def test_a_url_is_readable_once_its_files_are_complete(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     url, index = f"{hub.endpoint}/files/garments", hub.static.pop("garments/index-train.npz")
     for unfinished in (None, b"<html>soon</html>", other_index(folder)):
         hub.static |= {} if unfinished is None else {"garments/index-train.npz": unfinished}
@@ -204,7 +204,7 @@ def test_a_stream_of_a_repository(
 @pytest.mark.parametrize("workers", [0, 2])
 def test_workers_share_a_server(hub: Hub, commit: str, folder: Path, tmp_path: Path, workers: int) -> None:
     ds = opened(hub, tmp_path, fields=["faces", "verts"])
-    ds[0]  # a line to the server is open when the workers are forked
+    ds[0]  # a connection is open when the workers are forked
     batches = DataLoader(ds, batch_size=3, collate_fn=collate_packed, num_workers=workers)
     alone = DataLoader(GarmentDataset(folder, fields=["faces", "verts"]), batch_size=3, collate_fn=collate_packed)
     assert_all_same(batches, alone)
@@ -241,7 +241,7 @@ def test_a_broken_connection_is_resumed(hub: Hub, commit: str, folder: Path, tmp
     assert [request.size for request in hub.asked(r"storage/.*tar")][:4] == [5000, 600, 600, 600]
     sent = sum(request.size for request in hub.asked(r"storage/.*tar"))
     stored = sum(path.stat().st_size for path in folder.glob("*.tar"))
-    assert sent == stored if streaming else sent < stored  # nothing came twice
+    assert sent == stored if streaming else sent < stored  # no byte is sent twice
 
 
 def test_an_outage_is_waited_out(
@@ -288,7 +288,7 @@ def test_wrong_bytes_are_never_cached(hub: Hub, commit: str, folder: Path, tmp_p
     expected = GarmentDataset(folder, fields=["verts"])
     ds = opened(hub, tmp_path, fields=["verts"], verify=verify)
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5)]
-    assert same(ds[6], expected[6])  # once: asked for again
+    assert same(ds[6], expected[6])  # requested again after the single fault
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5, times=2)]
     with pytest.raises(
         RemoteError, match=r"train-00001\.tar: sample gcd_000000007, member verts\.npy: received bytes do not match"
@@ -327,7 +327,7 @@ def test_a_server_without_ranges_is_refused(hub: Hub, commit: str, folder: Path,
 def test_compressed_responses_are_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     hub.faults = [Fault(r"manifest\.json", headers={"Content-Encoding": "gzip"}, times=9)]
     hub.static["garments/manifest.json"] = gzip.compress(hub.static["garments/manifest.json"])
-    with pytest.raises(RemoteError, match=r"manifest\.json: sent compressed \(gzip\), unrequested"):
+    with pytest.raises(RemoteError, match=r"manifest\.json: sent compressed \(gzip\), without a request"):
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
@@ -374,7 +374,7 @@ def test_damaged_cache_members_are_fetched_again(hub: Hub, commit: str, folder: 
 
 @pytest.fixture
 def captions(hub: Hub, tmp_path: Path) -> str:
-    """Two tars by ``webdataset`` in a folder of a repository; its commit."""
+    """Publish two tars by ``webdataset`` in a folder of a repository; the commit's hash."""
     files = {}
     for shard in (0, 1):
         with wds.TarWriter(str(tmp_path / "a.tar")) as writer:

@@ -212,7 +212,7 @@ def test_only_the_files_of_the_fields_are_read(ours: Path, few: Path) -> None:
 
 def test_a_missing_file_is_named(few: Path) -> None:
     (few / "meshes" / "00001_apart.obj").unlink()
-    with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing, with 1 of 8 files: extract"):
+    with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing; 1 of 8 files are missing: extract"):
         PublishedBodies(few)
     assert len(PublishedBodies(few, names=["00000"])) == 1
     assert PublishedBodies(few, fields=["straight"])[1]["straight"].shape == (4, 3)
@@ -244,11 +244,11 @@ def edited(path: Path, pattern: str, put: str) -> None:
     [
         (r"^v (\S+) ", "v nan ", "a position that is NaN or infinite"),
         (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
-        (r"^f (.*)$", r"f \1 4", r"a face that is no triangle \(f 1 3 2 4\)"),
+        (r"^f (.*)$", r"f \1 4", r"a face that is not a triangle \(f 1 3 2 4\)"),
         (r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
         (r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
-        (r"^f (.*)$", "f 3 2 1", "another mesh than 00000_straight.obj: all people must be on one mesh"),
-        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "another mesh than"),
+        (r"^f (.*)$", "f 3 2 1", "its mesh differs from 00000_straight.obj: all people must be on one mesh"),
+        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "its mesh differs from"),
         (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
     ],
 )

@@ -225,7 +225,7 @@ assert threads() > before, "torch has no other threads: nothing was tested"
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not tell of threads")
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc/self/task")
 def test_large_arrays_are_copied_by_one_thread() -> None:
     """torch's threads spin after each call and take cores from the workers."""
     done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)

@@ -158,7 +158,7 @@ def test_a_failed_drape_is_retried_as_the_next_attempt(monkeypatch: pytest.Monke
 
 
 def test_a_slow_drape_does_not_hold_up_later_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up to ``ahead`` and ``at_once``. The reply to the first request comes when no other request is pending."""
+    """Up to ``ahead`` and ``at_once`` later drapes. The first request is answered once no other is pending."""
     sent, received, in_flight = set[int](), set[int](), []
     send, receive = SharedDraper.send, SharedDraper.receive
     slow: list[DrapeReply] = []
@@ -191,7 +191,7 @@ def test_a_slow_drape_does_not_hold_up_later_ones(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_next_request_is_sent_before_a_sample_is_yielded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if all earlier requests have replies, so that the draper does not run dry."""
+    """Even if all earlier requests have replies: else the draper would run out of requests."""
     in_flight, send, receive = set[int](), SharedDraper.send, SharedDraper.receive
 
     def counted_send(draper: SharedDraper, request: DrapeRequest) -> None:
@@ -212,7 +212,7 @@ def test_the_next_request_is_sent_before_a_sample_is_yielded(monkeypatch: pytest
 
 
 def test_a_retry_is_draped_first() -> None:
-    """Later samples wait for it."""
+    """Later samples wait for the retry."""
     queue, (ours, theirs) = RequestQueue(), multiprocessing.Pipe()
     connection = ClientConnection(ours, queue)
     one = drape_request(0)
@@ -232,7 +232,7 @@ def drape_request(number: int, resolution: float = 10.0) -> DrapeRequest:
 
 def test_a_killed_draper_is_an_error_and_the_next_client_starts_another(address: DraperAddress) -> None:
     with SharedDraper(address) as draper:
-        kill_drapers(address, signal.SIGSTOP)  # else it might reply before it is killed
+        kill_drapers(address, signal.SIGSTOP)  # else the draper might reply before it is killed
         draper.send(drape_request(0))
         kill_drapers(address)
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
@@ -258,7 +258,7 @@ def test_a_draper_about_to_end_is_replaced(address: DraperAddress) -> None:
 def test_a_draper_whose_starter_is_killed_serves_the_next_client(
     address: DraperAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed while the draper loads: the next client waits for it and starts no second one."""
+    """Its starter dies while the draping process loads: the next client waits for it and starts no second process."""
     child = os.fork()
     if child == 0:
         popen = subprocess.Popen
@@ -282,10 +282,10 @@ def test_a_draper_whose_starter_is_killed_serves_the_next_client(
 
 
 def test_a_failing_draper_reports_the_error_and_is_replaced(address: DraperAddress) -> None:
-    """Though another client does not read its replies."""
+    """Even if another client does not read its replies."""
     with SharedDraper(address) as deaf, SharedDraper(address) as draper:
         deaf.send(replace(drape_request(0), picture=400))
-        assert deaf._connection.poll(120)  # the rest of the reply blocks its writer
+        assert deaf._connection.poll(120)  # its reply has begun; the unread rest blocks the draper's writer
         good = drape_request(1)
         torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
         draper.send(replace(good, job=replace(good.job, box_mesh=torn)))
@@ -327,12 +327,12 @@ def test_more_requests_may_wait_than_the_soft_limit_of_open_files(address: Drape
 
 
 def test_a_connection_is_not_closed_while_it_is_read() -> None:
-    """The OS would reuse its descriptor for the next connection, and the reader would read from that."""
+    """Else the OS reuses the descriptor for the next connection, and the reader reads from that connection."""
     ours, theirs = multiprocessing.Pipe()
     connection = ClientConnection(ours, RequestQueue())
     os.write(theirs.fileno(), b"half")
     with socket.socket(fileno=os.dup(theirs.fileno())) as half:
-        half.shutdown(socket.SHUT_RD)  # the client reads no replies, but is still there
+        half.shutdown(socket.SHUT_RD)  # the client reads no replies, but stays connected
     connection.reply("a reply")
     connection.finish()
     assert not ours.closed
@@ -357,7 +357,7 @@ def test_a_draper_killed_under_a_loader_is_one_error(address: DraperAddress) -> 
 
 
 def test_fresh_garments_resume_after_their_draper_was_killed(address: DraperAddress) -> None:
-    """With a new draper, from the garment that was lost."""
+    """They start a new draper and continue at the lost garment."""
     whole = [item["meta"]["index"] for item in FreshGarments(FakeGarments(40, fields=["meta"]), replay=2, room=4)]
     fresh = FreshGarments(Apart(40, address, fields=["meta"]), replay=2, room=4, workers=1)
     given = [next(made := iter(fresh))["meta"]["index"]]

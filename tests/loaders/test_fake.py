@@ -21,7 +21,7 @@ def test_the_tube_is_open_at_two_ends_only() -> None:
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert set(count) == {1, 2}
     euler = len(mesh.vertices) - len(count) + len(mesh.faces)
-    assert euler == 0  # a cylinder's
+    assert euler == 0  # Euler characteristic of a cylinder
     rows = len(mesh.seams) // 2
     assert (count == 1).sum() == 2 * (len(mesh.vertices) // rows)
 

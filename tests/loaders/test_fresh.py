@@ -58,7 +58,7 @@ def test_epochs_differ_in_order_and_augmentation() -> None:
     assert [sorted(order) for order in orders] == 3 * [sorted(2 * list(range(6)))]
     assert len({tuple(order) for order in orders}) == 3
     points = [item["points"] for epoch in epochs for item in epoch]
-    assert len({tuple(each[0].tolist()) for each in points}) == len(points)  # no augmentation comes twice
+    assert len({tuple(each[0].tolist()) for each in points}) == len(points)  # no two augmentations are equal
     garments.set_epoch(1)
     assert_all_same(garments, epochs[1])
     assert_all_same(garments, epochs[2])
@@ -98,7 +98,7 @@ def test_the_first_item_needs_one_garment_only() -> None:
 
 
 class OnlyOne(FakeGarments):
-    """One garment is made at once, all others when the test is over."""
+    """Makes garment ``only`` immediately, the others once ``over`` is set."""
 
     only = 0
 
@@ -115,7 +115,7 @@ class OnlyOne(FakeGarments):
 @pytest.mark.parametrize("stop", [0, 31])
 @pytest.mark.parametrize("replay", [1, 4])
 def test_the_first_item_needs_one_worker_only(replay: int, stop: int) -> None:
-    """Also when resuming: the garment that is needed next is made first."""
+    """Also after a resume: the next garment is made first."""
     options: dict[str, Any] = {"replay": replay, "room": 20}
     ds = OnlyOne(50)
     ds.only = numbers(fresh(50, **options))[stop]
@@ -143,7 +143,7 @@ def test_an_error_has_the_same_message_with_and_without_workers() -> None:
     assert len(set(messages)) == 1
     assert any("in refused" in note for note in raised.value.__notes__)
     del raised
-    gc.collect()  # the error held the workers
+    gc.collect()  # the error's traceback held the workers
 
 
 def refused_first(item: dict[str, Any]) -> dict[str, Any]:
@@ -181,7 +181,7 @@ def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int,
     end = len(begun) * (state["position"] // len(begun) + 1)
     assert rest == [item["meta"]["index"] for item in items[state["position"] : end]]
     if not workers:
-        assert sorted(ds.made) == sorted(set(rest))  # each once, and no others
+        assert sorted(ds.made) == sorted(set(rest))  # each garment once, and no others
     assert [item["meta"]["index"] for item in on] != rest  # the next epoch
 
 
@@ -241,7 +241,7 @@ def test_resuming_makes_each_design_of_the_buffer_once(monkeypatch: pytest.Monke
         on.load_state_dict({**on.state_dict(), "position": stop})
         designs.clear()
         assert_all_same(on, items[stop:])
-        assert len(designs) <= len(set(designs)) + 1  # of one design, a body was buffered and the other not yet made
+        assert len(designs) <= len(set(designs)) + 1  # state within a design: one body buffered, the other not made
 
 
 def test_the_buffer_holds_at_most_room_garments() -> None:
@@ -250,7 +250,7 @@ def test_the_buffer_holds_at_most_room_garments() -> None:
     for number in numbers(fresh(50, replay=4, room=5)):
         given.add(number)
         counts[number] += 1
-        # Of the garments made so far all but the last five have had their uses.
+        # Of the garments made so far at most five have uses left.
         assert sum(counts[n] < 4 for n in range(max(given) + 1)) <= 5
 
 
@@ -287,7 +287,7 @@ class Watched(DataLoader):
 
 
 def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The worker is busy with the next garment, here stopped, and could not answer."""
+    """A busy worker, here stopped by a signal, cannot reply."""
     monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
     others = set(multiprocessing.active_children())
     made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
@@ -299,7 +299,7 @@ def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.
     goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
     goes_on.start()
     item = next(made)
-    assert goes_on.is_alive(), "it was waited for"
+    assert goes_on.is_alive(), "waited for the worker"
     goes_on.cancel()
     os.kill(worker.pid, signal.SIGCONT)
     assert item["verts"].isfinite().all()
@@ -319,13 +319,13 @@ def test_an_item_is_freed_after_its_last_use() -> None:
 
     whole = GeneratedGarments(40, stage="pattern", fields=["meta", "panels", "edges"], transform=recorded)
     for _ in FreshGarments(whole, room=8):
-        # The items in the buffer, and the one made last.
+        # The items in the buffer, and the item made last.
         assert sum(tensor() is not None for tensor in tensors) <= 8 + 1
     assert len(tensors) == 40
 
 
 def test_one_worker_makes_a_design_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever their number: otherwise one would make the neutral bodies and another the random ones."""
+    """For any number of workers: else one worker would make the neutral bodies and another the random ones."""
     designs = multiprocessing.Value("i", 0)
 
     def counted(*options: Any) -> Any:
@@ -347,7 +347,7 @@ def test_different_ranks_make_different_garments() -> None:
 
 
 def test_a_killed_training_leaves_no_workers() -> None:
-    """Although their finished items, more than the pipe holds, are never read."""
+    """Although their finished items overfill the pipe and are never read."""
     code = (
         "import multiprocessing, os, signal\n"
         "from gcd_dataset.loaders import FakeGarments, FreshGarments\n"
@@ -377,8 +377,8 @@ class Endless(FakeGarments):
 
 @pytest.mark.parametrize("ahead", [False, True])
 def test_workers_exit_when_the_iterator_is_dropped(ahead: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On their own: torch would wait five seconds for each in turn."""
-    monkeypatch.setattr(BaseProcess, "terminate", lambda worker: pytest.fail("it has waited for them"))
+    """Workers exit on their own; torch's shutdown would wait five seconds for each in turn."""
+    monkeypatch.setattr(BaseProcess, "terminate", lambda worker: pytest.fail("waited for the workers"))
     ds = Endless(99, fields=["meta"])
     if ahead:
         loader = GarmentLoader(FreshGarments(ds, workers=2, room=1), 2, shuffle=False)
@@ -393,7 +393,7 @@ def test_workers_exit_when_the_iterator_is_dropped(ahead: bool, monkeypatch: pyt
 
 
 class Uneven(FakeGarments):
-    """The last garment is made on command, the others at once."""
+    """Makes the last garment once ``last`` is set, the others immediately."""
 
     def __init__(self, count: int) -> None:
         super().__init__(count, fields=["meta"])

@@ -33,7 +33,7 @@ def ids(batch: Any) -> list[int]:
 
 
 def merged(ranks: list[GarmentLoader], steps: int | None = None) -> list[int]:
-    """Indices that all ranks receive in ``steps`` batches, or to the end of the epoch, by position."""
+    """Indices of ``steps`` batches, or of the rest of the epoch, over all ranks, ordered by position."""
     seen: list[int] = []
     streams = [iter(rank) for rank in ranks]
     while steps is None or steps > 0:

@@ -19,7 +19,7 @@ def garments(n: int, seed: int = 0) -> FakeGarments:
 
 
 def merged(samplers: Iterable[ElasticSampler]) -> list[int]:
-    """Indices that all ranks receive in one epoch, by position."""
+    """Indices of one epoch over all ranks, ordered by position."""
     turns = zip(*samplers, strict=True)
     return [number for turn in turns for number in turn]
 

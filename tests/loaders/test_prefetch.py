@@ -25,7 +25,7 @@ def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
         assert item == number
         taken = number + 1
     assert taken == 50
-    assert max(ahead) <= 3 + 1  # the item just taken has left a slot
+    assert max(ahead) <= 3 + 1  # taking an item has freed a slot
 
 
 def test_items_are_made_before_they_are_taken() -> None:
@@ -92,7 +92,7 @@ def test_an_exit_in_the_thread_reaches_the_caller() -> None:
 
 
 def test_a_caught_error_keeps_no_object_alive() -> None:
-    """Such as the loader, with its workers, in the frames of the traceback."""
+    """The frames of its traceback refer to objects such as a loader with its workers."""
 
     class Held:
         pass

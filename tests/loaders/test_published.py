@@ -206,7 +206,7 @@ def test_verify_finds_files_that_disagree(own: Path) -> None:
     published = PublishedGarmentCodeData(own, fields=())
     published.verify(0)
     file_of(own, TRAIN[0], "box").write_bytes(file_of(own, TRAIN[1], "box").read_bytes())
-    with pytest.raises(ShardError, match=r"_boxmesh\.ply: another mesh than"):
+    with pytest.raises(ShardError, match=r"_boxmesh\.ply: its mesh differs from"):
         published.verify(0)
     assert published.recipe(1)["index"] == 1
 
@@ -228,10 +228,10 @@ FAULTS: tuple[tuple[str, Callable[[bytes], bytes], str], ...] = (
     ("sim", lambda content: content[:-1], "_sim.ply: .* bytes for .* vertices"),
     ("sim", swapped(b"double s", b"float s"), "_sim.ply: not a binary PLY"),
     ("segmentation", lambda content: content + b"front\n", "_sim_segmentation.txt: labels"),
-    ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is no panel"),
+    ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is not a panel"),
     ("segmentation", swapped(b"stitch_1", b"stitch_7"), "names a stitch outside the 2"),
     ("vertex_labels", swapped(b"lower_interface", b"hem"), "_vertex_labels.yaml: hem is on no edge"),
-    ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is no list of vertices of the mesh"),
+    ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is not a list of vertices of the mesh"),
     ("design", lambda content: b"[", "_design_params.yaml: not YAML"),
     ("measures", swapped(b"height", b"length"), "_body_measurements.yaml: body lacks height"),
     ("front", lambda content: content[:40], "_render_front.png: not a picture"),
@@ -276,9 +276,9 @@ def test_missing_batches_are_skipped(own: Path) -> None:
 
 
 def test_invalid_arguments_are_refused_with_the_choices(folders: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="split='val': there is train, validation, test, and all"):
+    with pytest.raises(ConfigError, match="split='val': choose from train, validation, test, and all"):
         PublishedGarmentCodeData(folders, "val")
-    with pytest.raises(ConfigError, match="bodies='neutral': there is default, random, and both"):
+    with pytest.raises(ConfigError, match="bodies='neutral': choose from default, random, and both"):
         PublishedGarmentCodeData(folders, bodies="neutral")
     with pytest.raises(ConfigError, match="no field vertices"):
         PublishedGarmentCodeData(folders, fields=("vertices",))
@@ -375,12 +375,12 @@ def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_
 
 
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
-    """The content of such a pickle; only for files of the reference system made for these tests, and our own."""
+    """Edge pair to length. Unpickles only trusted files: made for these tests by the reference system, or by us."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
 
 
 def test_garments_are_read_in_a_thread(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And transformed in the training thread: a transform may draw from the model's random stream."""
+    """The training thread transforms them: a transform may draw from the model's random stream."""
     readers, changers = set[int](), set[int]()
     members = PublishedGarmentCodeData._members
 

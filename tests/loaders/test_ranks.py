@@ -49,7 +49,7 @@ def test_each_rank_has_a_gpu_of_its_own(name: str, monkeypatch: pytest.MonkeyPat
 
 
 def test_the_current_device_of_a_rank_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rank that has set no device has the first as current device."""
+    """Current device 0 means that the rank has set none, and takes its own GPU."""
     become(monkeypatch, 1, 2)
     monkeypatch.setattr("torch.cuda.is_initialized", lambda: True)
     for current, taken in ((3, "cuda:3"), (0, "cuda:1")):
@@ -87,7 +87,7 @@ def test_an_invalid_rank_environment_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_recipe_is_independent_of_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So all ranks, and earlier runs, share one cache."""
+    """All ranks, and earlier runs, share one cache."""
     recipes = [GeneratedGarments(1, device=name).recipe(0)["recipe"] for name in ("auto", "cuda:0", "cuda:1,3")]
     become(monkeypatch, 3, 4)
     recipes.append(GeneratedGarments(1).recipe(0)["recipe"])

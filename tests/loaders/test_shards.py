@@ -101,7 +101,7 @@ def test_a_stream_holds_the_same_garments(folder: Path) -> None:
     assert_all_same(stream, [ds[i] for i in range(COUNT)])  # a second epoch
 
 
-@pytest.mark.parametrize("count", [COUNT, 3])  # three shards for two workers, and one
+@pytest.mark.parametrize("count", [COUNT, 3])  # three shards, or one, for two workers
 def test_workers_split_a_stream(tmp_path: Path, count: int) -> None:
     stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
     loader = DataLoader(stream, batch_size=None, num_workers=2)
@@ -196,7 +196,7 @@ def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
     with pytest.raises(ShardError, match="none of the 2 samples of split train has the grade clean: leave out quality"):
         GarmentDataset(folder, quality="clean")
-    with pytest.raises(ConfigError, match="quality='good': there is clean, paper, or None for all"):
+    with pytest.raises(ConfigError, match="quality='good': choose from clean, paper, or None for all"):
         GarmentDataset(folder, quality="good")  # type: ignore[arg-type]
 
 

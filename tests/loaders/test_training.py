@@ -132,7 +132,7 @@ def test_draws_of_a_transform_depend_on_seed_epoch_and_garment(folder: Path) -> 
     ],
 )
 def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
-    """Read in a thread, transformed in the training thread."""
+    """A thread reads the items; the training thread transforms them."""
     fields = ["panels", "edges", "meta"]
     plain = wrapped(GarmentDataset(folder, fields=fields))
     marked = wrapped(
@@ -203,7 +203,7 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
 @pytest.mark.parametrize("world_size", [1, 2, 3])
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
-    """World sizes for every way that an epoch can end."""
+    """With 11 garments and batches of 2, the epoch ends differently for each world size."""
     ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
     whole = 11 // world_size * world_size
     for drop_last, count in ((False, whole), (True, 11 // world_size // 2 * 2 * world_size)):
@@ -307,7 +307,7 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
     for epoch in (2, 0, 3, 3):
         again.set_epoch(epoch)
         assert list(again) == epochs[epoch]
-    # Loaded within epoch 1 by a framework that counts from 0.
+    # A framework that counts epochs from 0 loads the state in epoch 1.
     resumed = ElasticSampler(range(N))
     resumed.load_state_dict({**again.state_dict(), "position": N + 5})
     for epoch, expected in enumerate((epochs[1][5:], epochs[2], epochs[3])):
@@ -323,7 +323,7 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
 
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
-    """Like Lightning's sanity check of two batches: the first full pass covers everything."""
+    """Lightning's sanity check takes two batches: the next pass covers the whole epoch."""
     ds = GarmentDataset(folder, fields=["meta"])
     loader = GarmentLoader(ds, 2, shuffle=False, num_workers=workers)
     for _, _ in zip(range(2), loader, strict=False):
@@ -458,7 +458,7 @@ def test_a_duplicate_name_in_a_stream_is_named(tmp_path: Path) -> None:
     header[148:156] = b"%06o\0 " % sum(header)
     content[second : second + 512] = header
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(.*there twice.*\): copy"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(.*occurs twice.*\): copy"):
         list(stream)
 
 
@@ -473,7 +473,7 @@ def fails_at_7(item: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_an_error_of_a_transform_names_the_garment(folder: Path, streaming: bool) -> None:
-    """The original error is the cause; from a worker process its message."""
+    """``__cause__`` is the original error; an error from a worker process has the same message."""
     ds = GarmentDataset(folder, "train[2:]", fields=["meta"], transform=fails_at_7, streaming=streaming)
     message = rf"the transform of gcd_000000007, number 5 of \w+\(train of {folder}\): ZeroDivisionError: not this one"
     ways: list[Any] = [ds, GarmentLoader(ds, 3)]

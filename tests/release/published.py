@@ -1,4 +1,4 @@
-"""A small data set of fake garments in the published layout, by our own writer."""
+"""A small data set of fake garments in the published layout, written by ``export_published``."""
 
 import json
 import tarfile
@@ -83,7 +83,7 @@ def fail(root: Path, name: str, body: str) -> None:
     path = root / BATCH / body / properties_name(body)
     tree = yaml.safe_load(path.read_text())
     tree["sim"]["stats"]["fails"]["static_equilibrium"].append(name)
-    # As the authors' tools write a figure that NumPy made.
+    # The authors' tools write NumPy scalars with such tags.
     path.write_text(yaml.safe_dump(tree) + "odd: !!python/object/apply:numpy.core.multiarray.scalar [a, b]\n")
 
 

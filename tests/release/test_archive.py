@@ -66,7 +66,7 @@ def test_a_damaged_archive_is_named_with_a_remedy(archive: Path) -> None:
     with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive .*: extract or download it again"):
         Archive.opened(archive, None)
     changed = bytearray(gzip.decompress(whole))
-    changed[changed.index(b"ustar")] = 0  # a header whose checksum is wrong, where tarfile would see the end
+    changed[changed.index(b"ustar")] = 0  # a header with a wrong checksum; tarfile would take it for the end
     archive.write_bytes(gzip.compress(bytes(changed)))
     with pytest.raises(ShardError, match=r"no tar header at byte"):
         Archive.opened(archive, None)
@@ -183,7 +183,7 @@ def test_an_index_that_declares_a_terabyte_is_rebuilt(archive: Path) -> None:
 
 
 def test_mutated_archives_are_reported_or_read(archive: Path) -> None:
-    """Any byte of the tar: headers, names, sizes, checksums."""
+    """Two bytes of a random header are changed, then its checksum is made valid."""
     whole = gzip.decompress(archive.read_bytes())
     headers = [place for place in range(0, len(whole), 512) if whole[place + 257 : place + 262] == b"ustar"]
     random = np.random.default_rng(5)

@@ -73,7 +73,7 @@ def as_gif(content: bytes) -> bytes:
 
 
 def doubling(name: str, times: int) -> bytes:
-    """A small file of 2^times values."""
+    """A small YAML file with aliases that expand to 2**times values."""
     lines = [f"l{i + 1}: &l{i + 1} [*l{i}, *l{i}]" for i in range(times)]
     return "\n".join(["l0: &l0 [1]", *lines, f"{name}: {{a: *l{times}}}"]).encode()
 
@@ -91,7 +91,7 @@ def doubling(name: str, times: int) -> bytes:
         ("front", of_many_pixels, "not a picture"),
         ("front", as_gif, "not a picture"),
         ("spec", lambda content: b"[" * 100_000, "Expecting value|levels deep|recursion"),
-        ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is no number"),
+        ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is not a number"),
         ("spec", lambda content: re.sub(rb'"edge": \d+', b'"edge": 77', content, count=1), "seam 0 joins .*, edge 77"),
         ("design", lambda content: b"[" * 5000, "not YAML"),
         ("design", lambda content: doubling("design", 60), "more than 64 levels, or 1000000 values"),
@@ -99,7 +99,7 @@ def doubling(name: str, times: int) -> bytes:
         ("design", lambda content: b"design: {a: " + b"[" * 100 + b"]" * 100 + b"}", "more than 64 levels"),
         ("design", lambda content: b"design: !!bool maybe", "not YAML"),
         ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
-        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of vertices of the mesh"),
+        ("vertex_labels", lambda content: b"a: [99999999]", "is not a list of vertices of the mesh"),
         ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
         ("segmentation", lambda content: content.replace(b"stitch_0", b"stitch_" + b"9" * 5000), "names a stitch"),
     ],
@@ -156,15 +156,15 @@ def test_invalid_properties_are_reported(own: Path) -> None:
 
 
 def test_the_nearest_split_and_bodies_are_suggested(folders: Path) -> None:
-    with pytest.raises(ConfigError, match=r"split='trian': there is .*: did you mean train\?"):
+    with pytest.raises(ConfigError, match=r"split='trian': choose from .*: did you mean train\?"):
         PublishedGarmentCodeData(folders, "trian")
-    with pytest.raises(ConfigError, match=r"bodies='defualt': there is .*: did you mean default\?"):
+    with pytest.raises(ConfigError, match=r"bodies='defualt': choose from .*: did you mean default\?"):
         PublishedGarmentCodeData(folders, bodies="defualt")
 
 
-@pytest.mark.skipif(not EXAMPLES.exists(), reason="takes the published examples")
+@pytest.mark.skipif(not EXAMPLES.exists(), reason="the published examples are not beside this checkout")
 def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None:
-    """Every file of a garment by the authors, byte by byte."""
+    """Each file of a garment from the published release, with two bytes changed."""
     root = tmp_path / "root"
     source = next(path for path in EXAMPLES.glob("*/default_body/data/*") if path.is_dir())
     place = root / source.relative_to(EXAMPLES)
@@ -186,7 +186,7 @@ def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None
         path.write_bytes(whole)
 
 
-def test_an_edge_of_no_flat_length_has_no_stretch(folders: Path) -> None:
+def test_an_edge_of_zero_flat_length_has_no_stretch(folders: Path) -> None:
     sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
     assert sample.box_mesh is not None
     assert sample.drape is not None

@@ -13,7 +13,7 @@ from gcd_dataset.release import PcaShapes, read_pca
 MEAN = np.array([[0.1, -0.02, 0.0], [-0.1, -0.02, 0.0], [0.0, 0.0, 0.1], [0.0, 1.7, 0.0], [0.0, 0.9, -0.1]])  # m
 VARIANCE = np.array([0.04, 0.01, 0.0])  # m²
 COMPONENTS = np.linalg.qr(np.random.default_rng(0).normal(size=(15, 3)))[0].T
-"""Three unit vectors, square to each other."""
+"""Three orthonormal vectors."""
 
 
 def write_pca(
@@ -38,7 +38,7 @@ def test_no_weights_give_the_mean_body_on_the_floor(shapes: PcaShapes) -> None:
     assert np.allclose(shapes.vertices(np.zeros(3)), 100.0 * (MEAN + [0.0, 0.02, 0.0]))
 
 
-def test_a_weight_is_a_standard_deviation(shapes: PcaShapes) -> None:
+def test_weights_count_standard_deviations(shapes: PcaShapes) -> None:
     weights = np.array([0.5, -2.0, 3.0])
     moved = MEAN.ravel() + 0.5 * 0.2 * COMPONENTS[0] - 2.0 * 0.1 * COMPONENTS[1]
     expected = 100.0 * moved.reshape(-1, 3)
@@ -46,7 +46,7 @@ def test_a_weight_is_a_standard_deviation(shapes: PcaShapes) -> None:
     assert np.allclose(shapes.vertices(weights), expected)
 
 
-def test_a_batch_is_its_bodies(shapes: PcaShapes) -> None:
+def test_a_batch_equals_its_bodies_one_by_one(shapes: PcaShapes) -> None:
     weights = np.random.default_rng(1).normal(size=(2, 4, 3))
     batch = shapes.vertices(weights)
     assert batch.shape == (2, 4, 5, 3)
@@ -102,7 +102,7 @@ def nan_in(array: np.ndarray) -> np.ndarray:
         ({"header": (0, 0)}, "beginning with 0 and 0"),
         ({"mean": nan_in(MEAN)}, "NaN or infinity"),
         ({"components": nan_in(COMPONENTS)}, "NaN or infinity"),
-        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # row by row, not component by component
+        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # transposed in the file
         ({"components": 2 * COMPONENTS}, "not orthonormal"),
         ({"variance": VARIANCE[::-1]}, "do not fall to 0"),
         ({"variance": VARIANCE - 0.02}, "do not fall to 0"),

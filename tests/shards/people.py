@@ -23,7 +23,7 @@ MESH = BodyMesh(
 
 
 def fake_person(index: int) -> Person:
-    """A tetrahedron whose two lower corners are the feet."""
+    """A tetrahedron; its two front corners are the legs."""
     random = np.random.default_rng(index)
     height = random.uniform(150.0, 190.0)
     straight = np.array([[10, 0, 10], [-10, 0, 10], [0, 0, -10], [0, height, 0]], np.float32)

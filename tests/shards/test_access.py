@@ -1,4 +1,4 @@
-"""The writer lock: a waiting process gets it."""
+"""The writer lock: a waiting process gets it as soon as its holder releases it."""
 
 import fcntl
 import os
@@ -17,7 +17,7 @@ def test_a_process_forked_under_the_lock_does_not_keep_it(tmp_path: Path, monkey
     child = os.fork()
     if child == 0:
         os.close(end)
-        os.read(ended, 1)  # lives on
+        os.read(ended, 1)  # outlives the lock
         os._exit(0)
 
     def waited_for(file: int, operation: int) -> None:

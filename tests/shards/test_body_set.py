@@ -1,4 +1,4 @@
-"""Body sets: people are read back unchanged, and the bytes do not depend on the way of writing."""
+"""Body sets: people are read back unchanged; the bytes do not depend on order and interruptions of writing."""
 
 import random
 from dataclasses import replace
@@ -33,7 +33,7 @@ def test_encoding_a_person_is_lossless() -> None:
     again = decode_person(encode_person(person, ORIGIN))
     assert replace(again, measurements=person.measurements) == person
     assert again.straight.dtype == again.apart.dtype == np.float32
-    for name in MEASURES:  # inclinations go through degrees: half a bit may be lost
+    for name in MEASURES:  # inclinations are stored in degrees: rounding
         assert getattr(again.measurements, name) == pytest.approx(getattr(person.measurements, name), rel=1e-15)
 
 
@@ -94,7 +94,7 @@ def test_deleted_index_and_mesh_are_written_again(whole: Path, tmp_path: Path) -
     assert contents(whole) == contents(tmp_path / "again")
 
 
-def test_webdataset_reads_them(whole: Path) -> None:
+def test_webdataset_reads_body_sets(whole: Path) -> None:
     with (whole / "train-00000.tar").open("rb") as stream:
         samples = list(group_by_keys(tar_file_expander([{"url": "shard", "stream": stream}])))
     assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(4)]
@@ -125,7 +125,7 @@ def test_people_on_another_mesh_are_not_stored(tmp_path: Path) -> None:
     person = fake_person(0)
     with (
         open_writer(tmp_path) as writer,
-        pytest.raises(ShardError, match="3 vertices apart, the mesh of this set has 4"),
+        pytest.raises(ShardError, match="3 vertices in pose apart, but the mesh of this set has 4"),
     ):
         writer.write(0, replace(person, apart=person.apart[:3]))
     assert contents(tmp_path) == contents(fill(tmp_path / "nobody", []))

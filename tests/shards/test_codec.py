@@ -34,7 +34,7 @@ def stages(sample: Sample) -> Iterator[Sample]:
     yield replace(sample, shape=None, box_mesh=None, drape=None, points=None, front=None, back=None)
 
 
-def test_same_sample_same_bytes() -> None:
+def test_equal_samples_have_equal_bytes() -> None:
     assert encode_sample(fake_sample(1, 12)) == encode_sample(fake_sample(1, 12))
     assert encode_sample(fake_sample(1, 12)) != encode_sample(fake_sample(2, 12))
 
@@ -100,7 +100,7 @@ def test_points_of_a_real_garment_are_stored_to_a_twentieth_of_a_millimetre(tmp_
         assert np.abs(read[:, :3] - points[:, :3]).max() < 0.005
         assert np.abs(read[:, 3:] - points[:, 3:]).max() < 1e-4
         assert np.linalg.norm(read[:, 3:], axis=1) == pytest.approx(1.0, abs=1e-4)
-        assert len(np.unique(read[:, 1])) > 2000  # heights, of which absolute 16-bit floats had 264 among 8192
+        assert len(np.unique(read[:, 1])) > 2000  # distinct heights; absolute 16-bit floats had 264 among 8192
 
 
 @pytest.mark.parametrize("count", [1, 127, 128, 129, 400])
@@ -140,7 +140,7 @@ def full(sample: Sample) -> Sample:
     )
 
 
-def test_members_of_later_steps_are_decoded(sample: Sample) -> None:
+def test_optional_members_and_entries_are_decoded(sample: Sample) -> None:
     members = encode_sample(full(sample))
     assert tuple(members) == garments_layout(caption=True, views=2).members
     again = decode_sample(members)
@@ -222,7 +222,7 @@ def test_numbers_that_json_cannot_hold_are_refused(sample: Sample) -> None:
         encode_sample(replace(sample, design={"width": np.inf}))
 
 
-def test_a_missing_picture_is_one_that_other_readers_can_open(sample: Sample) -> None:
+def test_a_missing_picture_is_stored_as_a_valid_jpeg(sample: Sample) -> None:
     members = encode_sample(replace(sample, front=None))
     with Image.open(io.BytesIO(members["front.jpg"])) as image:
         assert image.size == (1, 1)

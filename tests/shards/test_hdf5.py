@@ -23,7 +23,7 @@ from gcd_dataset.shards.hdf5 import Hdf5Reader, write_hdf5
 from tests.shards.folders import fill
 
 COUNT = 6
-GARMENTS = 3  # generated ones
+GARMENTS = 3  # generated garments
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_every_member_equals_the_shards_byte_for_byte(folder: Path, file: Path) 
         one.check(position)
 
 
-def test_items_equal_those_of_the_shards(folder: Path, file: Path) -> None:
+def test_items_equal_the_items_of_the_shards(folder: Path, file: Path) -> None:
     shards, one = GarmentDataset(folder), Hdf5Garments(file)
     assert len(one) == len(shards)
     for before, after in zip(shards, one, strict=True):
@@ -70,7 +70,7 @@ def test_a_loader_with_workers_reads_the_file(file: Path, monkeypatch: pytest.Mo
         return read(reader, *asked)
 
     loader = GarmentLoader(Hdf5Garments(file, fields=["verts"]), 2)
-    loader.state_dict()  # which looks at the ends of the data set
+    loader.state_dict()  # reads the first and the last garment in this thread
     monkeypatch.setattr(Hdf5Reader, "read", noted)
     assert len(list(loader)) == 3
     assert readers
@@ -89,7 +89,7 @@ def test_other_programs_find_arrays_and_texts(folder: Path, file: Path) -> None:
 
 def test_forked_and_unpickled_readers_open_their_own_file(file: Path) -> None:
     one = Hdf5Garments(file, fields=("verts", "meta"))
-    first = one[0]["verts"]  # open here, before workers are forked
+    first = one[0]["verts"]  # opens the file before workers are forked
     loader = DataLoader(one, 2, num_workers=2, collate_fn=collate_list, multiprocessing_context="fork")
     items = [item for batch in loader for item in batch]
     assert [item["meta"]["index"] for item in items] == list(range(COUNT))
@@ -137,7 +137,7 @@ def test_files_by_other_programs_are_reported(file: Path, tmp_path: Path) -> Non
         Hdf5Garments(tmp_path / "other.h5")
     with h5py.File(file, "r+") as newer:
         newer.attrs["schema"] = 99
-    with pytest.raises(ShardError, match="of schema 99, and this reader knows 1 and 2"):
+    with pytest.raises(ShardError, match="of schema 99, but this reader knows 1 and 2"):
         Hdf5Garments(file)
     with pytest.raises(ConfigError, match="no field"):
         Hdf5Garments(file, fields="vertices")
@@ -189,14 +189,14 @@ def read_all(path: Path) -> list[dict[str, bytes]]:
     return [{m: bytes(d) for m, d in reader.read(i, MEMBERS).items()} for i in range(len(reader))]
 
 
-def test_no_flipped_bit_comes_back_as_another_number(generated: Path, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_reported_or_changes_nothing(generated: Path, tmp_path: Path) -> None:
     """Each flipped bit is reported when its member is read, or changes nothing."""
     reader, path = Hdf5Reader(generated), tmp_path / "flipped.h5"
     raw = generated.read_bytes()
     before = read_all(generated)
     random = np.random.default_rng(0)
     reported = 0
-    # The layout is found once: of the file as it was, so that each bit takes milliseconds.
+    # The layout is parsed once, from the undamaged file, so that each bit takes milliseconds.
     for place in random.integers(0, len(raw), 200).tolist():
         flipped = bytearray(raw)
         flipped[place] ^= 1 << int(random.integers(8))
@@ -221,7 +221,7 @@ def test_a_member_is_checked_once_and_again_on_demand(generated: Path, tmp_path:
     reader = Hdf5Reader(path)
     verts = reader.read(1, ["box.npy"])["box.npy"]
     place = path.read_bytes().index(bytes(verts)[-400:])
-    with path.open("r+b") as file:  # changed on the medium, after it was read and found whole
+    with path.open("r+b") as file:  # changed on disk after the first check
         file.seek(place)
         file.write(b"\1\2\3")
     reader.read(1, ["box.npy"])
@@ -346,7 +346,7 @@ def test_headers_that_take_too_long_are_given_up(
     forever.write_text("import time\ntime.sleep(60)\n")
     monkeypatch.setattr(hdf5, "LAYOUT_PROGRAM", forever)
     monkeypatch.setattr(hdf5, "WALL_SECONDS", 0.2)
-    with pytest.raises(ShardError, match=r"its headers are not read in 0\.2 s"):
+    with pytest.raises(ShardError, match=r"reading its headers takes over 0\.2 s"):
         Hdf5Reader(generated)
     forever.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
     monkeypatch.setattr(hdf5, "WALL_SECONDS", 60)
@@ -366,7 +366,7 @@ def test_a_pipe_and_a_replaced_file_are_reported(file: Path, tmp_path: Path) -> 
 
 
 def test_mutated_files_are_reported_or_read_unchanged(generated: Path, tmp_path: Path) -> None:
-    """Headers included, which libhdf5 reads in its child process."""
+    """Also with mutated headers, which libhdf5 parses in a child process."""
     before, whole = read_all(generated), generated.read_bytes()
     random = np.random.default_rng(1)
     path = tmp_path / "mutated.h5"

@@ -70,7 +70,7 @@ def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> P
 
 
 def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
-    """In any byte."""
+    """Sixty random bytes of ``meta.json``, one at a time."""
     path = folder / "train-00000.tar"
     whole = path.read_bytes()
     size = int(whole[124:135], 8)
@@ -105,7 +105,7 @@ def test_every_edited_column_is_reported(folder: Path, name: str) -> None:
 
 
 def test_a_sample_under_another_number_is_reported(folder: Path) -> None:
-    """The index is valid but of other shards, or of schema 1."""
+    """An index with a valid digest that belongs to other shards; one of schema 1 has no digest."""
     index = read_index(folder)
     sample = index.table.sample.copy()
     sample[[0, 1]] = sample[[1, 0]]
@@ -300,7 +300,7 @@ def test_errors_about_strange_meta_are_one_line(tmp_path: Path, entries: dict[st
 )  # fmt: skip
 def test_errors_about_strange_members_name_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
     members = resealed({**encode_sample(fake_sample(0, 0)), member: content})
-    # Beside a sample that holds every field.
+    # The second sample is intact, and holds every field.
     ds = GarmentDataset(shard_of(tmp_path / "data", members, encode_sample(fake_sample(0, 1))))
     with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000000, member {member}: "):
         ds[0]
@@ -346,7 +346,7 @@ def test_pictures_of_a_hundred_million_pixels_are_not_decoded() -> None:
             decode_member("seg.png", png_of(side))
 
 
-def test_foreign_numbers_are_compared_with_their_bytes() -> None:
+def test_foreign_npy_headers_are_checked_against_their_bytes() -> None:
     for content in (
         npy_of("(1000000000000,)", bytes(8)), npy_of("((((", bytes(8)), npy_of("('a',)"), npy_of("(-1,)"),
         npy_of("(3,)", bytes(24), "|O"), npy_of("(1,)", bytes(4), "<U1000000000"), b"\x93NUMPY\x09\x00", b"",

@@ -37,7 +37,7 @@ def flip(folder: Path, sample: int, member: str) -> None:
     path.write_bytes(content)
 
 
-def test_members_come_back_in_any_order(folder: Path) -> None:
+def test_members_are_read_in_any_order(folder: Path) -> None:
     shards = ShardReader(folder)
     for position in np.random.default_rng(0).permutation(10).tolist():
         assert shards.read(position, MEMBERS) == encode_sample(fake_sample(0, position))
@@ -132,14 +132,14 @@ def test_shards_are_read_without_index_and_manifest(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["index-train.npz", "manifest.json"])
-def test_a_broken_side_file_is_named(folder: Path, name: str) -> None:
+def test_a_broken_index_or_manifest_is_named(folder: Path, name: str) -> None:
     (folder / name).write_bytes(b"PK nonsense")
     with pytest.raises(ShardError, match=name):
         ShardReader(folder)
 
 
 def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ShardError, match="no samples of split test: there is train"):
+    with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         ShardReader(folder, "test")
     with pytest.raises(ShardError, match="give a folder made by gcd generate"):
         ShardReader(tmp_path)
@@ -203,11 +203,11 @@ def test_a_shard_whose_samples_have_moved_is_reported(
     for _ in range(2):
         with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were inserted.*: open the data set again"):
             reader.read(1, MEMBERS)
-    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # of a shard that has grown at its end
+    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # its shard has only grown at the end
     assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 
-def test_it_may_be_pickled_forked_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folders, "OPEN_FILES", 1)
     shards = ShardReader(folder)
     expected = [encode_sample(fake_sample(0, position))["verts.npy"] for position in range(10)]

@@ -60,7 +60,7 @@ def test_the_last_sample_of_a_shard_triggers_its_writing(tmp_path: Path) -> None
     assert set(samples.read(2, ("box.npy",)) or ()) >= {"box.npy"}
 
 
-def test_the_folder_equals_that_of_a_writer(tmp_path: Path) -> None:
+def test_the_folder_equals_a_writers_folder(tmp_path: Path) -> None:
     keep(tmp_path / "kept", [7, 1, 5, 3, 9, 0, 2, 8, 6, 4])
     written = fill(tmp_path / "written", range(10))
     assert content(tmp_path / "kept") == content(written)
@@ -93,7 +93,7 @@ def test_a_thread_may_read_during_a_refresh(tmp_path: Path, monkeypatch: pytest.
     samples = kept(tmp_path)
     keep(tmp_path, range(4, 8))
     assert samples.read(5) == members(5)
-    keep(tmp_path, range(4))  # in front of those that are known
+    keep(tmp_path, range(4))  # a shard before the known samples
     sort, meanwhile = np.sort, []
 
     def sort_and_read(numbers: Any) -> Any:
@@ -176,12 +176,12 @@ def test_a_damaged_sample_is_reported_and_replaced(tmp_path: Path) -> None:
     assert all(samples.read(index) == members(index) for index in range(4))
 
 
-@pytest.mark.parametrize("there", [10, 4])  # the shard that goes is one of several, or the only one
+@pytest.mark.parametrize("there", [10, 4])  # the deleted shard is one of several, or the only one
 def test_a_deleted_shard_is_written_again(tmp_path: Path, there: int) -> None:
     keep(tmp_path, range(there))
     before = content(tmp_path)
     (tmp_path / "train-00000.tar").unlink()
-    worker = CONTEXT.Process(target=keep, args=(tmp_path, range(4)), daemon=True)  # it could wait for itself forever
+    worker = CONTEXT.Process(target=keep, args=(tmp_path, range(4)), daemon=True)  # a deadlock would hang the test
     worker.start()
     worker.join(60)
     assert worker.exitcode == 0

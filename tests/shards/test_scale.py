@@ -61,7 +61,7 @@ def test_an_index_is_read_in_less_than_three_times_its_size() -> None:
     peak = tracemalloc.get_traced_memory()[1] - before
     tracemalloc.stop()
     assert len(index) == 50_000
-    assert peak < 2 * len(content)  # beside the content itself
+    assert peak < 2 * len(content)  # in addition to the content
 
 
 def test_shards_beyond_the_five_digits_of_their_names_stay_in_order() -> None:
@@ -87,7 +87,7 @@ def test_a_kill_leaves_shards_that_the_manifest_lists_later(tmp_path: Path, monk
     writing = open_writer(tmp_path / "killed")
     for index in range(13):
         writing.write(fake_sample(0, index))
-    del writing  # nobody closes it, as after kill -9
+    del writing  # without close, as after kill -9
     behind = read_manifest(tmp_path / "killed")
     assert behind is not None
     assert len(behind.splits["train"].shards) == 2

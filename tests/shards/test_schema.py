@@ -1,4 +1,4 @@
-"""Data sets of an earlier schema are read; those of a later one are refused."""
+"""Data sets of an earlier schema are read; data sets of a later schema are refused."""
 
 import io
 import json
@@ -62,7 +62,7 @@ def assert_same(items: list[Any], samples: list[dict[str, bytes]]) -> None:
         assert (item["meta"]["grade"], item["meta"]["tags"], item["meta"]["strain"]) == ("", [], None)
         for field in ("verts", "panels", "points", "faces", "stitches"):
             array = np.load(io.BytesIO(sample[f"{field}.npy"]))
-            if not len(array):  # of a later stage
+            if not len(array):  # a field of a later stage
                 assert field not in item
                 continue
             assert np.array_equal(item[field].numpy(), array.astype(item[field].numpy().dtype))
@@ -130,13 +130,13 @@ def test_schema_1_is_published_unchanged(first: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("alone", [False, True])
-def test_nothing_is_added_to_schema_1(first: Path, alone: bool) -> None:
+def test_data_sets_of_schema_1_are_not_extended(first: Path, alone: bool) -> None:
     folder = first / "patterns"
     if alone:
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"of schema 1, and gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
+    with pytest.raises(ConfigError, match=r"of schema 1, but gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
         ShardWriter(folder, seed=5, recipe=recipe_of(PATTERNS))
     assert main(["generate", str(folder), "--count", "5", "--seed", "5", "--stage", "pattern", "--quiet"]) == 2
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
@@ -158,7 +158,7 @@ def test_a_later_schema_is_refused_with_both_versions(tmp_path: Path) -> None:
     index = (folder / "index-train.npz").read_bytes()
     np.savez(folder / "index-train.npz", **{**arrays, "schema": np.array(3)})
     with pytest.raises(
-        ShardError, match=r"index-train\.npz: an index of schema 3, and this reader knows 1 and 2: update"
+        ShardError, match=r"index-train\.npz: an index of schema 3, but this reader knows 1 and 2: update"
     ):
         GarmentDataset(folder)
     (folder / "index-train.npz").write_bytes(index)
@@ -169,7 +169,7 @@ def test_a_later_schema_is_refused_with_both_versions(tmp_path: Path) -> None:
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
     for streaming in (False, True):
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*of schema 3, and this reader knows 1 and 2: update"):
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*of schema 3, but this reader knows 1 and 2: update"):
             list(GarmentDataset(folder, streaming=streaming))
 
 
@@ -182,7 +182,7 @@ def test_both_schemas_in_one_split_are_reported(first: Path) -> None:
         rebuild_index(folder)
 
 
-def test_specifications_of_schema_1_are_patterns(first: Path) -> None:
+def test_specifications_of_schema_1_are_decoded_without_loss(first: Path) -> None:
     reader = ShardReader(first / "patterns")
     for position, sample in enumerate(stored_members(first / "patterns")):
         assert spec_from_pattern(reader.sample(position).pattern) == json.loads(sample["spec.json"])

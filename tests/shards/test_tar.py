@@ -34,7 +34,7 @@ def shard(tmp_path: Path) -> Path:
     return fill(tmp_path, range(3)) / "train-00000.tar"
 
 
-def test_python_reads_it(shard: Path) -> None:
+def test_tarfile_reads_a_shard(shard: Path) -> None:
     with tarfile.open(shard) as archive:
         members = archive.getmembers()
         assert [m.name for m in members] == [f"gcd_{i:09d}.{member}" for i in range(3) for member in MEMBERS]
@@ -47,7 +47,7 @@ def test_python_reads_it(shard: Path) -> None:
 
 # webdataset 1.0.2 leaves the files that it opens to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore:unclosed file:ResourceWarning")
-def test_webdataset_reads_and_decodes_it(shard: Path) -> None:
+def test_webdataset_reads_and_decodes_a_shard(shard: Path) -> None:
     samples = list(wds.WebDataset(str(shard), shardshuffle=False).decode("pil"))
     assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(3)]
     for index, sample in enumerate(samples):
@@ -71,7 +71,7 @@ with open(sys.argv[1], "rb") as stream:
 """
 
 
-def test_webdataset_reads_it_with_its_security_on(shard: Path) -> None:
+def test_webdataset_reads_a_shard_in_secure_mode(shard: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", SECURE, str(shard)],
         env={**os.environ, "WDS_SECURE": "1"},
@@ -143,7 +143,7 @@ def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: bool) -> None:
-    """It infers types from the first five."""
+    """``datasets`` infers types from the first five samples."""
     samples = barest_first()
     entries = [
         tar_entry(f"{sample.key}.{member}", data)
@@ -211,7 +211,7 @@ def test_a_duplicate_member_is_refused(tmp_path: Path) -> None:
     header[148:156] = b"%06o\0 " % sum(header)
     content[second : second + BLOCK] = header
     (folder / "train-00000.tar").write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*gcd_000000000\.meta\.json is there twice"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*gcd_000000000\.meta\.json occurs twice"):
         list(GarmentDataset(folder, streaming=True))
 
 
@@ -222,7 +222,7 @@ def test_a_duplicate_sample_is_refused(tmp_path: Path) -> None:
     (folder / "train-00000.tar").write_bytes(first + content)
     index = ShardIndex.of(folder, {"train-00000.tar": scan_shard(folder / "train-00000.tar")[[0, 2]]})
     index.write(folder / "index-train.npz")
-    with pytest.raises(ShardError, match="is there twice"):
+    with pytest.raises(ShardError, match="occurs twice"):
         list(GarmentDataset(folder, streaming=True))
 
 
@@ -232,9 +232,9 @@ def test_a_zeroed_header_is_not_taken_for_the_end(tmp_path: Path) -> None:
     content, second = bytearray(shard.read_bytes()), int(scan_shard(shard).offset[1, 0]) - BLOCK
     content[second : second + BLOCK] = bytes(BLOCK)
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=f"zeros at byte {second}, and content after them"):
+    with pytest.raises(ShardError, match=f"zeros at byte {second}, but content after them"):
         scan_shard(shard)
-    shard.write_bytes(content[:second] + bytes(10240))  # as other programs fill up the last block
+    shard.write_bytes(content[:second] + bytes(10240))  # zero padding, as other programs write it
     assert len(scan_shard(shard)) == 1
 
 

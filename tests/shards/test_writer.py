@@ -49,7 +49,7 @@ def test_a_shard_holds_its_own_indices(whole: Path) -> None:
     assert index.shard.tolist() == [0] * 4 + [1] * 4 + [2] * 2
 
 
-def test_same_samples_same_bytes(whole: Path, tmp_path: Path) -> None:
+def test_equal_samples_give_equal_shards(whole: Path, tmp_path: Path) -> None:
     assert contents(fill(tmp_path / "again", range(10))) == contents(whole)
 
 
@@ -80,7 +80,7 @@ def test_a_killed_run_loses_only_the_sample_being_written(whole: Path, tmp_path:
         writer.write(fake_sample(0, index))
     part = folder / "train-00001.tar.part"
     os.truncate(part, part.stat().st_size - 1000)
-    del writer  # nobody closes it, as after kill -9
+    del writer  # without close, as after kill -9
     assert list(ShardReader(folder).index.table.sample) == [0, 1, 2, 3]
 
 
@@ -208,7 +208,7 @@ def test_two_writers_of_a_split_exclude_each_other(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
+def test_the_lock_of_a_writer_holds_in_forked_processes(tmp_path: Path) -> None:
     writer = open_writer(tmp_path)
     read, write = os.pipe()
     child = os.fork()
@@ -218,7 +218,7 @@ def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
         except OutputError as error:
             os.write(write, str(error).encode())
         finally:
-            del writer  # a copy that another process drops frees nothing
+            del writer  # dropping the forked copy releases no lock
             os._exit(0)
     os.waitpid(child, 0)
     os.close(write)
@@ -249,7 +249,7 @@ def test_a_closed_writer_writes_no_more(tmp_path: Path) -> None:
     assert len(ShardReader(tmp_path)) == 1
 
 
-def test_splits_may_be_written_at_once(tmp_path: Path) -> None:
+def test_splits_may_be_written_concurrently(tmp_path: Path) -> None:
     with open_writer(tmp_path) as train, open_writer(tmp_path, split="test", seed=7) as test:
         for index in range(5):
             train.write(fake_sample(0, index))
@@ -279,7 +279,7 @@ def test_a_read_only_folder_is_reported() -> None:
 
 def test_another_version_is_refused_naming_both(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.__version__", "99.1")
-    message = rf"made by gcd_dataset {re.escape(__version__)}, and this is 99\.1: .*another folder"
+    message = rf"made by gcd_dataset {re.escape(__version__)}, but this is 99\.1: .*another folder"
     with pytest.raises(ConfigError, match=message):
         open_writer(whole)
     (whole / "manifest.json").unlink()

@@ -72,7 +72,7 @@ def parts_in(out: Path, of: int) -> Path:
         (2, [1, 0]),
         (3, [2, 0, 2, 1, 0]),
         (7, [3, 1, 6, 0, 5, 2, 4]),  # more parts than shards
-        (30, [*range(30)]),  # and than designs
+        (30, [*range(30)]),  # more parts than designs
     ],
 )
 def test_parts_in_any_order_are_one_run(of: int, order: list[int], whole: dict[str, bytes], tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_parts_of_another_recipe_are_refused(tmp_path: Path) -> None:
             ConfigError, match=r"made by recipe flat \(.*\), asked for .*: use the same or another folder"
         ):
             generate_recipe(tmp_path, other, part=JobPart(1, 2))
-    with pytest.raises(ConfigError, match="go on with --recipe, or choose another folder"):
+    with pytest.raises(ConfigError, match="continue with --recipe, or choose another folder"):
         part_of(tmp_path, 1, 2, count=12)
     with pytest.raises(ShardError, match=r"part 1/2 is missing: run gcd generate \S+ --recipe FILE\.toml --shard 1/2"):
         merge(tmp_path)
@@ -192,7 +192,7 @@ def test_a_recipe_that_is_refused_leaves_no_name_among_parts_of_none(tmp_path: P
 def test_parts_that_a_named_set_refuses_leave_no_plan(tmp_path: Path) -> None:
     recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
     claim(tmp_path, recipe)
-    with pytest.raises(ConfigError, match="go on with --recipe"):
+    with pytest.raises(ConfigError, match="continue with --recipe"):
         part_of(tmp_path, 0, 2)
     assert not (tmp_path / ".parts").exists()
 
@@ -322,7 +322,9 @@ def test_a_byte_that_changed_in_a_shared_shard_is_found(tmp_path: Path) -> None:
     content = bytearray(shard.read_bytes())
     content[2000] ^= 1
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00003\.tar: \d of its \d samples are whole: delete it and run"):
+    with pytest.raises(
+        ShardError, match=r"train-00003\.tar: only \d of its \d samples are undamaged: delete it and run"
+    ):
         merge(out)
 
 
@@ -341,7 +343,7 @@ def test_a_byte_that_changed_in_a_shared_shard_is_found(tmp_path: Path) -> None:
 def test_parts_that_do_not_belong_together_are_refused(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
     part_of(tmp_path, 0, 2)
     before = contents(tmp_path)
-    with pytest.raises(ConfigError, match=rf"parts\.json: parts begun with {message}: use the same, .*begin anew"):
+    with pytest.raises(ConfigError, match=rf"parts\.json: parts begun with {message}: use the same, .*start over"):
         part_of(tmp_path, 1, 2, **changed)
     assert contents(tmp_path) == before
 
@@ -384,7 +386,7 @@ def test_a_folder_that_holds_a_copy_of_another_part_is_refused(tmp_path: Path) -
 def test_a_part_of_another_number_is_refused(tmp_path: Path) -> None:
     parts_in(tmp_path, 2)
     part_folder(tmp_path, 1, 2).rename(part_folder(tmp_path, 1, 3))
-    with pytest.raises(ConfigError, match="00001-of-00003: none of 2 parts: move it elsewhere"):
+    with pytest.raises(ConfigError, match="00001-of-00003: not one of the 2 parts: move it elsewhere"):
         merge(tmp_path)
 
 
@@ -418,7 +420,7 @@ def test_parts_that_wait_are_identified_wherever_the_data_set_is_asked_for(
 def test_a_part_of_a_complete_data_set_is_stored_or_refused(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = tmp_path / "whole"
     assert part_of(out, 1, 2).made == 0
-    with pytest.raises(ConfigError, match="not made in parts, without 1 of the 12 samples of part 1/2: go on with it"):
+    with pytest.raises(ConfigError, match="not made in parts and lacks 1 of the 12 samples of part 1/2: continue it"):
         part_of(out, 1, 2, count=COUNT + 1)
     with pytest.raises(ConfigError, match="seed=0, asked for seed=4"):
         part_of(out, 1, 2, seed=4)
@@ -426,16 +428,18 @@ def test_a_part_of_a_complete_data_set_is_stored_or_refused(tmp_path: Path, whol
 
 
 def test_a_folder_without_parts_is_reported(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    with pytest.raises(ShardError, match="no parts to be merged: it holds a data set that is whole"):
+    with pytest.raises(ShardError, match="no parts to be merged: it already holds a complete data set"):
         merge(tmp_path / "whole")
-    with pytest.raises(ShardError, match="no parts to be merged: give a folder in which gcd generate --shard"):
+    with pytest.raises(
+        ShardError, match="no parts to be merged: give a folder with parts made by gcd generate --shard"
+    ):
         merge(tmp_path)
 
 
 def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = parts_in(tmp_path / "parts", 2)
     (out / "train-00000.tar").write_bytes(b"something else")
-    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which is in none of its parts"):
+    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which belongs to none of its parts"):
         merge(out)
     (out / "train-00000.tar").unlink()
     merge(out)
@@ -456,7 +460,7 @@ def test_a_broken_plan_or_record_is_reported(name: str, content: bytes, tmp_path
 @pytest.mark.parametrize(
     ("shard", "task", "message"),
     [
-        ("5/4", None, "--shard 5/4: part 5/4: there is no such part: the first is 0/4, the last 3/4"),
+        ("5/4", None, "--shard 5/4: part 5/4: no such part: the first is 0/4, the last 3/4"),
         ("0/0", None, "--shard 0/0: .*give 1 to 100000"),
         ("a/b", None, "--shard a/b: .*write I/N"),
         ("-1/4", None, "--shard -1/4: .*write I/N"),
@@ -527,7 +531,7 @@ def test_a_damaged_part_is_made_again_though_a_stopped_merge_has_moved_others(
     os.truncate(shard, 5000)
     with pytest.raises(ShardError, match=r"delete it and run .*--shard 1/3"):
         merge(out)
-    with pytest.raises(ConfigError, match="run gcd merge"):  # another part, in which nothing is damaged
+    with pytest.raises(ConfigError, match="run gcd merge"):  # for the undamaged part 0
         part_of(out, 0, 3)
     shard.unlink()
     part_of(out, 1, 3)

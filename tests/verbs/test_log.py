@@ -94,7 +94,7 @@ def test_a_log_that_cannot_be_opened_is_refused(tmp_path: Path, capsys: pytest.C
     os.mkfifo(tmp_path / "pipe")
     for name, message in (
         ("folder", "choose another name"),
-        ("notes.txt", "no line of a log"),
+        ("notes.txt", "not a line of a run log"),
         ("pipe", "cannot be written"),
     ):
         arguments = ["generate", str(tmp_path / "data"), "--count=1", "--stage=pattern", "--quiet"]
@@ -159,6 +159,6 @@ def test_a_file_that_is_no_log_is_not_added_to(tmp_path: Path) -> None:
     before = contents(tmp_path / "there")
     for name in before:
         if before[name]:
-            with pytest.raises(OutputError, match="its last line is no line of a log: choose another file"):
+            with pytest.raises(OutputError, match="its last line is not a line of a run log: choose another file"):
                 generate(tmp_path / "out", 1, config=FLAT, log=tmp_path / "there" / name)
     assert contents(tmp_path / "there") == before

@@ -18,7 +18,7 @@ def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress
     for seconds, waits in steps:
         clock.now += seconds
         progress = pace.of(progress.with_sample(), waits)
-    assert len(pace._marks) <= 62  # however many samples
+    assert len(pace._marks) <= 62  # for any number of samples
     return progress
 
 

@@ -48,7 +48,7 @@ def test_lines_and_manifest_tell_of_the_same_attempts(tmp_path: Path, whole: dic
     manifest = read_manifest(tmp_path / "whole")
     assert manifest is not None
     designs = [line["design"] for line in lines(whole["rejects.jsonl"])]
-    wearers = sum(2 if 2 * design + 1 < COUNT else 1 for design in designs)  # the manifest counts with each sample
+    wearers = sum(2 if 2 * design + 1 < COUNT else 1 for design in designs)  # the manifest counts each sample
     assert manifest.splits["train"].rejects == {"tight_cuff": wearers}
 
 
@@ -130,4 +130,4 @@ def test_info_names_the_file(tmp_path: Path, whole: dict[str, bytes], capsys: py
     assert main(["info", str(tmp_path / "whole")]) == 0
     said = capsys.readouterr().out
     assert "tight_cuff" in said
-    assert f"each of them, with its figures: {tmp_path / 'whole' / 'rejects.jsonl'}" in said
+    assert f"every rejected attempt, with its figures: {tmp_path / 'whole' / 'rejects.jsonl'}" in said

@@ -1,1 +1,1 @@
-"""The drape's kernels, one constraint a file; their NumPy twins are in ``drape.reference``."""
+"""The drape's Warp kernels; ``drape.reference`` computes elastic energies and intersection tests in NumPy."""

@@ -30,7 +30,7 @@ def push_point_triangle(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Contact weights, and the push apart, of a point-triangle contact."""
+    """Add the contact weights and the separating displacements of a point-triangle contact."""
     a = x[face[0]] + world.dt * v[face[0]]
     b = x[face[1]] + world.dt * v[face[1]]
     c = x[face[2]] + world.dt * v[face[2]]
@@ -92,7 +92,7 @@ def push_edge_edge(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Contact weights, and the push apart, of an edge-edge contact; ``found``: its direction when listed."""
+    """Add weights and separating displacements of an edge-edge contact; ``found``: its direction when listed."""
     i = ends[0]
     i1 = ends[1]
     j = ends[2]

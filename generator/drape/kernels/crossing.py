@@ -1,9 +1,9 @@
 """Crossings: edges that intersect triangles, of cloth with cloth and with the body; their search, count and untangling.
 
 Untangling moves crossing cloth so that the intersection contour gets shorter (after Volino and Magnenat-Thalmann,
-SIGGRAPH 2006); it needs no right side of a layer. Displacing an edge by ``d`` against a triangle with normal
-``N`` moves their crossing point by ``d - (N·d / N·E) E``, ``E`` along the edge. So the crossing point moves fastest
-along the contour's directions ``R`` into the edge's faces for a displacement along ``R - (E·R / E·N) N``.
+SIGGRAPH 2006); it need not know on which side a layer belongs. Displacing an edge by ``d`` against a triangle with
+normal ``N`` moves their crossing point by ``d - (N·d / N·E) E``, ``E`` along the edge. So the crossing point moves
+fastest along the contour's directions ``R`` into the edge's faces for a displacement along ``R - (E·R / E·N) N``.
 """
 
 import warp as wp
@@ -60,7 +60,7 @@ def find_crossings(
 ):
     """List (edge, triangle) for every crossing of cloth with cloth, and mark the vertices of both as tangled.
 
-    Skips short edges without another vertex near either end: a crossed triangle of similar size has a vertex there.
+    Skips short edges without another vertex near either end: a crossed triangle of similar size would have one there.
     """
     e = wp.tid()
     i = cloth.edges[e][0]

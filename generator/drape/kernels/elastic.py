@@ -2,12 +2,12 @@
 
 Stretch: a spring along every mesh edge. In a fabric with a grain the springs of a face are coupled, which makes the
 face an orthotropic sheet. Bending: the quadratic model of Bergou et al. (2006), a constant matrix. The thread of a
-vertex reads its springs, then the vertices that matter to its bending force alone, then its coupled faces. On a GPU the
-rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity 172 µs;
-row after row 188 µs); on a CPU each row is contiguous.
+vertex reads its springs, then the vertices on which only its bending force depends, then its coupled faces. On a GPU
+the rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity
+172 µs; row after row 188 µs); on a CPU each row is contiguous.
 
-Forces are evaluated at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions. With it,
-symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
+Forces are evaluated at ``x + theta h v``, which damps in proportion to stiffness and hardly damps slow motions. With
+this damping symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
 """
 
 import warp as wp
@@ -47,8 +47,8 @@ class Corner:
     last: int
     lengths: wp.vec3  # cm, flat lengths of next, last and across
     next_last: float  # g/s², force along the next edge per stretch of the last edge, and vice versa
-    next_across: float  # g/s², force along the next edge per stretch of the edge across
-    last_across: float  # g/s², the same along the last edge
+    next_across: float  # g/s², force along the next edge per stretch of the edge across, and vice versa
+    last_across: float  # g/s², force along the last edge per stretch of the edge across, and vice versa
 
 
 @wp.struct

@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = wp.constant(4)  # voxels along a side
 HALF_BLOCK = wp.constant(2.6)  # voxels from a block's centre to its furthest voxel centre, rounded up
 UNLIMITED = wp.constant(1.0e3)  # cm, search radius
-ROUNDING = wp.constant(1.0e-2)  # cm; single precision resolves this 200 m from the origin
+ROUNDING = wp.constant(1.0e-2)  # cm, added to search radii; single precision resolves it 200 m from the origin
 NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
 
 
@@ -84,9 +84,9 @@ def measure_blocks(bodies: wp.array(dtype=Voxels), cell: float, band: float):
 
 @wp.kernel
 def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
-    """Fill ``distance``, exact inside and up to ``band`` outside, ``band`` beyond, and ``part`` where it is exact.
+    """Fill ``distance`` (exact inside and up to ``band`` outside, ``band`` beyond), and ``part`` where it is exact.
 
-    ``number`` counts the voxels of a block, then the blocks: threads side by side search the same skin.
+    ``number`` counts the voxels of a block, then the blocks, so that neighbouring threads search the same faces.
     """
     b, number = wp.tid()
     body = bodies[b]
@@ -108,8 +108,8 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
         near = wp.mesh_query_point_sign_normal(body.mesh, p, wp.min(reach, band))
         sign = near.sign
         if near.result and p[1] > body.lids_above:
-            # Behind the lips a lid folds back on the skin and normals give the wrong sign. Elsewhere normals are
-            # faster.
+            # Behind the lips a lid folds back on the skin, where signs by normals are wrong. Below all lids they are
+            # right, and faster.
             winding = wp.mesh_query_point_sign_winding_number(body.mesh, p, wp.min(reach, band))
             sign = winding.sign
         if not near.result:
@@ -125,7 +125,7 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
 
 @wp.kernel
 def add_hulls(hulls: wp.array(dtype=Hull), cell: float):
-    """Lower ``distance`` to the distance from the hulls: exact before its faces, too small beside edges."""
+    """Lower ``distance`` to the distance from each hull: exact in front of faces, too small in front of edges."""
     h, number = wp.tid()
     hull = hulls[h]
     if number >= hull.size[0] * hull.size[1] * hull.size[2]:

@@ -13,7 +13,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, en
 
 wp.set_module_options({"enable_backward": False})
 
-SHARE = 0.45  # largest move of a vertex over its distance from other cloth
+SHARE = 0.45  # largest move of a vertex, as a share of its distance from other cloth
 CLEAR = 0.12  # cm, target distance from the skin
 DEEPEST = 3.0  # cm: cloth deeper inside stays there
 
@@ -155,8 +155,8 @@ def leave_skin(
 ):
     """Move marked vertices outward, by the larger of two distances.
 
-    Either the distance that brings the deepest sampled point of the vertex's edges out of the body, or the height by
-    which the skin stands out of the vertex's faces.
+    The first brings the deepest sampled point of the vertex's edges out of the body. The second is the height by which
+    the skin stands out of the vertex's faces.
     """
     i = wp.tid()
     w = cloth.vertex_world[i]

@@ -13,7 +13,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 PUSH_SCALE = 16777216.0  # 2**24 units in a centimetre: resolution 6e-8 cm, overflow at 128 cm
-WEIGHT_SCALE = 65536.0  # units of contact weight 1
+WEIGHT_SCALE = 65536.0  # units in a contact weight of 1
 HEIGHT_SCALE = 256.0  # units in a centimetre of height
 
 

@@ -26,7 +26,7 @@ def corner_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> f
 
 @wp.func
 def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, springs: wp.mat33d) -> float:
-    """``corner_stiffness`` for a fabric with a grain: the larger of coupled and uncoupled springs.
+    """``corner_stiffness`` for a fabric with a grain: the larger bound of coupled and uncoupled springs.
 
     The factor 3/2 bounds the coupled case, where three corners move together instead of two spring ends.
     """
@@ -110,7 +110,7 @@ def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
 
 @wp.func
 def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows):
-    """Write the springs of a vertex without bending; returns the added stiffness of tapes, over the membrane's."""
+    """Write the springs of a vertex without bending; returns the stiffness that tapes add, in membrane stiffnesses."""
     stiffer = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
         e = surface.vertex_edges[surface.first_edge[i] + row]
@@ -183,7 +183,7 @@ def weigh_rows(
     (``springs_of``), whose other entries couple the edges.
 
     ``stiffness`` over inertia bounds the squared angular frequencies at any orientation of the faces: a spring's energy
-    is at most twice the sum of its ends moving alone, and the springs of a face lie in its plane.
+    is at most twice the sum of its energies with one end moving alone, and the springs of a face lie in its plane.
     """
     i = wp.tid()
     sheet = sheets[vertex_world[i]]

@@ -178,7 +178,7 @@ def list_point_triangle(
 ):
     """List vertex ``i`` with face ``f`` if nearer than the margin.
 
-    Only from the pair of ``i`` with the face's nearest corner ``j``, so that each contact is listed once.
+    Only the call with the face's nearest corner ``j`` lists it, so that each contact is listed once.
     """
     face = cloth.faces[f]
     point = wp.vec4i(i, face[0], face[1], face[2])
@@ -229,9 +229,9 @@ def list_edge_edge(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List edges ``e`` and ``g`` if they are nearest inside both, and nearer than the margin.
+    """List edges ``e`` and ``g`` if their nearest points lie inside both edges, and are nearer than the margin.
 
-    Only from the pair of their nearest ends ``i`` and ``j``, so that each contact is listed once.
+    Only the call with their nearest ends ``i`` and ``j`` lists them, so that each contact is listed once.
     """
     i1 = cloth.edges[e][0] + cloth.edges[e][1] - i
     j1 = cloth.edges[g][0] + cloth.edges[g][1] - j

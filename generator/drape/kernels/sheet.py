@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 # only, the jumps alternate: on equilateral triangles the sum of their squares is three times that of the smooth sheet.
 EXCESS = 3.0
 SLIVER = 0.12  # product of the sines of a face's angles below which it is a sliver: 7° and two of 86°
-LEAST_BEND = 0.5  # least rigidity of a hinge over that of the softer direction
+LEAST_BEND = 0.5  # lower limit of a hinge's rigidity, as a share of the softer direction's
 
 
 @wp.struct
@@ -72,7 +72,8 @@ def hinge_rigidity(sheet: Sheet, share: wp.float64) -> float:
     """Rigidity of a hinge, so that a mesh of equilateral triangles with a side along the weft bends like the fabric.
 
     Bending along the warp moves only hinges along the weft (share 0); bending along the weft moves all hinges (shares
-    3/4 and 0), with jumps 2, 2 and -1, so the sheet's rigidity is 8/9 and 1/9 of theirs.
+    3/4, 3/4 and 0), with jumps 2, 2 and -1. Jumps count squared: the sheet's rigidity along the weft is 8/9 of the
+    rigidity of hinges with share 3/4, plus 1/9 of the rigidity of hinges with share 0.
     """
     if sheet.bend_warp == sheet.bend_weft:
         return sheet.bend_warp

@@ -1,8 +1,9 @@
 """Sides of contacts: detect pairs that have passed through each other, and keep their old sides.
 
 A pair is listed with its side before it touches. If it is on the other side at the next search, and the point's
-projection lies within the triangle both times, the pair has passed through: moving round the rim takes longer. Until
-the pair is back on its old side, its vertices get no new contacts with each other and keep the old ones.
+projection lies within the triangle both times, the pair has passed through: a path round the rim takes longer than the
+time between two searches. Until the pair is back on its old side, its vertices get no new contacts with each other and
+keep the old ones.
 """
 
 import warp as wp
@@ -103,7 +104,7 @@ def keep_sides(
 ):
     """Copy the contacts between passed vertices to the ``kept`` lists, before the contact lists are cleared.
 
-    The capacity suffices: the copies are no more than the contacts.
+    The ``kept`` lists cannot overflow: they have the capacity of the contact lists.
     """
     for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
         w = world_of(item, contacts.work)

@@ -125,7 +125,7 @@ def push_contacts_apart(
     # state out
     push: wp.array2d(dtype=int),
 ):
-    """Push contact pairs nearer than the thickness apart; each element stays on the side on which it is now."""
+    """Push apart contact pairs that are nearer than the thickness; each element stays on its present side."""
     w, thread = wp.tid()
     if active[w] == 0:
         return

@@ -37,12 +37,12 @@ class World:
     margin: float  # cm, the narrow phase lists pairs nearer than this
     near: float  # cm, the broad phase lists vertices nearer than this
     travel: float  # cm that a vertex may move before the next search
-    clear: float  # cm from the skin, beyond which no vertex reaches it before the next search
+    clear: float  # cm: a vertex further from the skin cannot reach it before the next search
     max_frames: int
     still: float  # cm in a frame: a vertex that moves less is at rest
     calm: float  # cm in a frame: ``still`` rises to this by the last frame, see ``still_limit``
-    restless: float  # vertices that may move in a garment at rest
-    falling: float  # vertices that may be fast in a garment whose hold ends
+    restless: float  # a garment is at rest when at most this number of its vertices moves
+    falling: float  # the hold may end when at most this number of vertices is fast
     frame: float  # s, length of a frame
     lowest: float  # cm, mean height of the keepers below which the garment has slid off
     floor: float  # cm, height below which a garment has fallen
@@ -88,8 +88,8 @@ class Contacts:
     sides: wp.array(dtype=float)  # side of the face on which the point belongs: 1 along its normal, -1 against it
     edges: wp.array(dtype=wp.vec4i)  # edge-edge contacts: two vertices, two vertices
     normals: wp.array(dtype=wp.vec3)  # direction from the first edge to the second when found
-    kept_points: wp.array(dtype=wp.vec4i)  # contacts that have passed through each other, with their old sides
-    kept_sides: wp.array(dtype=float)
+    kept_points: wp.array(dtype=wp.vec4i)  # contacts whose elements have passed through each other
+    kept_sides: wp.array(dtype=float)  # their sides before that
     kept_edges: wp.array(dtype=wp.vec4i)
     kept_normals: wp.array(dtype=wp.vec3)
     long_edges: wp.array(dtype=wp.vec2i)  # edges whose inside may touch the body
@@ -142,7 +142,7 @@ class CrossingWatch:
 
 @wp.func
 def sewn_share(world: World, time: float) -> float:
-    """How far the seams are closed, 0 to 1, by a smooth step."""
+    """Closed share of the seams, 0 to 1: a smooth step over the sewing time."""
     s = wp.clamp(time / world.sewing_time, 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
 

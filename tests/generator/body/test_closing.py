@@ -1,4 +1,4 @@
-"""Closing of skins: watertight and consistently wound, whatever the file had."""
+"""Closed skins are watertight and consistently wound, for any damage in the file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,7 @@ def is_whole(skin: ClosedSkin | Body) -> bool:
 
 
 def without_cap(body: Body, radius: float) -> np.ndarray:
-    """The faces without those within ``radius`` of the vertex with the largest z."""
+    """The faces with no vertex within ``radius`` of the vertex with the largest z."""
     near = np.linalg.norm(body.vertices - body.vertices[body.vertices[:, 2].argmax()], axis=1) < radius
     return body.faces[~near[body.faces].any(axis=1)]
 
@@ -48,7 +48,7 @@ def test_a_closed_skin_is_unchanged() -> None:
 
 
 def test_holes_are_closed_flat() -> None:
-    """The patch of a hole of width 2a in a ball of radius r lies r - sqrt(r² - a²) lower."""
+    """The patch of a hole of width 2a in a ball of radius r lies r - sqrt(r² - a²) below the ball's surface."""
     skin = closed(ball(), without_cap(ball(), 3.0))
     assert is_whole(skin)
     (width,) = skin.hole_widths
@@ -74,7 +74,7 @@ def test_faces_of_any_winding_are_turned_outward(damage: str) -> None:
     assert not len(skin.hole_widths)
 
 
-def test_skins_that_touch_are_not_joined_for_a_hole_elsewhere() -> None:
+def test_closing_a_hole_does_not_join_touching_skins() -> None:
     """Two boxes that touch along an edge, each with its own vertices there; a triangle is missing on the far side."""
     one = trimesh.creation.box((10.0, 10.0, 10.0)).subdivide()
     two = one.copy().apply_translation([10.0, 10.0, 0.0])
@@ -112,7 +112,7 @@ def test_inner_walls_are_an_error() -> None:
 
 
 def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With a hole in the shin, a loose scrap and inconsistent winding: the same body to cloth."""
+    """A hole in the shin, a loose scrap and inconsistent winding change the distance field by less than 1.5 cm."""
     woman = build_body(female_shape())
     shin = np.linalg.norm(woman.vertices - woman.vertices[nearest(woman, [12.0, 35.0, 20.0])], axis=1) < 2.0
     faces = woman.faces[~shin[woman.faces].any(axis=1)]

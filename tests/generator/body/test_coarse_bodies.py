@@ -1,4 +1,4 @@
-"""Measures of a coarse mesh are those of its surface, and their stated error bounds hold."""
+"""Measures of a coarse mesh depend on its surface alone, and their stated error bounds hold."""
 
 import re
 from functools import cache
@@ -65,9 +65,7 @@ def test_errors_of_a_coarse_mesh_are_within_the_stated_bounds(cell: float, tmp_p
         assert abs(float(found[name]) - truth) <= max(stated, tolerance(name)) or lowered, name
 
 
-def test_remarks_are_printed_where_the_measures_go_to_a_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_remarks_are_also_printed_if_measures_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     clustered(person(), 5.3).export(tmp_path / "coarse.obj")
     assert main(["measure", str(tmp_path / "coarse.obj"), "--out", str(tmp_path / "size.yaml")]) == 0
     printed = capsys.readouterr()

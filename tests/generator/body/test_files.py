@@ -28,7 +28,7 @@ SIZE = measure(build_body(neutral_shape()))
 
 @pytest.fixture
 def mannequin(tmp_path: Path) -> dict[str, Path]:
-    """A box of 1.7 m with four limbs by name, its measures, and its files."""
+    """Files of a body: a box 1.7 m tall as mesh, one vertex for each limb, and measures."""
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     box.export(tmp_path / "box.obj")
     parts = {"body": [0, 1, 2, 3], "left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [7]}
@@ -55,7 +55,7 @@ def test_a_measurement_file_holds_every_digit_in_degrees_with_derived_keys(tmp_p
     assert "_waist_level" not in body
 
 
-def test_derived_keys_are_those_of_the_reference(examples: Path, tmp_path: Path) -> None:
+def test_derived_keys_equal_the_references(examples: Path, tmp_path: Path) -> None:
     reference = next((examples / "patterns").glob("*/random_body/body_measurements.yaml"))
     write_measurements(read_measurements(reference), tmp_path / "again.yaml")
     theirs = yaml.safe_load(reference.read_text())["body"]
@@ -119,17 +119,17 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
     ("name", "content", "expected"),
     [
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
-        ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is no list"),
-        ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
+        ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is not a list"),
+        ("parts", '{"body": [0]}', "lists the parts body: add left_arm, right_arm, left_leg and right_leg"),
         ("parts", "[1, 2]", "a list: give a map"),
         ("parts", "{", "line 1, column 2: Expecting property name"),
         ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
-        ("parts", PARTS % '7], "left_leg": [5', "key left_leg stands twice in one object"),
-        ("parts", PARTS % -1, "right_leg is no list of vertex ids: give whole numbers of 0 and more"),
-        ("parts", PARTS % 7.0, "right_leg is no list of vertex ids"),
-        ("parts", '{"%s": 1}' % ("a" * 10**5), "name left_arm, right_arm"),
+        ("parts", PARTS % '7], "left_leg": [5', "key left_leg occurs twice in one object"),
+        ("parts", PARTS % -1, "right_leg is not a list of vertex ids: give whole numbers, 0 or more"),
+        ("parts", PARTS % 7.0, "right_leg is not a list of vertex ids"),
+        ("parts", '{"%s": 1}' % ("a" * 10**5), "add left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
-        ("parts", PARTS % "true", "right_leg is no list of vertex ids"),
+        ("parts", PARTS % "true", "right_leg is not a list of vertex ids"),
         ("parts", 100_000 * "[", "64 levels deep"),
         ("parts", "9" * 5000, "Exceeds the limit (4300 digits)"),
         ("size", 100_000 * "[" + 100_000 * "]", "nested too deeply"),
@@ -147,7 +147,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
             "body.height is [[0], [1], [2], [3], [4], [5], ...]",
         ),
         ("size", "body: {height: 170", "not YAML"),
-        ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a key that stands twice"),
+        ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a repeated key"),
         ("size", "body: {waist: 070}", "the number 070, which is not in base 10"),
         ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
         ("size", "body: {height: 1:50.5}", "the number 1:50.5, which is not in base 10"),
@@ -187,7 +187,7 @@ def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str
 
 def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
-    with pytest.raises(BodyError, match="20 tall, which is a person's height in no unit"):
+    with pytest.raises(BodyError, match="20 tall, no person's height in centimetres, metres"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
 
 

@@ -54,16 +54,16 @@ def test_the_published_means_have_the_published_measures(name: str, examples: Pa
     result, remarks = measure_file(path)
     assert not too_far(result.measurements, read_measurements(path.with_suffix(".yaml")))
     assert "metres" in remarks[0]
-    assert set(result.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
+    assert set(result.at_border) == {"bust", "waist", "hips"}  # ends of the search range, as when published
 
 
 @pytest.mark.parametrize("index", [3, 8])
-def test_found_landmarks_give_the_measures_of_known_ones(index: int) -> None:
+def test_found_and_known_landmarks_give_the_same_measures(index: int) -> None:
     body = build_body(draw_shape(rng(2, index, Stage.BODY)))
     assert not too_far(measure(unknown(body)), measure(body))
 
 
-def test_found_parts_are_those_of_the_model() -> None:
+def test_found_parts_equal_the_models() -> None:
     skin = woman().parts != BodyPart.INTERNAL.value
     assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
 
@@ -152,10 +152,10 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
         ('{"elbow": 3}', "no landmark is called elbow"),
         ('{"nape_of_neck": 99999999}', "nape_of_neck is 99999999: give a vertex id under"),
         ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
-        ('{"nape_of_neck": [1, 2, NaN]}', "NaN is no number"),
+        ('{"nape_of_neck": [1, 2, NaN]}', "NaN is not a number"),
         ('{"nape_of_neck": true}', "nape_of_neck is true"),
         ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside the mesh"),
-        ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "stands twice"),
+        ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "occurs twice"),
         ("[" * 100_000, "64 levels deep"),
         ('{"waist": 7}', "a ring is a list"),
         ('{"neck_back": [1, 2]}', "neck_back has 2 points"),

@@ -40,7 +40,7 @@ def test_residuals_are_the_errors_of_the_fitted_body() -> None:
     assert np.isnan(found.residual.wrist)
 
 
-def test_a_body_a_tenth_larger_is_found_for_measures_a_tenth_larger() -> None:
+def test_ten_percent_larger_measures_fit_a_ten_percent_larger_body() -> None:
     small = draw_shape(rng(0, 0, Stage.BODY))
     size = measure(build_body(small))
     larger = replace(size, **{name: 1.1 * getattr(size, name) for name in LENGTHS})
@@ -50,7 +50,7 @@ def test_a_body_a_tenth_larger_is_found_for_measures_a_tenth_larger() -> None:
     assert np.linalg.norm(apart, axis=1).mean() < 1.5
 
 
-def test_measures_left_open_are_those_of_a_probable_body() -> None:
+def test_open_measures_get_probable_values() -> None:
     neutral = measure(build_body(neutral_shape()))
     found = measure(build_body(fit_shape(Measurements(height=neutral.height)).shape))
     assert values(found, LENGTHS) == pytest.approx(values(neutral, LENGTHS), rel=0.1)
@@ -71,7 +71,7 @@ def test_impossible_measures_are_errors_with_a_remedy(size: Measurements, messag
 
 
 def test_a_body_too_far_from_the_mean_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a lower limit than the shipped one, to reach it quickly."""
+    """``REACH`` is lowered, so that few iterations exceed it."""
     monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.fit_shape"], "REACH", 1.0)
     with pytest.raises(BodyError, match=r"no adult has these.*standard deviations.*in cm, all of one person"):
         fit_shape(Measurements(height=215.0))

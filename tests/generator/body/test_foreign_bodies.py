@@ -49,7 +49,7 @@ def level(body: Body) -> float:
 
 
 def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
-    """All measures are those of the same shape in the A-pose, but ``arm_pose_angle`` is that of the T-pose."""
+    """All measures equal those in the A-pose; ``arm_pose_angle`` alone is measured in the T-pose."""
     lifted = build_body(replace(shape, arm_angle=T_POSE))
     by = off(found, measure(build_body(shape)))
     assert found.to_file_values()["arm_pose_angle"] == pytest.approx(level(lifted), abs=3.0)
@@ -70,7 +70,7 @@ def test_raised_arms_are_moved_to_the_a_pose_to_be_measured() -> None:
 
 @pytest.mark.parametrize("angle", [-32.0, 25.0, 45.0, 60.0])
 def test_raised_arms_of_the_models_mesh_are_moved_exactly(angle: float, tmp_path: Path) -> None:
-    """On a slim woman: where a lowered arm folds the armpit, untangling has changed the skin."""
+    """The woman is slim: on other bodies a lowered arm folds the armpit, and untangling changes the skin."""
     shape = draw_shape(rng(2, 21, Stage.BODY), sex="female")
     lifted = build_body(BodyShape(shape.weights, np.radians(angle)))
     assert skin_crossings(lifted) == 0

@@ -69,7 +69,7 @@ def test_fifty_bodies_have_all_measures(sizes: list[Measurements]) -> None:
     assert all((values(size, LENGTHS) > 0).all() for size in sizes)
 
 
-def test_the_population_is_one_of_adults(sizes: list[Measurements]) -> None:
+def test_drawn_bodies_lie_in_the_ranges_of_adults(sizes: list[Measurements]) -> None:
     """The ranges hold for nearly all adults of ANSUR II; drawn bodies vary less, by 0.7 of its spread."""
     for size in sizes:
         assert 145 < size.height < 205
@@ -110,7 +110,7 @@ def test_overlapping_thighs_have_a_girth() -> None:
 
 @pytest.mark.parametrize(("shape", "name"), [(neutral_shape, "all"), (female_shape, "female"), (male_shape, "male")])
 def test_our_means_have_the_published_measures(shape: type, name: str, examples: Path) -> None:
-    """The body model was calibrated to them; remaining errors are the model's."""
+    """The body model was calibrated to these measures; remaining errors are the model's."""
     ours = measure(build_body(shape())).to_file_values()
     theirs = read_measurements(examples / "bodies" / f"mean_{name}.yaml").to_file_values()
     miss = {key: abs(ours[key] - theirs[key]) for key in MEASURES}
@@ -131,7 +131,7 @@ def published(examples: Path) -> tuple[Body, Measurements, np.ndarray]:
     ("key", "level"), [("bust", 124.53), ("underbust", 117.07), ("waist", 110.05), ("hips", 86.57)]
 )
 def test_girths_of_the_published_body(key: str, level: float, published: tuple[Body, Measurements, np.ndarray]) -> None:
-    """Sections at the published levels have the published girths: the same tape on another mesh."""
+    """The girths of sections at the published levels equal the published girths."""
     body, size, trunk = published
     found = girth(section(body.vertices, trunk, 1, level)[:, 0][:, [0, 2]])
     assert found == pytest.approx(getattr(size, key), abs=0.1)

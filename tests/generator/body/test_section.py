@@ -32,7 +32,7 @@ def test_girth_of_a_cylinder() -> None:
 
 
 @pytest.mark.parametrize("level", [0.37, 0.0])  # 0.0 runs through vertices
-def test_first_points_of_a_section_are_all_its_points(level: float) -> None:
+def test_first_points_of_a_sections_segments_are_all_its_points(level: float) -> None:
     shape = trimesh.creation.icosphere(subdivisions=4, radius=7.0)
     cut = section(shape.vertices, shape.faces, 1, level)
     assert {tuple(p) for p in cut[:, 0].round(9) + 0.0} == {tuple(p) for p in cut[:, 1].round(9) + 0.0}

@@ -32,7 +32,7 @@ def feet_distance(body: Body) -> float:
     return float(feet[feet[:, 0] > 0, 0].mean() - feet[feet[:, 0] < 0, 0].mean())
 
 
-def test_the_asset_is_small_and_has_its_checksum() -> None:
+def test_the_body_asset_is_small_and_matches_its_checksum() -> None:
     folder = files("gcd_dataset.generator") / "data"
     content = (folder / "body.npz").read_bytes()
     assert len(content) < 2e6
@@ -72,7 +72,7 @@ def test_legs_apart_do_not_change_the_head() -> None:
     assert feet_distance(apart) > feet_distance(straight) + 6.0
     head = straight.parts == BodyPart.HEAD.value
     moved = apart.vertices[head] - straight.vertices[head]
-    assert np.abs(moved - moved[0]).max() < 1e-9  # as a whole, down to the floor
+    assert np.abs(moved - moved[0]).max() < 1e-9  # spread legs lower the whole head
     assert -1.5 < moved[0, 1] <= 0.0
 
 

@@ -8,7 +8,7 @@ from gcd_dataset.generator.body.subdivide import refine
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_closed_mesh_stays_closed_and_keeps_its_numbers(share: float) -> None:
+def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
     marked = np.random.default_rng(0).random(len(ball.faces)) < share
     matrix, faces = refine(np.asarray(ball.faces), marked, len(ball.vertices))

@@ -1,4 +1,4 @@
-"""Nearest points, patched holes and loops of sections, on shapes with known ones."""
+"""Nearest points, patched holes and loops of sections, on shapes with known results."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_two_loops_of_a_torus_are_distinguished() -> None:
     for each in (0, 1):
         assert contour_length(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert measures.larger_thigh(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
-    assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # one tape round both
+    assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # a tape round both loops
 
 
 def test_girths_of_an_ellipse_and_a_box() -> None:

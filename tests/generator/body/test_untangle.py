@@ -1,4 +1,4 @@
-"""Removal of folds and creases, on surfaces with known ones."""
+"""Removal of known folds and creases from simple surfaces."""
 
 from collections.abc import Callable
 

@@ -93,7 +93,7 @@ def stouter(size: Measurements, factor: float) -> Measurements:
 
 
 def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
-    """Drape a design on the neutral body; ``cut_for``: measures it is cut for, its waist moved to the body's waist."""
+    """Drape a design on the neutral body. A garment cut for other measures (``cut_for``) is moved to its waist."""
     legs_apart = design.meta.bottom is Bottom.PANTS
     body, size = neutral(legs_apart=legs_apart)
     other = cut_for or size

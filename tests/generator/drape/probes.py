@@ -1,4 +1,4 @@
-"""Kernels that call one device function for each element, for tests."""
+"""Test kernels: each calls one device function for every element."""
 
 import warp as wp
 

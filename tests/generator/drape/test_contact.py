@@ -82,7 +82,7 @@ def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyP
 
 
 def test_internal_parts_do_not_change_the_field_of_a_body() -> None:
-    """A ball with an eye inside, and a ball with an open socket, have the field of the ball outside."""
+    """Outside a ball, an eye in it or an open socket does not change the distance field."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
     eye = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
     with_eye = body_from(trimesh.util.concatenate([ball, eye]))
@@ -113,7 +113,7 @@ def check_closed_to_cloth(body: Body) -> None:
     inside = body.vertices[body.parts == INTERNAL]
     voxel = np.round((inside - field.origin) / field.cell).astype(int)
     deep = inside[:, 2] < inside[:, 2].max() - 3.0  # behind the lips
-    assert distance[tuple(voxel[deep].T)].max() < 0.3  # half a voxel from the lids it may be outside
+    assert distance[tuple(voxel[deep].T)].max() < 0.3  # within half a voxel of a lid it may be outside
     assert not (field.part.numpy() == INTERNAL).any()
 
 
@@ -191,7 +191,7 @@ def test_layers_that_touch_exchange_momentum() -> None:
     assert np.abs(after - before).max() < 0.02 * abs(before[1])
 
 
-def test_a_search_lists_all_near_pairs() -> None:
+def test_the_contact_search_lists_all_near_pairs() -> None:
     """Points and faces of two crumpled sheets nearer than the margin, compared with a brute-force search."""
     rng = np.random.default_rng(3)
     lower = patch(9, 9, place=LYING, origin=(0.0, 100.0, 0.0))
@@ -222,8 +222,8 @@ def test_a_search_lists_all_near_pairs() -> None:
     assert near <= found
 
 
-def test_crossed_sheets_come_apart() -> None:
-    """Shortening the intersection contour draws a corner back that pokes through a sheet."""
+def test_crossed_sheets_separate() -> None:
+    """Shortening the intersection contour pulls a corner back out of the sheet that it pierces."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
     corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
     other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
@@ -237,7 +237,7 @@ def test_crossed_sheets_come_apart() -> None:
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
 def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None:
-    """Even if most of a sheet is on the wrong side: the intersection contour alone would draw the rest there too."""
+    """Even if most of a sheet is on the wrong side: the intersection contour alone would pull the rest there."""
     lower = patch(12, 12, place=LYING, origin=(-6.0, 100.0, 6.0))
     upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
     config = DrapeConfig(sewing_time=1e6, braking=0.0)
@@ -268,8 +268,8 @@ def test_the_first_count_of_crossings_is_the_first_minimum() -> None:
     assert 0 < solver.state.crossing.least.numpy()[0] <= 2 * found
 
 
-def test_a_hand_is_its_convex_hull() -> None:
-    """So that a point between two fingers is inside."""
+def test_cloth_collides_with_the_convex_hull_of_a_hand() -> None:
+    """A point between two fingers is therefore inside."""
     body = build_body(neutral_shape())
     field = body_field(body, "cpu")
     hand = body.vertices[(body.parts == BodyPart.HANDS.value) & (body.vertices[:, 0] > 0.0)]

@@ -43,7 +43,7 @@ def test_a_cloth_over_a_ball_settles_on_it() -> None:
     assert drape.vertices[:, 1].min() < SIZE.waist_level - 2.0
 
 
-def test_a_garment_drapes_alike_alone_and_in_any_batch() -> None:
+def test_a_garment_gets_the_same_drape_alone_and_in_any_batch() -> None:
     jobs = [on_a_ball(5), on_a_ball(8), on_a_ball(6)]
     config = DrapeConfig(max_frames=25)
     together = drape_batch(jobs, config, device="cpu")
@@ -52,7 +52,7 @@ def test_a_garment_drapes_alike_alone_and_in_any_batch() -> None:
     assert drape_batch(jobs[::-1], config, device="cpu") == together[::-1]
 
 
-def test_a_fabric_drapes_alike_alone_and_beside_others() -> None:
+def test_a_fabric_gets_the_same_drape_alone_and_beside_others() -> None:
     names = ["default", "denim", "interlock", "gcd_soft", "wool_light"]
     jobs = [replace(on_a_ball(6), fabric=FABRICS[name]) for name in names]
     config = DrapeConfig(max_frames=30)
@@ -62,14 +62,14 @@ def test_a_fabric_drapes_alike_alone_and_beside_others() -> None:
     assert len({drape.vertices.tobytes() for drape in together}) == len(names)
 
 
-def test_too_few_frames_are_reported() -> None:
+def test_a_drape_cut_off_by_the_frame_limit_is_not_settled() -> None:
     [drape] = drape_batch([on_a_ball(5)], DrapeConfig(max_frames=5), device="cpu")
     assert drape.outcome is Outcome.NOT_SETTLED
     assert drape.frames == 5
 
 
 def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
-    """A garment that never rests fully settles in the second half of the frames if it is slow enough."""
+    """A slow garment that never comes fully to rest counts as settled in the second half of the frames."""
     never_still = DrapeConfig(still_speed=1e-9, max_frames=60)
     [slow] = drape_batch([on_a_ball(5)], never_still, device="cpu")
     assert slow.outcome is Outcome.SETTLED
@@ -79,7 +79,9 @@ def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
 
 
 @pytest.mark.parametrize("few", [1, 10_000])
-def test_a_garment_drapes_alike_as_others_leave_and_join_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
+    few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With and without coarse passes: garments move to new batches and continue from coarse drapes."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", few)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
@@ -87,7 +89,7 @@ def test_a_garment_drapes_alike_as_others_leave_and_join_its_batch(few: int, mon
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
     in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
     assert [in_turn[number] for number in range(len(jobs))] == alone
-    assert len({drape.frames for drape in alone}) > 2  # they end at different times
+    assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
 
 
@@ -109,7 +111,7 @@ def test_an_error_of_the_jobs_is_raised_after_the_drapes_before_it(at_once: int)
     assert sorted(in_turn) == [0, 1, 2]
 
 
-def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_coarse_start_ends_in_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     job = on_a_ball(9)
     [with_start], [without] = (

@@ -88,8 +88,8 @@ def test_three_sheets_sewn_along_one_edge_follow_their_energy(fabric: Fabric) ->
     assert np.linalg.norm(force_on(model, x) + gradient) < 2e-3 * np.linalg.norm(gradient)
 
 
-def test_edges_between_keepers_are_taped() -> None:
-    """They are ten times as stiff."""
+def test_edges_between_held_vertices_are_taped() -> None:
+    """Taped edges are ten times as stiff."""
     plain = patch(4, 4)
     top = np.arange(20, 25)
     taped = replace(plain, labels={"lower_interface": top})
@@ -127,7 +127,7 @@ def test_flat_cloth_is_at_rest_in_any_orientation(fabric: Fabric) -> None:
 
 @pytest.mark.parametrize("spacing", [1.0, 2.0])
 def test_a_hanging_strip_stretches_by_its_own_weight(spacing: float) -> None:
-    """A strip of length L held at its top grows by rho g L² / (2 E), whatever the mesh."""
+    """A strip of length L held at its top grows by rho g L² / (2 E) on any mesh."""
     length, level = 40.0, SIZE.waist_level
     rows, columns = int(length / spacing), int(4 / spacing)
     top = np.arange(columns + 1) + rows * (columns + 1)

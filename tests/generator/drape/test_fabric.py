@@ -55,7 +55,7 @@ def test_a_sheet_has_the_tensile_stiffness_of_its_fabric_on_any_mesh(fabric: Fab
 
 
 def test_springs_make_an_isotropic_sheet() -> None:
-    """Except at the border, where the triangles are halved."""
+    """To 4 %: at the border the triangles are halved."""
     found = stiffnesses(strip(40.0, 40.0, 1.0), Fabric(tensile=80.0))
     assert found == pytest.approx((80.0, 80.0, 80.0), rel=0.04)
 
@@ -102,7 +102,7 @@ def settled(mesh: BoxMesh, fabric: Fabric, held: np.ndarray, *, seconds: float) 
 @pytest.mark.parametrize("fabric", [GRAINED, FABRICS["denim"]], ids=["made_up", "denim"])
 @pytest.mark.parametrize("grain", ["warp", "weft"])
 def test_a_strip_over_an_edge_has_its_bending_length(fabric: Fabric, grain: Grain) -> None:
-    """Factor 0.95: a strip may curl across, and with its border bends 4 % more on this mesh than a wide sheet."""
+    """Factor 0.95: the strip may curl across its width, and its border makes it bend 4 % more than a wide sheet."""
     assert cantilever(fabric, grain, spacing=0.5) == pytest.approx(0.95 * bending_length(fabric, grain), rel=0.03)
 
 

@@ -38,7 +38,7 @@ START = "from gcd_dataset.generator.drape import resolve_device; print(resolve_d
 
 
 def test_kernels_go_to_a_temporary_folder_if_the_home_cannot_be_written(tmp_path: Path) -> None:
-    """With one warning."""
+    """A single warning names the folder and ``WARP_CACHE_PATH``."""
     home = tmp_path / "home"
     home.mkdir()
     (home / ".cache").write_text("no folder")
@@ -52,7 +52,7 @@ def test_kernels_go_to_a_temporary_folder_if_the_home_cannot_be_written(tmp_path
 
 
 def test_no_kernels_in_a_folder_that_others_may_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled kernels are executed."""
+    """Compiled kernels are executed: other users must not replace them."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     own = devices._private_folder()
     assert devices._private_folder() == own
@@ -116,4 +116,4 @@ def test_closing_the_iterator_stops_running_drapes(monkeypatch: pytest.MonkeyPat
     closed = time.perf_counter()
     drapes.close()
     assert threading.active_count() == before
-    assert sum(moment > closed for moment in frames) <= 2  # one for each thread
+    assert sum(moment > closed for moment in frames) <= 2  # one frame for each thread

@@ -26,7 +26,7 @@ from tests.helpers import tube
 ARMS = ("left arm", "right arm")
 FOREARM_FROM = 0.45  # share of the way from shoulder to finger tips
 INSTEP = 5.0  # cm
-UNDER_TOES = 2.0  # cm that cloth over the toes may reach back below them: there is no floor
+UNDER_TOES = 2.0  # cm: without a floor, cloth over the toes may hang back under the sole
 TOES = 10  # cloth edges that may cross toes, which are thinner than the 3 cm spacing
 
 SHIRT = MetaDesign(upper=Upper.SHIRT)
@@ -68,13 +68,13 @@ def test_axes_follow_the_arms() -> None:
     for arm in ARMS:
         axis = Axis.of(body, arm)
         skin = body.vertices[body.parts == LIMBS[arm].value]
-        assert 0.0 < axis.share(skin).min() + 1e-6 < axis.share(skin).max() < 0.9  # the hand is the rest
+        assert 0.0 < axis.share(skin).min() + 1e-6 < axis.share(skin).max() < 0.9  # the rest is the hand
         assert np.sign(axis.end[0]) == SIDES[arm.split()[0]]
 
 
 @pytest.mark.parametrize(("kind", "clear"), [(Cuff.BAND, 2.5), (Cuff.BAND_SKIRT, 6.0)])
 def test_hands_come_out_of_cuffs(kind: Cuff, clear: float) -> None:
-    """Every cuff lies round its own forearm, as near to the skin as a band or a small skirt may be."""
+    """Every cuff lies round its own forearm, within ``clear`` cm of the skin."""
     cuff = SleeveCuffDesign(type=kind, cuff_len=0.2, top_ruffle=2.0)
     worn = wear(OutfitDesign(meta=SHIRT, sleeve=SleeveDesign(sleeveless=False, length=0.95, cuff=cuff)))
     assert worn.drape.outcome is Outcome.SETTLED
@@ -108,7 +108,7 @@ def assert_comes_out(worn: Worn, arm: str, hole: np.ndarray) -> None:
 
 
 def test_an_arm_under_the_shirt_is_detected() -> None:
-    """A shirt moved down until its armholes lie below the arms has the arms in its sides."""
+    """The shirt is moved down until its armholes lie below the arms, which then pierce its sides."""
     worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=SleeveDesign(connecting_width=1.5)))
     lower = worn.drape.vertices - np.array([0.0, 30.0, 0.0])
     for arm in ARMS:
@@ -145,7 +145,7 @@ def assert_hem_is_free(worn: Worn, hem: np.ndarray) -> None:
 
 @pytest.mark.parametrize("kind", BOTTOMS)
 def test_a_garment_cut_too_wide_slides_off_early(kind: str) -> None:
-    """Well cut it stays up; cut for 1.5 times the girths it slides off, within a quarter of the frames."""
+    """A garment of the right size stays up; cut for 1.5 times the girths, it slides off in a quarter of the frames."""
     _, size = neutral()
     fits, slides = wear(BOTTOMS[kind]), wear(BOTTOMS[kind], cut_for=stouter(size, 1.5))
     assert fits.drape.outcome is Outcome.SETTLED

@@ -27,7 +27,7 @@ HOOD = MakeConfig(
         {"meta": {"upper": {"options": ["Shirt", "FittedShirt"]}}, "collar": {"component": {"style": "Hood2Panels"}}}
     ),
 )
-EARS_OUT = (5, 3)  # seed and number of a design with ears through its hood
+EARS_OUT = (5, 3)  # seed and number of a design: ears pierce its hood
 
 
 def table() -> Body:
@@ -48,7 +48,7 @@ SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
 
 
 def test_a_garment_beside_the_body_falls_below_the_floor() -> None:
-    """In any batch; it ends as soon as all of it is below."""
+    """Equally alone and in a batch; the drape ends as soon as every vertex is below the floor."""
     falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
     together = drape_batch([stays, falls], device="cpu")
     assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]
@@ -109,7 +109,7 @@ def test_edges_of_a_spike_through_cloth_are_counted() -> None:
 
 
 def test_internal_parts_and_lids_do_not_count_as_skin_through_cloth() -> None:
-    """An eye, and the lid over its opening."""
+    """The top of a ball as an eye: neither the eye nor the lid over its opening counts."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     ball.apply_translation([0.0, 100.0, 0.0])
     inside = ball.vertices[:, 1] > 106.0
@@ -126,7 +126,7 @@ def test_internal_parts_and_lids_do_not_count_as_skin_through_cloth() -> None:
 
 @pytest.fixture(scope="module")
 def hooded() -> tuple[DrapeJob, Float[np.ndarray, "v 3"]]:
-    """A draped hood with the ears through it."""
+    """A draped hood that the ears pierce."""
     [worn] = prepare(*EARS_OUT, HOOD).dressed
     assert worn.box_mesh is not None
     job = DrapeJob(worn.box_mesh, worn.body, worn.size)

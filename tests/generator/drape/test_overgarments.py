@@ -8,7 +8,7 @@ from tests.generator.drape.garments import wear
 
 
 @pytest.mark.parametrize("upper", ["Cape", "Poncho"])
-def test_it_settles_clean_and_covers_both_shoulders(upper: str) -> None:
+def test_an_overgarment_settles_without_crossings_and_covers_both_shoulders(upper: str) -> None:
     worn = wear(design_from_dict({"meta": {"upper": upper}}), spacing=5.0)
     assert worn.drape.outcome is Outcome.SETTLED
     assert (worn.drape.self_crossings, worn.drape.body_crossings) == (0, 0)

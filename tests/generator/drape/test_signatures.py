@@ -10,7 +10,7 @@ KERNELS = Path(__file__).resolve().parents[3] / "generator" / "drape" / "kernels
 WRITERS = ("atomic_add", "atomic_max", "atomic_min", "atomic_cas", "atomic_exch")
 MOST_ARGUMENTS = 14
 PASSES = {"add_push": 0, "add_weight": 0, "take_push": 0, "take_contact_weight": 0, "mark": 1, "take_slot": 0}
-"""Functions that write into an argument, and its index."""
+"""Device function to the index of the argument that it writes."""
 
 
 def kernels() -> list[tuple[str, ast.FunctionDef, list[str]]]:

@@ -1,4 +1,4 @@
-"""The untangling phase: implicit steps that take apart cloth which crosses itself at rest."""
+"""The untangling phase: implicit steps that separate cloth that crosses itself at rest."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ CONFIG = DrapeConfig(untangling_steps=60)
 
 
 def pierced() -> DrapeJob:
-    """A sheet with the corner of another through it."""
+    """A sheet that the corner of another sheet pierces."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
     return DrapeJob(joined(sheet, patch(6, 6, place=CORNER_FIRST, origin=(0.0, 100.0, -1.7))), far_ball(), SIZE)
 
@@ -36,7 +36,7 @@ def solver_of(*jobs: DrapeJob) -> Solver:
 
 
 def untangled(*jobs: DrapeJob) -> list[Float[np.ndarray, "v 3"]]:
-    """The positions of each garment after the phase, which garments without crossings do not enter."""
+    """The positions of each garment after the phase; garments without crossings skip it."""
     solver = solver_of(*jobs)
     untangle(solver, solver.self_crossings() > 0)
     x = solver.state.x.numpy()
@@ -62,7 +62,7 @@ def test_a_garment_gets_the_same_bytes_alone_and_in_a_batch() -> None:
         assert x.tobytes() == alone.tobytes()
 
 
-def test_more_crossings_than_before_are_never_kept() -> None:
+def test_untangling_never_adds_crossings() -> None:
     solver = solver_of(pierced())
     before = solver.self_crossings()[0]
     for steps in (1, 2, 5):
@@ -71,8 +71,8 @@ def test_more_crossings_than_before_are_never_kept() -> None:
         assert solver.self_crossings()[0] <= before
 
 
-def test_pushes_of_crossings_add_up_to_nothing() -> None:
-    """They are internal: edge and face get opposite forces."""
+def test_pushes_of_crossings_sum_to_zero() -> None:
+    """Edge and face get opposite forces."""
     solver = solver_of(pierced())
     m, s = solver.model, solver.state
     phase = kernels.Untangling()
@@ -89,7 +89,7 @@ def test_pushes_of_crossings_add_up_to_nothing() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_matrix_is_symmetric_and_positive_definite(seed: int) -> None:
-    """Also where springs are compressed: a conjugate gradient needs both."""
+    """Also with compressed springs: the conjugate gradient method needs both properties."""
     solver = solver_of(clean())
     m, s = solver.model, solver.state
     x = s.x.numpy()

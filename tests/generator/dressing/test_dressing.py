@@ -92,7 +92,7 @@ def test_panels_from_a_lay_plan_return_to_their_placement_or_are_refused(
         assert labels(dressed.pattern, *HELD) == labels(pattern, *HELD)
 
 
-def test_a_complete_pattern_stays_as_it_is(examples: Path, wearer: tuple[Body, Measurements]) -> None:
+def test_a_complete_pattern_is_unchanged(examples: Path, wearer: tuple[Body, Measurements]) -> None:
     pattern = pattern_of(examples, "fitted_shirt")
     assert dress(pattern, *wearer) == dress(pattern, *wearer)
     assert dress(pattern, *wearer).pattern == pattern
@@ -160,7 +160,7 @@ def test_trousers_are_recognised_by_their_openings(examples: Path) -> None:
 
 
 def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
-    """``has_legs`` recognises them only after their panels have been placed."""
+    """``has_legs`` recognises such trousers only after their panels have been placed."""
     lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
     names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
     panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
@@ -179,8 +179,8 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
     assert fitting.body is wearers[True][0]
 
 
-def test_a_skirt_whose_panels_lie_centred_about_a_seam_is_hung(wearer: tuple[Body, Measurements]) -> None:
-    """Its outer panels are taken for sleeves whose direction is the zero vector."""
+def test_a_skirt_with_panels_centred_about_a_seam_is_placed(wearer: tuple[Body, Measurements]) -> None:
+    """The outer panels of the skirt are taken for sleeves with the zero vector as direction."""
     section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
     design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtManyPanels"}, "flare-skirt": section})
     skirt = bared(outfit(wearer[1], design), placed=False)
@@ -192,7 +192,7 @@ def _at_depth(panel: Panel, z: float) -> Panel:
     return replace(panel, placement=Placement(np.array([x, y, z]), panel.placement.rotation))
 
 
-def test_a_net_of_hundreds_of_openings_hangs_in_the_middle(wearer: tuple[Body, Measurements]) -> None:
+def test_a_net_of_hundreds_of_openings_is_placed(wearer: tuple[Body, Measurements]) -> None:
     """Two hundred strips in a row, each sewn to the next above and below a slit."""
     corners = np.array([[0, 0], [1, 0], [1, 4], [1, 6], [1, 10], [0, 10], [0, 6], [0, 4]], float)
     edges = tuple(Edge(i, (i + 1) % 8) for i in range(8))

@@ -63,7 +63,7 @@ def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: OutfitDesi
 
 
 def test_a_vertex_lies_as_far_down_the_cone_as_along_the_cloth() -> None:
-    """So edges along the length of a circle skirt keep their flat length; only edges round it are compressed."""
+    """Edges along the length of a circle skirt keep their flat length; only edges round it are compressed."""
     mesh = mesh_of(CIRCLE)
     start = sewing_start(mesh, neutral()[0])
     roles = np.array([str(label) for label in mesh.panel_labels])
@@ -93,8 +93,8 @@ def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
     assert start[bodice, 1:] == pytest.approx(mesh.vertices[bodice, 1:])
 
 
-def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
-    """But for a few edges, on a mesh as coarse as its folds."""
+def test_a_skirt_of_many_levels_settles_nearly_without_crossings() -> None:
+    """Up to five edges still cross: the mesh is as coarse as its folds."""
     worn = wear(LEVELS, spacing=3.5)
     assert worn.drape.self_crossings <= 5
     assert worn.drape.body_crossings + worn.drape.body_through == 0
@@ -102,8 +102,8 @@ def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
 
 
 @pytest.mark.parametrize("degrees", [-20.0, 25.0])
-def test_a_sleeve_starts_round_an_arm_that_is_held_otherwise(degrees: float) -> None:
-    """Cut for the A-pose, on a body with its arms lower or higher."""
+def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
+    """The sleeve is cut for the A-pose; the body holds its arms lower or higher."""
     design = OutfitDesign(
         meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False, length=0.8, end_width=0.6)
     )
@@ -116,7 +116,7 @@ def test_a_sleeve_starts_round_an_arm_that_is_held_otherwise(degrees: float) -> 
     sleeve = sleeve[mesh.vertices[sleeve, 0] > 0.0]
 
     def beside(points: Float[np.ndarray, "n 3"]) -> float:
-        """How far the middle of the sleeve's end lies from the arm's axis [cm]."""
+        """Distance from the middle of the sleeve's end to the arm's axis [cm]."""
         along = (points - arm.origin) @ arm.axis
         end = points[along > along.max() - 6.0, :2] - arm.origin[:2]
         offset = end @ across

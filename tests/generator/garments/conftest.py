@@ -1,4 +1,4 @@
-"""Wearers for every garment: three adults, a doll and a giant."""
+"""Designs of every garment, and five wearers: three adults, a doll and a giant."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace

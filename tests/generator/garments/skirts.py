@@ -23,12 +23,12 @@ def skirt(
 
 
 def length(panel: Panel, edge: str) -> float:
-    """Length of all edges of that name [cm]."""
+    """Length of all edges named ``edge`` [cm]."""
     return sum(curve_length(*panel.edge_ends(i), e.curve) for i, e in enumerate(panel.edges) if e.name == edge)
 
 
 def lengths(pattern: Pattern, edge: str, panels: tuple[str, ...] = BOTH) -> float:
-    """Length of all edges of that name over several panels [cm]."""
+    """Length of all edges named ``edge`` in several panels [cm]."""
     return sum(length(pattern.panel(name), edge) for name in panels)
 
 

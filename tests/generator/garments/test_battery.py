@@ -41,9 +41,9 @@ def middle(pattern: Pattern, ref: EdgeRef) -> Float[np.ndarray, "3"]:
 
 
 def may_gather(pattern: Pattern, seam: Seam) -> bool:
-    """Whether the two edges of a seam may differ: rings and armholes are gathered, hips and shirt fronts are eased.
+    """Whether the two edges of a seam may differ in length: rings and armholes gather, hips and shirt fronts are eased.
 
-    A front of a shirt is drawn with a shorter side and shoulder than its back where it is wider.
+    If the front of a shirt is wider than its back, its side and shoulder are drawn shorter.
     """
     names = {pattern.panel(ref.panel).edges[ref.edge].name for ref in (seam.left, seam.right)}
     is_torso = "torso" in seam.left.panel
@@ -95,11 +95,11 @@ def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -
     pattern = outfit(woman, design)
     for seam in pattern.seams:
         left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
-        assert abs(left[0] - right[0]) < 21.0  # the halves of a hood
+        assert abs(left[0] - right[0]) < 21.0  # the largest gap, between the halves of a hood
         assert abs(left[1] - right[1]) < 25.0
 
 
-def test_panels_hang_where_they_are_worn(woman: Measurements, design: OutfitDesign) -> None:
+def test_panels_are_placed_on_their_side_of_the_body(woman: Measurements, design: OutfitDesign) -> None:
     pattern = outfit(woman, design)
     for panel in pattern.panels:
         x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
@@ -141,7 +141,7 @@ def test_the_same_design_gives_the_same_bytes(woman: Measurements, design: Outfi
     assert first == second
 
 
-def test_a_design_comes_back_from_its_file(design: OutfitDesign) -> None:
+def test_a_design_survives_its_file(design: OutfitDesign) -> None:
     assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
 
 
@@ -160,7 +160,7 @@ def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: Out
     assert ("leg" in parts.values()) == (design.meta.bottom is not None)
 
 
-def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
-    """If sampled for that wearer, even for a doll or a giant."""
+def test_at_most_a_tenth_of_random_designs_is_rejected(wearer: Measurements) -> None:
+    """Designs are sampled for their wearer, who may be a doll or a giant."""
     drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3

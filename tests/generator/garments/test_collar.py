@@ -33,7 +33,7 @@ FITTED = 0.3  # cm between this package's fit of a hood's neckline and the refer
 def top(
     size: Measurements, style: str, *, upper: str = "Shirt", collar: Mapping[str, Any] = NECKLINE, **component: Any
 ) -> Pattern:
-    """An upper without sleeves, its collar of that style with those parameters."""
+    """A sleeveless top; its collar has the given style and parameters."""
     neckline = {**collar, "component": {**component, "style": style}}
     return outfit(size, design_from_dict({"meta": {"upper": upper}, "collar": neckline}))
 
@@ -93,8 +93,8 @@ def test_the_whole_neckline_is_sewn_to_the_collar(woman: Measurements, style: st
 
 @STYLES
 @STANDING
-def test_the_ends_that_meet_in_a_seam_keep_their_order(woman: Measurements, style: str, standing: bool) -> None:
-    # Shoulder meets shoulder and centre meets centre: sewing makes every corner of the garment one point.
+def test_seams_join_matching_ends(woman: Measurements, style: str, standing: bool) -> None:
+    # Shoulder meets shoulder and centre meets centre: sewing merges no two corners of one panel.
     pattern = top(woman, style, lapel_standing=standing)
     corner: dict[tuple[str, int], tuple[str, int]] = {}
 

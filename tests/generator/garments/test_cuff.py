@@ -94,7 +94,7 @@ def test_a_cuff_covers_its_share_of_the_arm_but_no_more_than_seven_tenths_of_the
     assert sleeve_cuff_length(woman, cuffed(Cuff.BAND, cuff_len=0.9)) == pytest.approx(0.42 * woman.arm_length)
 
 
-def test_a_sleeve_without_cuff_stays_as_it_is(woman: Measurements) -> None:
+def test_a_sleeve_without_cuff_is_unchanged(woman: Measurements) -> None:
     sleeve = straight_sleeve(end=14.0)
     assert with_sleeve_cuff(woman, cuffed(None), sleeve) is sleeve
 

@@ -1,4 +1,4 @@
-"""Design files: GarmentCode's form, read and written without losing anything."""
+"""Design files: GarmentCode's form, read and written without loss."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,18 +27,18 @@ def _leaves(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Mapping[
             yield from _leaves(node, f"{above}{key}.")
 
 
-def test_the_default_file_is_the_references_own_leaf_by_leaf(examples: Path, tmp_path: Path) -> None:
+def test_the_default_file_equals_the_references_leaf_by_leaf(examples: Path, tmp_path: Path) -> None:
     write_design(OutfitDesign(), tmp_path / "ours.yaml")
     ours, theirs = leaves_in(tmp_path / "ours.yaml"), leaves_in(examples / "default.yaml")
     assert list(ours) == list(theirs)
-    cut = "pencil-skirt.style_side_cut"  # its range lacks null, which the reference's sampler adds
+    cut = "pencil-skirt.style_side_cut"  # the reference's range lacks null, which its sampler adds
     assert ours[cut] == {**theirs[cut], "range": [*theirs[cut]["range"], None]}
     for path in theirs.keys() - {cut}:
         assert ours[path] == theirs[path], path
         assert list(ours[path]) == list(theirs[path])
 
 
-def test_the_references_designs_come_back_to_the_last_digit(examples: Path, tmp_path: Path) -> None:
+def test_the_references_designs_survive_a_file_to_the_last_digit(examples: Path, tmp_path: Path) -> None:
     files = sorted(examples.glob("patterns/*/*/design_params.yaml"))
     assert len(files) == 24
     for file in files:
@@ -49,14 +49,14 @@ def test_the_references_designs_come_back_to_the_last_digit(examples: Path, tmp_
         assert {path: leaf["v"] for path, leaf in ours.items()} == {path: leaf["v"] for path, leaf in theirs.items()}
 
 
-def test_any_design_comes_back_to_the_last_digit(tmp_path: Path) -> None:
+def test_any_design_survives_its_file_to_the_last_digit(tmp_path: Path) -> None:
     for seed in range(10):
         design = draw(OutfitDesign, np.random.default_rng(seed))
         write_design(design, tmp_path / "design.yaml")
         assert read_design(tmp_path / "design.yaml") == design
 
 
-def test_awkward_numbers_come_back(tmp_path: Path) -> None:
+def test_awkward_numbers_survive_a_file(tmp_path: Path) -> None:
     for length in (0.1 + 0.2, 5e-17, -1e-5, np.nextafter(0.95, 0)):
         design = from_dict(OutfitDesign, {"skirt": {"length": length}})
         write_design(design, tmp_path / "design.yaml")

@@ -1,4 +1,4 @@
-"""Single garments: lengths that a tailor can check with a tape."""
+"""Single garments: lengths of edges computed from the measures."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -15,7 +15,7 @@ SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 
 
 def lengths(pattern: Pattern, panels: Iterable[str], edge: str) -> float:
-    """Length of all edges of that name over these panels [cm]."""
+    """Length of all edges named ``edge`` in the panels [cm]."""
     found = ((pattern.panel(name), name) for name in panels)
     return sum(
         curve_length(*panel.edge_ends(i), drawn.curve)
@@ -65,7 +65,7 @@ def test_missing_measures_are_named() -> None:
 
 
 def test_a_back_as_wide_as_its_girth_is_refused(woman: Measurements) -> None:
-    with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm of a waist of 80\.3 cm"):
+    with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"):
         outfit(replace(woman, waist_back_width=90.0), design_from_dict({}))
 
 

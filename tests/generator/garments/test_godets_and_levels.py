@@ -16,8 +16,8 @@ from tests.generator.garments.skirts import BOTH, ends, length, lengths, skirt
 
 GODETS = [
     {"insert_w": 15, "insert_depth": 20, "num_inserts": 4, "cuts_distance": 5},
-    {"insert_w": 10, "insert_depth": 10, "num_inserts": 4, "cuts_distance": 0},  # too short a side: shallow cuts
-    {"insert_w": 20, "insert_depth": 15, "num_inserts": 12, "cuts_distance": 10},  # no room: cuts of a centimetre
+    {"insert_w": 10, "insert_depth": 10, "num_inserts": 4, "cuts_distance": 0},  # the side is too short: shallow cuts
+    {"insert_w": 20, "insert_depth": 15, "num_inserts": 12, "cuts_distance": 10},  # the hem is too short: 1 cm cuts
     {"insert_w": 15, "insert_depth": 15, "num_inserts": 6, "cuts_distance": 0},
     {"insert_w": 15, "insert_depth": 15, "num_inserts": 6, "cuts_distance": 1},
 ]
@@ -25,9 +25,7 @@ GODETS = [
 
 @pytest.mark.parametrize("godets", GODETS)
 @pytest.mark.parametrize("base", ["Skirt2", "PencilSkirt"])
-def test_the_sides_of_a_godet_are_as_long_as_those_of_its_cut(
-    wearer: Measurements, base: str, godets: dict[str, int]
-) -> None:
+def test_the_sides_of_a_godet_are_as_long_as_its_cut(wearer: Measurements, base: str, godets: dict[str, int]) -> None:
     design = {"godet-skirt": godets | {"base": base}, "skirt": {"length": 0.6, "bottom_cut": 0.5}}
     pattern = skirt(wearer, Bottom.GODET, design | {"pencil-skirt": {"length": 0.6, "left_slit": 0.4}})
     inserts = [panel for panel in pattern.panels if panel.name.startswith("ins_")]
@@ -106,7 +104,7 @@ def test_a_level_is_as_wide_as_the_hem_above_times_its_gathers(woman: Measuremen
 
 
 @pytest.mark.parametrize("base", BASES[:3])
-def test_base_and_levels_together_are_as_long_as_asked(woman: Measurements, base: str) -> None:
+def test_base_and_levels_together_have_the_requested_length(woman: Measurements, base: str) -> None:
     plan = {"base": base, "level": "Skirt2", "num_levels": 3, "length": 0.8, "base_length_frac": 0.4}
     straight = {"skirt": {"flare": 0}, "levels-skirt": plan}
     pattern = skirt(woman, Bottom.LEVELS, straight)

@@ -153,7 +153,7 @@ def test_a_square_neckline_goes_straight_down_and_across() -> None:
     assert (down.chord, across.chord) == ((0.0, -12.0), (9.0, 0.0))
 
 
-def test_widths(wearer: Measurements) -> None:
+def test_neckline_widths_run_from_half_the_neck_to_the_shoulders(wearer: Measurements) -> None:
     widths = [neckline_width(wearer, NecklineDesign(width=width)) for width in (-0.5, -0.25, 0.0, 0.5, 1.0)]
     assert widths[0] == pytest.approx(0.5 * wearer.neck_w)
     assert widths[2] == pytest.approx(wearer.neck_w)
@@ -166,7 +166,7 @@ def test_depths_are_counted_from_the_shoulders_outer_end(woman: Measurements) ->
     design = NecklineDesign(fc_depth=0.5, width=0.3)
     half_width = 0.5 * neckline_width(woman, design)
     strokes = half_neckline(woman, design, front=True, shoulder=18.0, room=60.0)
-    rise = tan(woman.shoulder_incl) * (18.0 - half_width)  # of the shoulder, from its outer end to the neckline
+    rise = tan(woman.shoulder_incl) * (18.0 - half_width)  # rise of the shoulder from its outer end to the neckline
     assert strokes[-1].end == pytest.approx((half_width, -0.5 * woman.drawn_bust_line - rise))
     assert {(stroke.name, stroke.label) for stroke in strokes} == {("neck", "right_collar")}
 
@@ -179,7 +179,7 @@ def test_the_deepest_necklines_leave_a_centimetre_of_centre(wearer: Measurements
     )
 
 
-def test_a_neckline_wider_than_the_shirt(woman: Measurements) -> None:
+def test_a_neckline_too_wide_for_the_shirt_is_an_error(woman: Measurements) -> None:
     with pytest.raises(PatternError, match=r"a neckline of .* cm is wider than the shirt: narrow collar\.width"):
         half_neckline(woman, NecklineDesign(width=1.0, bc_depth=0.0), front=False, shoulder=12.0, room=40.0)
 
@@ -217,7 +217,7 @@ def test_necklines_of_the_reference(examples: Path, example: str, body: str) -> 
 
 
 def neck(panel: Panel) -> Float[np.ndarray, "n 2"]:
-    """Points along the neckline of a panel, from its first one."""
+    """Points along the neckline of a panel, relative to the first point."""
     edges = [i for i, edge in enumerate(panel.edges) if edge.label.endswith("_collar")]
     flat = np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, 20) for i in edges])
     return flat - flat[0]
@@ -226,4 +226,4 @@ def neck(panel: Panel) -> Float[np.ndarray, "n 2"]:
 def test_the_sagitta_of_an_arc() -> None:
     (arc,) = shape(Neckline.ARC, 6.0, 8.0, angle=90)
     x, y = arc.at(0.5)
-    assert hypot(x - 3.0, y + 4.0) == pytest.approx(10.0 * (sqrt(2) - 1) / 2)  # of a quarter circle over a chord of 10
+    assert hypot(x - 3.0, y + 4.0) == pytest.approx(10.0 * (sqrt(2) - 1) / 2)  # quarter circle over a chord of 10

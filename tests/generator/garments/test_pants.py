@@ -29,7 +29,7 @@ DESIGNS = {
     "frill": PantsDesign(length=0.5, flare=0.7, cuff=PantsCuffDesign(type=Cuff.SKIRT, skirt_flare=2.0)),
     "both": PantsDesign(length=0.9, cuff=PantsCuffDesign(type=Cuff.BAND_SKIRT, cuff_len=0.4)),
 }
-SHORT = {  # a doll's legs are too short for them: the inside seam leans in by centimetres, whatever the wearer's size
+SHORT = {  # not for dolls, whose legs are too short: the inside seam leans in by centimetres on every wearer
     "shorts on the hips": PantsDesign(length=0.2, rise=0.5, width=1.5),
     "short and tight": PantsDesign(length=0.21, flare=0.5),
     "mostly cuff": PantsDesign(length=0.9, cuff=PantsCuffDesign(type=Cuff.BAND_SKIRT, cuff_len=0.9)),
@@ -42,7 +42,7 @@ def halves(size: Measurements, design: PantsDesign, *, rise: float = 1.0) -> tup
 
 
 def across(piece: Piece, first: str, second: str) -> float:
-    """From the end of one edge to the end of another, seen from the front [cm]."""
+    """Horizontal distance from the end of edge ``first`` to the end of edge ``second`` [cm]."""
     return piece.outline.run(second)[-1].end[0] - piece.outline.run(first)[-1].end[0]
 
 
@@ -145,7 +145,7 @@ def test_the_left_leg_is_the_mirror_image_of_the_right(woman: Measurements) -> N
 
 
 @pytest.mark.parametrize("cuff_len", [0.05, 0.3, 0.9])
-def test_a_cuff_comes_off_the_leg_and_leaves_a_fifth(cuff_len: float, woman: Measurements) -> None:
+def test_a_cuff_shortens_the_leg_to_no_less_than_a_fifth(cuff_len: float, woman: Measurements) -> None:
     design = PantsDesign(length=0.7, cuff=PantsCuffDesign(type=Cuff.BAND, cuff_len=cuff_len))
     drawn = pants(woman, design, rise=1.0)
     leg = drawn.piece("pant_f_r").outline.length("outside")

@@ -1,4 +1,4 @@
-"""Patterns against GarmentCode's own for the same design and body."""
+"""Patterns compared with GarmentCode's for the same design and body."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ PLACED = 1.0  # cm: the reference shifts a panel by the fractional part of its f
 BODIES = pytest.mark.parametrize("body", ["default_body", "random_body"])
 ROUND = {"collar": {"f_collar": "CircleNeckHalf", "b_collar": "CircleNeckHalf"}}
 
-RISES = {  # position of the bottom's top; 1 under a fitted shirt
+RISES = {  # design sections that hold the rise of the bottom; without one the rise is 1 (under a fitted shirt)
     "circle_skirt": ("flare-skirt",),
     "godet_skirt": ("pencil-skirt",),
     "levels_skirt": ("levels-skirt",),
@@ -52,7 +52,7 @@ def read(folder: Path) -> tuple[Measurements, dict[str, Any], Pattern]:
 
 
 def load(folder: Path, changes: dict[str, dict[str, Any]]) -> tuple[Measurements, OutfitDesign, Pattern]:
-    """As ``read``, with this package's design; ``changes``: values its drawing does not follow."""
+    """Like ``read``, with the design as ``OutfitDesign``; ``changes`` replace values of the file, by section."""
     size, values, reference = read(folder)
     for section, changed in changes.items():
         values[section] |= changed

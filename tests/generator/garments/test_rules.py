@@ -1,4 +1,4 @@
-"""Patterns that cannot be worn are rejected with figures."""
+"""Patterns that cannot be worn are rejected; the reason gives figures."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -82,7 +82,7 @@ def test_an_edge_too_short_to_sew_is_rejected(woman: Measurements) -> None:
 
 
 def test_sides_that_differ_without_gathers_are_rejected(woman: Measurements) -> None:
-    """One strapless half, one half with a deep neckline: their fronts meet in seams of different length."""
+    """The centre seam of an asymmetric top is rejected only after one of its sides is scaled to 80 %."""
     design = {
         "meta": {"upper": "FittedShirt"},
         "collar": {"fc_depth": 0.3, "f_collar": "VNeckHalf"},
@@ -112,7 +112,7 @@ def polygon(corners: list[tuple[float, float]]) -> Panel:
 
 @pytest.mark.parametrize(("length", "tight"), [(0.1, True), (1.0, False)])
 def test_a_cuff_too_tight_for_the_arm_is_rejected(woman: Measurements, length: float, tight: bool) -> None:
-    """A narrow band fits the wrist, and does not fit the upper arm."""
+    """A narrow band fits the wrist, but not the upper arm."""
     cuff = {"type": "CuffBand", "cuff_len": 0.05, "top_ruffle": 2.0}
     design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.6, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])

@@ -1,4 +1,4 @@
-"""Random designs can be worn, and follow GarmentCode's rule."""
+"""Random designs can be worn, and follow GarmentCode's rule: defaults are kept with a probability."""
 
 from collections import Counter
 from functools import cache
@@ -78,7 +78,7 @@ def test_no_hem_reaches_the_floor() -> None:
 
 
 def test_a_shirt_with_a_band_or_a_bottom_ends_near_the_waist() -> None:
-    # The waist holds the band up: sewn to a longer shirt it would drag the hem up.
+    # A band sits at the waist; sewn to a longer shirt it would pull the hem up.
     for design in designs():
         if design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom):
             assert 0.8 <= design.shirt.length <= 1.3

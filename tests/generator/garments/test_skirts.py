@@ -1,4 +1,4 @@
-"""Skirts: girths, lengths and seams that a tape measure can check, and the reference's panels."""
+"""Skirts: girths, lengths and seams computed from the measures, and the reference's panels."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -107,7 +107,7 @@ def test_a_waist_over_the_hips_needs_no_darts(woman: Measurements) -> None:
 
 
 @pytest.mark.parametrize("flare", [0.7, 1.0, 1.4])
-def test_the_flare_of_a_pencil_skirt_is_that_of_its_hem(woman: Measurements, flare: float) -> None:
+def test_flare_scales_the_hem_of_a_pencil_skirt(woman: Measurements, flare: float) -> None:
     pattern = skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"flare": flare, "length": 0.6}})
     assert lengths(pattern, "bottom") == pytest.approx(flare * woman.hips)
     assert not errors(pattern)
@@ -159,7 +159,7 @@ def test_a_slit_in_the_side_leaves_the_seam_above_it(woman: Measurements, flare:
 
 
 def test_ornaments_are_refused(woman: Measurements) -> None:
-    with pytest.raises(PatternError, match=r"no ornament is drawn: set pencil-skirt\.style_side_cut, Sun, to null"):
+    with pytest.raises(PatternError, match=r"pencil-skirt\.style_side_cut is Sun, but ornaments are not drawn: set it"):
         skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"style_side_cut": "Sun"}})
 
 
@@ -195,7 +195,7 @@ def test_both_halves_of_an_asymmetric_circle_make_a_disk_with_a_hole(wearer: Mea
     (hem,) = (edge.curve for edge in front.edges if edge.name == "bottom")
     assert isinstance(hem, Arc)
     (low,) = {round(float(y), 9) for _, y in front.vertices}
-    drop = radius - sqrt(radius**2 - (hole + sides.pop()) ** 2)  # of a flat arc, from its ends to its middle
+    drop = radius - sqrt(radius**2 - (hole + sides.pop()) ** 2)  # depth of the hem's arc
     assert low == 0.0
     assert drop == pytest.approx(hole + 0.4 * whole)
 
@@ -208,7 +208,7 @@ def test_a_hem_cut_is_counted_along_the_ring_of_the_hem(
     pattern = skirt(woman, Bottom.CIRCLE, {"flare-skirt": {"length": 0.4, "suns": 0.5, "cut": cut}})
     opened = pattern.panel(panel)
     (tip, *_), _ = ends(opened, "hem_cut.0")
-    assert tip * side > 0  # in front from the wearer's right, which is -x; behind from the left
+    assert tip * side > 0  # in front counted from the wearer's right (-x), behind from the left
     whole = woman.hips_line + 0.4 * woman.leg_length
     assert length(opened, "hem_cut.0") == pytest.approx(hypot(0.05, 0.2) * whole)
     (other,) = (p for p in pattern.panels if p.name != panel)
@@ -328,7 +328,7 @@ def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom)
 
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("example", SKIRTS + DRESSES)
-def test_skirts_are_those_of_the_reference(examples: Path, example: str, body: str) -> None:
+def test_skirts_equal_the_references(examples: Path, example: str, body: str) -> None:
     folder = examples / "patterns" / example / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     reference = read_pattern(next(folder.glob("*_specification.json")))
@@ -342,7 +342,7 @@ def test_skirts_are_those_of_the_reference(examples: Path, example: str, body: s
         assert found.placement[name] < PLACED
 
 
-def test_a_flared_pencil_skirt_is_that_of_the_reference(examples: Path) -> None:
+def test_a_flared_pencil_skirt_equals_the_references(examples: Path) -> None:
     reference = read_pattern(examples / "patterns" / "dress_pencil_specification.json")
     size = read_measurements(examples / "patterns" / "pencil_skirt" / "default_body" / "body_measurements.yaml")
     design = PencilSkirtDesign(length=0.5, flare=0.9, left_slit=0.4, right_slit=0.4)

@@ -1,4 +1,4 @@
-"""Sleeves: they fit their armholes, and are as long and as wide as asked."""
+"""Sleeves fit their armholes, and have the length and width of their design."""
 
 from dataclasses import replace
 from math import cos, radians
@@ -26,7 +26,7 @@ ARMS: dict[str, dict[str, Any]] = {
 
 
 def sleeved(size: Measurements, *, upper: str = "Shirt", mends: frozenset[Mend] = ALL_MENDS, **sleeve: Any) -> Pattern:
-    """A shirt with long sleeves, unless asked otherwise."""
+    """A shirt with long sleeves; ``sleeve`` changes parameters of the sleeves."""
     values = {"meta": {"upper": upper}, "sleeve": {"length": 0.7, "sleeveless": False} | sleeve}
     return outfit(size, design_from_dict(values), mends=mends)
 

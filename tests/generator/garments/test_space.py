@@ -52,7 +52,7 @@ def many(count: int = 4000) -> list[HemDesign]:
     return [draw(HemDesign, rng) for _ in range(count)]
 
 
-def test_the_default_is_kept_as_often_as_asked() -> None:
+def test_defaults_are_kept_with_their_probability() -> None:
     drawn = many()
     assert np.mean([d.depth == 2.0 for d in drawn]) == pytest.approx(0.7, abs=0.03)
     assert np.mean([d.rows == 2 for d in drawn]) == pytest.approx(0.5, abs=0.03)

@@ -1,4 +1,4 @@
-"""The upper body: lengths that a tape measure can check, and the reference's fronts, backs and sleeves."""
+"""Tops: lengths computed from the measures, and the reference's fronts, backs and sleeves."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -36,7 +36,7 @@ TORSOS = ("right_ftorso", "left_ftorso", "right_btorso", "left_btorso")
 
 
 def lengths(pattern: Pattern, panels: Iterable[str], edge: str) -> float:
-    """Length of all edges of that name over these panels [cm]."""
+    """Length of all edges named ``edge`` in the panels [cm]."""
     return sum(sum(edge_lengths(pattern.panel(name), edge)) for name in panels)
 
 
@@ -76,7 +76,7 @@ def seams(pattern: Pattern, panels: set[str]) -> set[frozenset[tuple[str, int]]]
 
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("top", TOPS)
-def test_tops_are_those_of_the_reference(examples: Path, top: str, body: str) -> None:
+def test_tops_equal_the_references(examples: Path, top: str, body: str) -> None:
     folder = examples / "patterns" / top / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     assert design.meta.upper is not None
@@ -94,7 +94,7 @@ def test_tops_are_those_of_the_reference(examples: Path, top: str, body: str) ->
 
 
 @pytest.mark.parametrize("top", TOPS)
-def test_labels_are_those_of_the_reference(examples: Path, top: str) -> None:
+def test_labels_include_the_references(examples: Path, top: str) -> None:
     folder = examples / "patterns" / top / "default_body"
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     ours, reference = outfit(size, design), read_pattern(folder / f"{top}_specification.json")
@@ -215,7 +215,7 @@ def test_the_deepest_armhole_leaves_side_to_sew(wearer: Measurements, meta: dict
 def test_the_reference_cuts_through_the_side_of_a_back(woman: Measurements) -> None:
     design, left_out = design_from_dict({"meta": FITTED, "sleeve": {"connecting_width": 2.0}}), Mend.ARMHOLE_ROOM
     with pytest.raises(
-        PatternError, match=r"an armhole of 22\.9 cm where 22\.8 cm reach .*: lower sleeve\.connecting_width"
+        PatternError, match=r"an armhole 22\.9 cm deep .* room for 22\.8 cm: lower sleeve\.connecting_width"
     ):
         outfit(woman, design, mends=ALL_MENDS - {left_out})
 
@@ -243,7 +243,7 @@ def test_only_fitted_shirts_are_strapless(woman: Measurements) -> None:
     assert plain == asked
 
 
-def test_halves_that_are_alike_are_mirror_images(wearer: Measurements) -> None:
+def test_halves_of_one_design_are_mirror_images(wearer: Measurements) -> None:
     for meta in (SHIRT, FITTED):
         pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
         for name in (panel.name for panel in pattern.panels if panel.name.startswith("right")):
@@ -263,7 +263,7 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
     assert labels(pattern, f"{side}_ftorso") == {"strapless_top"}
     assert labels(pattern, f"{other}_ftorso") == {f"{other}_armhole", f"{other}_collar"}
     centres = {sum(edge_lengths(pattern.panel(f"{s}_btorso"), "centre")) for s in ("left", "right")}
-    assert len(centres) == 2  # sewn all the same
+    assert len(centres) == 2  # different lengths, sewn nevertheless
     joined = {frozenset((seam.left.panel, seam.right.panel)) for seam in pattern.seams}
     assert {frozenset(("left_ftorso", "right_ftorso")), frozenset(("left_btorso", "right_btorso"))} <= joined
 

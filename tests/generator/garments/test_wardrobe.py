@@ -1,4 +1,4 @@
-"""Garment records: each garment is one file, listed in the wardrobe, and all other code reads its record."""
+"""Garment records: each garment is one file, listed in the wardrobe; other code uses its record only."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
 # ------------------------------------------------------------------------------------------ garments beyond GarmentCode
 
 
-def test_there_are_a_cape_and_a_poncho() -> None:
+def test_capes_and_ponchos_are_the_garments_beyond_garmentcode() -> None:
     assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
 
 
@@ -81,20 +81,22 @@ def test_capes_and_ponchos_are_sampled_without_band_and_bottom() -> None:
 
 def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"nothing is sewn to meta\.upper = Cape, .* let meta\.wb and meta\.bottom be"
+        ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, .* set meta\.wb and meta\.bottom to"
     ):
         Overlay.from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}})
-    with pytest.raises(ConfigError, match=r"nothing is sewn to meta\.upper = Cape, Poncho"):
+    with pytest.raises(ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, Poncho"):
         Overlay.from_dict({"meta": {"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}})
 
 
 def test_a_design_that_sews_a_bottom_to_a_cape_is_rejected(woman: Measurements) -> None:
     found = try_on(woman, design_from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}}))
-    assert str(found) == "cannot_be_drawn: nothing is sewn to the hem of a Cape: leave out meta.wb and meta.bottom"
+    assert (
+        str(found) == "cannot_be_drawn: nothing can be sewn to the hem of a Cape: set meta.wb and meta.bottom to null"
+    )
 
 
 @pytest.mark.parametrize("upper", OWN)
-def test_designs_of_capes_and_ponchos_come_back_from_design_files(tmp_path: Path, upper: Upper) -> None:
+def test_designs_of_capes_and_ponchos_survive_design_files(tmp_path: Path, upper: Upper) -> None:
     design = design_from_dict({"meta": {"upper": upper.value}, upper.garment.section: {"length": 1.3}})
     write_design(design, tmp_path / "design.yaml")
     assert read_design(tmp_path / "design.yaml") == design

@@ -1,4 +1,4 @@
-"""Borders: edges as points."""
+"""Borders: edges of panels sampled as points."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from gcd_dataset.records import Edge, EdgeRef, Panel, Placement
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 
 
-def test_as_many_points_as_the_spacing_asks() -> None:
-    """An edge of 10 cm has 11 points at 1 cm, one of 10.01 cm has 12."""
+def test_edges_get_points_at_most_a_spacing_apart() -> None:
+    """At a spacing of 1 cm an edge of 10 cm has 11 points, an edge of 10.01 cm has 12."""
     counts = edge_counts(sewn(panel("a", rectangle(10.0, 10.01))), 1.0)
     assert [counts[EdgeRef("a", edge)] for edge in range(4)] == [11, 12, 11, 12]
 
@@ -23,7 +23,7 @@ def test_an_edge_that_rounding_made_longer_keeps_its_points() -> None:
 
 @pytest.mark.parametrize("curve", [Arc(20.0, large=False, right=True), Cubic((0.1, 0.6), (0.3, -0.4))])
 def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
-    """To two thousandths: the error of arc length by quadrature and of chords as steps."""
+    """To two thousandths: the arc length is a quadrature, and steps are measured as chords."""
     bent = panel("a", rectangle(30.0, 30.0), curves={0: curve})
     border = sample_border(bent, edge_counts(sewn(bent), 0.25))
     steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)
@@ -76,13 +76,13 @@ def test_an_edge_without_a_finite_length_is_an_error(end: tuple[float, float], l
         edge_counts(sewn(panel("a", [(0.0, 0.0), end, (5.0, 5.0)])), 1.0)
 
 
-def test_an_arc_spans_its_chord() -> None:
+def test_an_arc_too_small_for_its_chord_is_an_error() -> None:
     flat = panel("a", rectangle(10.0, 5.0), curves={2: Arc(3.0, large=False, right=True)})
     with pytest.raises(MeshError, match="panel a, edge 2: arc of radius 3 cm cannot span a chord of 10 cm"):
         edge_counts(sewn(flat), 1.0)
 
 
-def test_the_edges_of_a_panel_close() -> None:
+def test_an_open_or_empty_outline_is_an_error() -> None:
     corners = np.array(rectangle(10.0, 5.0))
     placement = Placement(np.zeros(3), np.zeros(3))
     gap = Panel("a", corners, (Edge(0, 1), Edge(2, 3), Edge(3, 0)), placement)

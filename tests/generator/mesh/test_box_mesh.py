@@ -68,7 +68,7 @@ def test_a_flat_panel_starts_unstretched_where_it_is_placed() -> None:
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_faces_run_as_the_loop_does(clockwise: bool) -> None:
+def test_faces_have_the_winding_of_the_loop(clockwise: bool) -> None:
     """The right side faces the viewer of a counter-clockwise loop: +z for one panel, -z for the other."""
     corners = rectangle(10.0, 10.0)[:: -1 if clockwise else 1]
     mesh = build_box_mesh(sewn(panel("a", corners)))
@@ -101,7 +101,7 @@ def test_a_tube_is_open_at_both_ends() -> None:
     assert faces_of_edge.max() == 2
 
 
-def test_a_seam_takes_away_as_many_vertices_as_it_joins() -> None:
+def test_a_seam_merges_pairs_of_vertices() -> None:
     """The points of the panels minus 21 on each of the tube's two seams."""
     pattern = tube()
     mesh = build_box_mesh(pattern)
@@ -118,7 +118,7 @@ def test_a_seam_vertex_starts_in_the_middle() -> None:
     assert np.abs(mesh.vertices[mesh.n_seam_vertices :, 2]) == pytest.approx(3.0)
 
 
-def test_neighbours_across_a_seam_run_against_each_other() -> None:
+def test_faces_have_consistent_winding_across_seams() -> None:
     """No directed edge occurs twice: the right side of the cloth is outside everywhere."""
     for pattern in (tube(), darted(), patchwork()):
         edges = directed_edges(build_box_mesh(pattern).faces)
@@ -126,7 +126,7 @@ def test_neighbours_across_a_seam_run_against_each_other() -> None:
 
 
 def test_a_dart_closes() -> None:
-    """Its mouth becomes one vertex, and its legs leave the rim."""
+    """The mouth of the dart becomes one vertex, and its legs are no longer on the rim."""
     mesh = build_box_mesh(darted())
     legs = 10  # √(2² + 9²) = 9.2 cm
     assert mesh.n_seam_vertices == legs + 1
@@ -149,10 +149,10 @@ def test_a_cone_is_a_disc() -> None:
     mesh = build_box_mesh(cone(150.0))
     assert euler_characteristic(mesh) == 1
     _, faces_of_edge = undirected_edges(mesh.faces)
-    assert (faces_of_edge == 1).sum() == 39  # its hem: 40 · sin 75° = 38.6 cm
+    assert (faces_of_edge == 1).sum() == 39  # the hem: 40 · sin 75° = 38.6 cm
 
 
-def test_a_cone_has_a_face_at_its_tip() -> None:
+def test_a_cone_without_a_face_at_its_tip_is_an_error() -> None:
     """Sewing collapses a triangle across a sharp corner, which would leave the tip without a face."""
     with pytest.raises(MeshError, match=r"panel cone: the corner at \(0.00, 0.00\) cm is sewn to itself"):
         build_box_mesh(cone(35.0))
@@ -199,7 +199,7 @@ def test_a_gathered_seam_joins_all_points_of_both_sides() -> None:
     assert np.bincount(mesh.panel_id, rest) == pytest.approx([60.0, 880.0])
 
 
-def test_the_rest_shape_is_that_of_the_panels() -> None:
+def test_the_rest_shape_is_the_flat_panels() -> None:
     """The corners of each face are ``uv`` rows of its panel, and every row belongs to one panel."""
     mesh = build_box_mesh(patchwork())
     assert np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces)
@@ -228,7 +228,7 @@ def labelled(left: str, right: str, free: str) -> Pattern:
 
 
 @pytest.mark.parametrize(("left", "right"), [("waist", ""), ("", "waist"), ("waist", "waist")])
-def test_a_labelled_seam_has_all_its_vertices_and_a_free_edge_those_inside(left: str, right: str) -> None:
+def test_a_label_holds_all_vertices_of_a_seam_and_the_inner_vertices_of_a_free_edge(left: str, right: str) -> None:
     mesh = build_box_mesh(labelled(left, right, "collar"))
     assert set(mesh.labels) == {"waist", "collar"}
     assert mesh.labels["waist"].tolist() == [0, 1, 2, 3, 4, 5]
@@ -237,14 +237,14 @@ def test_a_labelled_seam_has_all_its_vertices_and_a_free_edge_those_inside(left:
     assert sorted(collar[:, 0].tolist()) == pytest.approx([6.0, 7.0, 8.0, 9.0])
 
 
-def test_edges_of_one_label_are_one_set() -> None:
+def test_edges_with_one_label_form_one_set_of_vertices() -> None:
     """The collar is the seam and the free edge; their common point occurs once."""
     mesh = build_box_mesh(labelled("collar", "", "collar"))
     assert len(mesh.labels["collar"]) == 6 + 4
     assert (np.diff(mesh.labels["collar"]) > 0).all()
 
 
-def test_the_sides_of_a_seam_agree_on_its_label() -> None:
+def test_contradictory_labels_of_a_seam_are_an_error() -> None:
     with pytest.raises(MeshError, match=r"seam 0 \(a edge 1 to b edge 3\) joins labels left_collar and waist"):
         build_box_mesh(labelled("left_collar", "waist", ""))
 
@@ -275,7 +275,7 @@ LENS = panel("lens", [(0.0, 0.0), (0.4, 0.0)], curves={0: Arc(0.3, large=False, 
     ],
     ids=lambda value: value.name if isinstance(value, Panel) else "",
 )
-def test_a_panel_that_cannot_be_meshed(wrong: Panel, message: str) -> None:
+def test_a_panel_that_cannot_be_meshed_is_an_error(wrong: Panel, message: str) -> None:
     with pytest.raises(MeshError, match=message):
         build_box_mesh(sewn(panel("fine", rectangle(5.0, 5.0)), wrong))
 

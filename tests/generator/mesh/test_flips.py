@@ -9,7 +9,7 @@ from gcd_dataset.generator.mesh.flips import restore_segments
 from tests.generator.mesh.shapes import areas, directed_edges, undirected_edges
 
 SLIT = np.array([(0, 0), (6, 0), (6, 2), (2, 2.1), (6, 2.2), (6, 4), (0, 4)], float)
-"""A long slit, 0.2 cm wide: unconstrained, its sides are not edges, since the points across are nearer."""
+"""A slit 0.2 cm wide. Its sides are not edges of the Delaunay triangulation: the points across are nearer."""
 
 
 def triangles(points: np.ndarray) -> np.ndarray:
@@ -43,7 +43,7 @@ def test_every_segment_is_an_edge_afterwards(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_all_edges_but_the_segments_are_delaunay(seed: int) -> None:
+def test_all_edges_except_segments_are_delaunay(seed: int) -> None:
     """The two angles opposite every other edge add up to at most half a turn."""
     points, n = dense_slit(np.random.default_rng(seed))
     faces = restore_segments(points, triangles(points), n)
@@ -58,7 +58,7 @@ def angle(points: np.ndarray, a: int, apex: int, b: int) -> float:
     return float(np.arccos(to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b)))
 
 
-def test_a_triangulation_with_all_segments_stays() -> None:
+def test_a_triangulation_with_all_segments_is_unchanged() -> None:
     points = np.array([(0, 0), (2, 0), (2, 1.1), (0, 1)], float)
     faces = triangles(points)
     assert restore_segments(points, faces, 4) is faces

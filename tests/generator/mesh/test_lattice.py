@@ -29,7 +29,7 @@ def test_seeds_lie_inside_and_off_the_border(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> None:
-    """So they are Delaunay; nor does the border pass through them."""
+    """The triangles are therefore Delaunay; the border does not cross them either."""
     border = loop(star(seed), SPACING)
     lattice = build_lattice(border, SPACING)
     centres = lattice.points[lattice.faces].mean(axis=1)
@@ -40,8 +40,8 @@ def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> Non
     assert not filled.intersects(shapely.LinearRing(border))
 
 
-def test_covers_is_true_in_filled_triangles_alone() -> None:
-    """Tested inside each filled triangle, beside each of its outer edges, and far away."""
+def test_covers_is_true_only_in_filled_triangles() -> None:
+    """At random points in and around the panel, and at the centre of each filled triangle."""
     lattice = build_lattice(loop(star(3), SPACING), SPACING)
     filled = shapely.union_all(shapely.polygons(lattice.points[lattice.faces])).buffer(1e-9)
     asked = np.random.default_rng(0).uniform(-30.0, 30.0, (4000, 2))

@@ -1,4 +1,4 @@
-"""Meshes of GarmentCode's patterns, against those of its own mesher."""
+"""Our meshes of GarmentCode's patterns compared with the meshes of its own mesher."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ MESHES = {
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
-    """Manifold; no sliver unless the outline forces it, no long edge, no vertex without a face."""
+    """Manifold, without long edges and unused vertices; only the outline may force slivers."""
     pattern = read_pattern(examples / "patterns" / name / body / f"{name}_specification.json")
     mesh = build_box_mesh(pattern, spacing=spacing)
     _, faces_of_edge = undirected_edges(mesh.faces)
@@ -59,20 +59,20 @@ def both(request: pytest.FixtureRequest, examples: Path) -> tuple[BoxMesh, Any]:
     return build_box_mesh(pattern), np.load(examples / "meshes" / f"{request.param}.npz")
 
 
-def test_panels_stand_in_the_reference_order(both: tuple[BoxMesh, Any]) -> None:
+def test_panels_have_the_reference_order(both: tuple[BoxMesh, Any]) -> None:
     ours, reference = both
     assert ours.panel_names == tuple(reference["panel_names"])
     assert ours.panel_labels == tuple(reference["panel_labels"])
 
 
-def test_there_are_as_many_vertices_and_no_more_faces(both: tuple[BoxMesh, Any]) -> None:
+def test_numbers_of_vertices_and_faces_agree(both: tuple[BoxMesh, Any]) -> None:
     ours, reference = both
     assert len(ours.vertices) == pytest.approx(len(reference["vertices"]), rel=0.01)
     assert len(ours.faces) == pytest.approx(len(reference["faces"]), rel=0.015)
 
 
-def test_panels_have_the_same_area_and_side_out(both: tuple[BoxMesh, Any]) -> None:
-    """By normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
+def test_panels_have_the_same_area_and_face_the_same_way(both: tuple[BoxMesh, Any]) -> None:
+    """Sides are compared by normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
     ours, reference = both
     ours_flat = np.bincount(ours.panel_id, np.abs(areas(ours.uv, ours.corners)))
     flat = np.bincount(reference["face_panel"], np.abs(areas(reference["panel_xy"], reference["face_uv"])))
@@ -90,7 +90,7 @@ def facing(vertices: np.ndarray, faces: np.ndarray, panel: np.ndarray) -> np.nda
 
 
 def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
-    """Except where several seams meet: the reference takes a running mean there, this package the mean."""
+    """Except where several seams meet: there the reference uses a running mean, this package the mean."""
     ours, reference = both
     count = int(reference["n_stitch_vertices"])
     assert ours.n_seam_vertices == count
@@ -101,7 +101,7 @@ def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
 
 
 def test_seams_have_the_reference_lengths(both: tuple[BoxMesh, Any]) -> None:
-    """In points; the reference lists fewer seams at a vertex where several meet."""
+    """Lengths in points; the reference lists fewer seams at a vertex where several meet."""
     ours, reference = both
     names = [name for row in reference["stitch_segmentation"] for name in str(row).split(",") if "stitch_" in name]
     theirs = np.unique(names, return_counts=True)[1]

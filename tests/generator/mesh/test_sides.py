@@ -62,7 +62,7 @@ def test_other_garments_have_no_turned_panel(name: str) -> None:
 
 
 def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
-    """Its normals then continue those of the larger panel, which keeps the winding of its loop."""
+    """Both panels then have normals of one direction; the larger panel keeps the winding of its loop."""
     a, b = panel("a", rectangle(10.0, 10.0)), panel("b", rectangle(5.0, 10.0), at=(15.0, 0.0, 0.0), turned=np.pi)
     pattern = sewn(b, a, seams=(seam(("a", 1), ("b", 1), right_wrong=True),))
     mesh = build_box_mesh(pattern, spacing=1.0)
@@ -73,7 +73,7 @@ def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
     assert np.bincount(mesh.panel_id, signed(mesh)) == pytest.approx([-50.0, 100.0])
 
 
-def test_right_sides_that_meet_turn_nothing_over() -> None:
+def test_seams_of_right_sides_turn_no_panel_over() -> None:
     pattern = tube()
     assert turned_panels(pattern, build_box_mesh(pattern, spacing=2.0)) == ()
 

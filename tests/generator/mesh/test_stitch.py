@@ -50,7 +50,7 @@ def test_a_vertex_is_the_mean_of_its_points() -> None:
     assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
 
 
-def test_a_pattern_without_seams_stays_as_it_is() -> None:
+def test_a_pattern_without_seams_merges_no_points() -> None:
     assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 
@@ -75,7 +75,7 @@ def test_a_panel_joined_to_itself_without_a_dart_is_an_error() -> None:
 
 
 def test_a_dart_may_bring_points_of_a_panel_together() -> None:
-    """The same, but 1 and 2 are also the mouth of a dart 1-7-2 within panel a."""
+    """As in the test above, but 1 and 2 are also the mouth of a dart 1-7-2 within panel a."""
     seams, sewn = two_points_of_a_joined_through_b()
     dart = stitch_points((seam(("a", 2), ("a", 3)),), [(points(1, 7), points(7, 2))])
     both = SewnPoints(

@@ -36,7 +36,7 @@ OUTLINES: dict[str, list[tuple[float, float]]] = {
 
 @pytest.mark.parametrize("name", OUTLINES)
 def test_triangles_fill_the_outline_once(name: str) -> None:
-    """Counter-clockwise, of the outline's area, with exactly its segments for a border."""
+    """Faces are counter-clockwise and have the outline's area; their border is exactly its segments."""
     assert_filled_once(loop(OUTLINES[name], 1.0))
 
 
@@ -95,7 +95,7 @@ def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_circle_of_a_triangle_holds_a_point(seed: int) -> None:
+def test_circumcircles_hold_no_point(seed: int) -> None:
     """Delaunay's criterion; a convex outline needs no constraint."""
     hull = shapely.MultiPoint(star(seed)).convex_hull
     border = loop([(float(x), float(y)) for x, y in shapely.get_coordinates(hull)[:0:-1]], 1.0)
@@ -142,7 +142,7 @@ def test_a_slit_is_not_meshed_over() -> None:
     assert shapely.contains_xy(shapely.Polygon(border), *centroids.T).all()
 
 
-def test_the_mesh_grows_with_the_outline() -> None:
+def test_the_mesh_scales_with_the_outline() -> None:
     border = loop(star(4), 1.0)
     seeds, faces = triangulate(border, 1.0)
     larger, same = triangulate(2.0 * border, 2.0)

@@ -87,7 +87,7 @@ def test_an_edge_in_two_seams_is_an_error() -> None:
 
 
 def test_two_pieces_of_one_name_are_an_error() -> None:
-    with pytest.raises(PatternError, match="panels tube_b, tube_f stand twice"):
+    with pytest.raises(PatternError, match="panels tube_b, tube_f appear twice"):
         Component.of(tube("tube"), tube("tube"))
 
 
@@ -99,7 +99,7 @@ def test_a_mirror_image_lies_on_the_other_side() -> None:
     assert left.points() == pytest.approx(expected)
 
 
-def test_placed_by_an_interface_with_a_gap_on_its_own_side() -> None:
+def test_placed_by_leaves_a_gap_on_the_interfaces_side() -> None:
     upper, lower = tube("upper", y=100.0), tube("lower", y=0.0)
     placed = lower.placed_by("top", upper, "hem", gap=5.0)
     assert placed.points("top")[:, 1] == pytest.approx(95.0)

@@ -30,7 +30,7 @@ def test_the_end_slides_along_the_chord_only() -> None:
     assert x * 20.0 == pytest.approx(y * 12.0)
 
 
-def test_between_the_tangents_of_a_quarter_circle_lies_nearly_a_circle() -> None:
+def test_the_fit_to_tangents_of_a_quarter_circle_is_nearly_circular() -> None:
     # Of all curves of a given length that turn by a right angle, the circle has the least peak curvature.
     radius = 15.0
     fitted = smooth_cubic(

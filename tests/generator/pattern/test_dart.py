@@ -69,7 +69,7 @@ def test_a_corner_cut_larger_than_its_edges_is_an_error() -> None:
         cut_corner(rectangle(), "side", "top", (Stroke((0.0, 0.0), (-10.0, 45.0)),))
 
 
-def test_a_second_notch_is_counted_along_what_the_first_has_left() -> None:
+def test_a_second_notch_is_positioned_along_the_edge_left_by_the_first() -> None:
     once = cut_into(rectangle(), "hem", notch(4.0, 10.0), at=40.0)
     before = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=10.0)
     behind = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=48.0)

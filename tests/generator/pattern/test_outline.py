@@ -15,7 +15,7 @@ def test_edges_by_name() -> None:
     assert rectangle().closed
 
 
-def test_an_unknown_name_gives_the_known_ones() -> None:
+def test_the_error_of_an_unknown_edge_lists_the_known_edges() -> None:
     with pytest.raises(PatternError, match="no edge named sleeve: there are hem, side, centre"):
         rectangle().edge("sleeve")
 
@@ -36,7 +36,7 @@ def test_the_sign_of_the_area_is_the_direction_of_the_loop() -> None:
     assert rectangle().mirrored().area == pytest.approx(-600.0)
 
 
-def test_a_divided_edge_is_no_single_edge() -> None:
+def test_a_divided_edge_cannot_be_looked_up_as_one() -> None:
     hem = rectangle().edge("hem")
     divided = rectangle().with_strokes((hem,), hem.split([0.5]))
     assert [piece.length for piece in divided.run("hem")] == pytest.approx([15.0, 15.0])

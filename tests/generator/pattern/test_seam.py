@@ -23,13 +23,13 @@ def test_nearly_equal_edges_are_sewn_edge_by_edge() -> None:
     assert shared_breaks([10.0, 10.0], [10.9, 10.0]) == ([[], []], [[], []])
 
 
-def test_one_edge_against_two() -> None:
+def test_an_edge_sewn_to_two_edges_is_divided() -> None:
     left, right = shared_breaks([30.0], [10.0, 20.0])
     assert left == [[pytest.approx(1 / 3)]]
     assert right == [[], []]
 
 
-def test_breaks_closer_than_a_hundredth_are_one() -> None:
+def test_breaks_closer_than_a_hundredth_are_merged() -> None:
     left, right = shared_breaks([50.0, 50.0], [50.4, 30.0, 19.6])
     assert left == [[], [pytest.approx((0.804 - 0.5) / 0.5)]]
     assert right == [[], [], []]

@@ -35,7 +35,7 @@ def test_parts_lie_on_the_whole(curve: Curve) -> None:
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_a_turn_keeps_the_length_and_turns_the_points(curve: Curve) -> None:
+def test_rotation_keeps_the_length_and_rotates_the_points(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
     turned = stroke.rotated(0.5 * np.pi, about=(1.0, 2.0))
     x, y = stroke.at(0.3)
@@ -44,7 +44,7 @@ def test_a_turn_keeps_the_length_and_turns_the_points(curve: Curve) -> None:
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_reversed_and_mirrored_points(curve: Curve) -> None:
+def test_reversal_and_mirroring_map_points(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
     x, y = stroke.at(0.3)
     assert stroke.reversed().at(0.7) == pytest.approx((x, y))

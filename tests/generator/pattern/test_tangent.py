@@ -57,7 +57,7 @@ def test_a_mirrored_tangent_gives_the_mirror_image() -> None:
     assert (left.control[0], -left.control[1]) == pytest.approx(right.control)
 
 
-def test_figures_of_the_reference() -> None:
+def test_control_points_equal_the_references() -> None:
     """Control points of GarmentCode's jumpsuit: the back's hip (one tangent) and the crotch (two)."""
     hip = tangent_quadratic((-5.0, 68.231), (-2.771, 94.063), start_tangent=UP)
     assert hip.control == pytest.approx((0.498, 0.043), abs=0.003)
