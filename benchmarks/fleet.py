@@ -14,14 +14,17 @@ import numpy as np
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.writer import SHARD_SIZE
 
-__all__ = ["Bill", "Fleet", "Machine", "ObjectStore", "Run", "bill", "expected_seconds", "limits", "simulate"]
+__all__ = ["RATE", "Bill", "Fleet", "Machine", "ObjectStore", "Run", "bill", "expected_seconds", "limits", "simulate"]
+
+
+RATE = 43.6  # garments/s of one H200 with 16 cores, with pictures, over 5,000 garments: benchmarks/reports/scale.md
 
 
 @dataclass(frozen=True)
 class Machine:
     """A GPU with its cores, as measured by ``benchmarks.run scale``; defaults for one H200 with 16 cores."""
 
-    rate: float = 34.7
+    rate: float = RATE
     """Garments per second of one GPU, written, with pictures."""
     cores: int = 16
     """CPU cores per GPU."""
@@ -132,7 +135,7 @@ class Fleet:
     """Machines of one GPU each, with failures during work as a Poisson process."""
 
     machines: int = 1000
-    rate: float = 34.7
+    rate: float = RATE
     """Garments per second."""
     begin: float = 25.0
     """Time from the start of a part to its first garment."""

@@ -142,7 +142,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         table = strict_yaml(content)
     except yaml.MarkedYAMLError as error:
-        raise BodyError(f"{path}: not YAML ({_yaml_problem(error)}): mend that line") from error
+        raise BodyError(f"{path}: not YAML ({_yaml_problem(error)}): correct that line") from error
     except (yaml.YAMLError, *BROKEN_SCALARS) as error:
         raise BodyError(
             f"{path}: not YAML ({' '.join(str(error).split())[:160]}): give one 'key: number' a line"

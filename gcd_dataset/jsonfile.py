@@ -24,7 +24,7 @@ def parse_json(
     content: str | bytes | bytearray | memoryview,
     *,
     source: str,
-    remedy: str = "mend the JSON",
+    remedy: str = "correct the JSON",
     error: type[GcdError] = SpecError,
     limit: int = LARGEST_JSON,
 ) -> Any:

@@ -181,7 +181,7 @@ def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
     """The outline with sampled curves. Raises ``PatternError`` if it is not one closed loop."""
     require_closed(panel)
     if not np.all(np.isfinite(panel.vertices)):
-        raise PatternError(f"panel {panel.name}: a vertex is not finite: mend its vertices")
+        raise PatternError(f"panel {panel.name}: a vertex is not finite: correct its vertices")
     pieces = [
         sample_curve(*panel.edge_ends(index), edge.curve, 2 if edge.curve == LINE else CURVE_SAMPLES)[:-1]
         for index, edge in enumerate(panel.edges)

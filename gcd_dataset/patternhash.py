@@ -113,7 +113,9 @@ def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
     ).astype(float)
     steps /= STEP
     if not (np.abs(steps) < LARGEST).all():  # false for NaN, too
-        raise PatternError(f"pattern {tensor.name}: a number is NaN or beyond {LARGEST * STEP:g} cm: mend the pattern")
+        raise PatternError(
+            f"pattern {tensor.name}: a number is NaN or beyond {LARGEST * STEP:g} cm: correct the pattern"
+        )
     words = [index, tensor.panel_names, tensor.panel_labels, tensor.edge_labels, tensor.stitches.tolist()]
     head = hashlib.sha256(json.dumps(words, separators=(",", ":")).encode())
     whole = np.rint(steps).astype(np.int64)

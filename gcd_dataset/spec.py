@@ -197,7 +197,9 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
     curve = _curve(entry["curvature"], form.scale, at)
     if form.absolute_controls and not isinstance(curve, Arc):
         if not (0 <= start < len(vertices) and 0 <= end < len(vertices)):
-            raise at.error(f"endpoints {start}, {end} of {len(vertices)} vertices, numbered from 0: mend the endpoints")
+            raise at.error(
+                f"endpoints {start}, {end} of {len(vertices)} vertices, numbered from 0: correct the endpoints"
+            )
         curve = _relative(curve, vertices[start], vertices[end], form.scale, at)
     return Edge(start, end, curve, label)
 

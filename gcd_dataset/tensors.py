@@ -226,7 +226,9 @@ def require_closed(panel: Panel) -> None:
         raise PatternError(f"panel {panel.name}: no edges: draw its outline")
     for index, edge in enumerate(panel.edges):
         if min(edge.start, edge.end) < 0 or max(edge.start, edge.end) >= len(panel.vertices):
-            raise PatternError(f"panel {panel.name}, edge {index}: no vertex {edge.start} or {edge.end}: mend its ends")
+            raise PatternError(
+                f"panel {panel.name}, edge {index}: no vertex {edge.start} or {edge.end}: correct its ends"
+            )
         if panel.edges[index - 1].end != edge.start:
             raise PatternError(
                 f"panel {panel.name}, edge {index}: does not start where the edge before ends: join them"
@@ -273,7 +275,7 @@ def _stitch_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
     for number, seam in enumerate(pattern.seams):
         for side in (seam.left, seam.right):
             if side not in row_of:
-                raise PatternError(f"seam {number}: panel {side.panel} has no edge {side.edge}: mend the seam")
+                raise PatternError(f"seam {number}: panel {side.panel} has no edge {side.edge}: correct the seam")
     rows = [(row_of[seam.left], row_of[seam.right], seam.right_wrong) for seam in pattern.seams]
     return np.array(rows, int).reshape(-1, len(StitchColumn))
 
@@ -304,7 +306,7 @@ def _require_sound(tensor: PatternTensor) -> None:
         raise PatternError(f"{len(tensor.panel_names)} panel names for {len(tensor.panels)} panels: give one each")
     if tensor.loops[-1] != len(tensor.edges):
         raise PatternError(
-            f"N_EDGES adds up to {tensor.loops[-1]}, but there are {len(tensor.edges)} edges: mend N_EDGES"
+            f"N_EDGES adds up to {tensor.loops[-1]}, but there are {len(tensor.edges)} edges: correct N_EDGES"
         )
     numbered = (
         (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches refer to edges"),
@@ -315,7 +317,9 @@ def _require_sound(tensor: PatternTensor) -> None:
     )
     for numbers, count, what in numbered:
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, but there are {count}: mend the rows")
+            raise PatternError(
+                f"{what} {numbers.min():g} to {numbers.max():g}, but there are {count}: correct the rows"
+            )
 
 
 def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> Panel:

@@ -20,6 +20,6 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError(f"{path}: nested too deep: flatten the TOML") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not valid UTF-8: mend the TOML") from error
+        raise ConfigError(f"{path}: byte {error.start} is not valid UTF-8: correct the TOML") from error
     except ValueError as error:  # also raised for an integer of thousands of digits, with advice after a semicolon
-        raise ConfigError(f"{path}: {str(error).partition(';')[0]}: mend the TOML") from error
+        raise ConfigError(f"{path}: {str(error).partition(';')[0]}: correct the TOML") from error

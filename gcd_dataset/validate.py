@@ -177,7 +177,7 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
     for index, edge in enumerate(panel.edges):
         outside = [vertex for vertex in (edge.start, edge.end) if not 0 <= vertex < corners]
         if outside:
-            figure = f"vertex {outside[0]} of {corners}, numbered from 0: mend its endpoints"
+            figure = f"vertex {outside[0]} of {corners}, numbered from 0: correct its endpoints"
             yield Fault(Rule.VERTEX_RANGE, panel.name, index, figure)
             continue
         before = panel.edges[index - 1]
@@ -318,7 +318,7 @@ def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault
     if side.panel not in edges_of:
         figure = f"stitch {number}: there is no panel of that name: there are {_listed(edges_of)}"
     else:
-        figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
+        figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: correct the stitch"
     return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
 
 

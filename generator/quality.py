@@ -54,8 +54,9 @@ def grade_of(drape: Drape, strain: Strain | None) -> Grade:
     """The grade of a drape by its outcome, crossings and stretch.
 
     ``clean``: settled, no cloth edge through cloth or the body, no body edge through cloth, and no panel stretched
-    beyond ``MAX_STRETCH``. ``paper``: within the limits of Korosteleva et al. (ECCV 2024), who do not limit stretch.
-    Else ``failed``.
+    beyond ``MAX_STRETCH``. ``paper``: the outcome is ``SETTLED`` or ``OVERSTRETCHED``. The outcome carries the limits
+    of Korosteleva et al. (ECCV 2024) on crossings and movement (see ``DrapeConfig``); they do not limit stretch. Else
+    ``failed``.
     """
     if drape.outcome not in (Outcome.SETTLED, Outcome.OVERSTRETCHED):
         return Grade.FAILED

@@ -106,7 +106,7 @@ class MakeConfig:
             _require_type(entry.name, getattr(self, entry.name), type(entry.default))
         for name, kind in {"bodies": Bodies, "stage": LastStage, "on_fail": OnFail}.items():
             if getattr(self, name) not in get_args(kind):
-                raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
+                raise ConfigError(f"unknown {name} {getattr(self, name)!r}: choose one of {', '.join(get_args(kind))}")
         # As a float, so that 2 and 2.0 give one recipe.
         object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))
         object.__setattr__(self, "arms", float(self.arms))

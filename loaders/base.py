@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
@@ -198,6 +199,8 @@ class SelectedGarments(Garments):
         self.reads_only = whole.reads_only
         self.positions = np.asarray(positions, np.int64)
         """Index in ``whole`` of each selected garment."""
+        if len(positions) and _are_whole_designs(self.positions, whole.garments_per_design):
+            self.garments_per_design = whole.garments_per_design
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -237,6 +240,12 @@ class SelectedGarments(Garments):
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self.whole._members(int(self.positions[position]), members)
+
+
+def _are_whole_designs(positions: Int[np.ndarray, " n"], garments_per_design: int) -> bool:
+    """Whether every ``garments_per_design`` consecutive positions, and the rest at the end, are of one design."""
+    design = positions // garments_per_design
+    return bool((design == np.repeat(design[::garments_per_design], garments_per_design)[: len(design)]).all())
 
 
 def load_items(dataset: Any, indices: Sequence[int]) -> list[Any]:

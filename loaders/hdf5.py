@@ -24,7 +24,7 @@ class Hdf5Garments(Garments):
 
     >>> ds = Hdf5Garments("train.h5", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
-    torch.Size([14425, 3])
+    torch.Size([14475, 3])
 
     Each process of a ``DataLoader``, forked or spawned, opens the file itself. Shards are several times as fast: train
     from shards. ``fields`` and ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged,

@@ -79,8 +79,9 @@ def index_list(index: Any) -> list[Any] | None:
             return None
         if index.ndim > 1 or str(index.dtype).removeprefix("torch.").rstrip("0123456789") not in ("int", "uint"):
             form = f"{str(index.dtype).removeprefix('torch.')} of shape {list(index.shape)}"
+            column = "[:, 0]" if isinstance(index, torch.Tensor) else "[0]"
             raise InvalidIndexError(
-                f"an array of {form} in brackets: give whole numbers in one row, such as mask.nonzero()[0]"
+                f"an array of {form} in brackets: give whole numbers in one row, such as mask.nonzero(){column}"
             )
         numbers: list[Any] = index.tolist()
         return numbers

@@ -44,7 +44,7 @@ class GarmentDataset(Garments):
 
     >>> ds = GarmentDataset("garments", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
-    torch.Size([14425, 3])
+    torch.Size([14475, 3])
     >>> GarmentDataset("org/garments", "train[:10%]", fields=["points"], max_cache_size="20GB")  # doctest: +SKIP
     >>> GarmentDataset("recipe:standard-1k", "test")  # doctest: +SKIP
 

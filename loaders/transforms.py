@@ -122,7 +122,7 @@ class Augmented(Garments):
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
         super().__init__(whole.fields, None, available=whole.fields, dtype=whole.dtype)
         self.whole, self.augment, self.seed = whole, require_callable("augment", augment), require_integer("seed", seed)
-        self.reads_only = whole.reads_only
+        self.reads_only, self.garments_per_design = whole.reads_only, whole.garments_per_design
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]

@@ -336,9 +336,9 @@ def test_patterns_that_cannot_be_draped_are_reported_before_any_drape(
     assert main(["drape", str(tmp_path / "missing.json"), *out]) == 1
     assert "missing.json: no such file" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--fabric", "denin"]) == 2
-    assert "fabric is 'denin': known are default" in one_line(capsys.readouterr().err)
+    assert "unknown fabric 'denin': choose one of default" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2
-    assert "device cuda:99" in one_line(capsys.readouterr().err)
+    assert "unknown device 'cuda:99'" in one_line(capsys.readouterr().err)
     assert exit_code(["drape", str(spec), *out, "--body", "nobody"]) == 2
     assert "nobody" in one_line(capsys.readouterr().err)
     body = tmp_path / "body.obj"

@@ -4,20 +4,23 @@ import io
 import shutil
 import tarfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import View
 from gcd_dataset.shards import ShardWriter, read_index
-from gcd_dataset.shards.layout import MEMBERS, Bytes
+from gcd_dataset.shards.layout import MEMBERS, Bytes, garments_layout
 from gcd_dataset.shards.unfinished import filling, unfinished
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.loaders.test_shards import assert_all_same
 from tests.shards import people
-from tests.shards.folders import fill
+from tests.shards.folders import fill, open_writer
 
 # Warnings inside ``huggingface_hub`` are not ours to fix.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -145,6 +148,36 @@ def test_publish_and_download(
     said(capsys)
     assert main(["info", "me/garments"]) == 0
     assert f"hf://datasets/me/garments@{commit}" in said(capsys)
+
+
+def test_captions_and_views_can_be_downloaded_alone(hub: Hub, tmp_path: Path) -> None:
+    picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
+    assert picture is not None
+    with ShardWriter(tmp_path / "data", seed=0, recipe={"fake": True}, layout=layout) as writer:
+        for index in range(3):
+            view = View(picture, {"fov": 40.0})
+            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=(view,)))
+    hub.publish("me/garments", tmp_path / "data")
+    options = ["--endpoint", hub.endpoint, "--quiet", "--out", str(tmp_path / "some")]
+    assert main(["download", "me/garments", "--fields", "caption,view_0", *options]) == 0
+    some = GarmentDataset(tmp_path / "some")
+    assert some.fields == ("meta", "caption", "view_0")
+    assert [item["caption"] for item in some] == ["skirt 0", "skirt 1", "skirt 2"]
+
+
+def test_splits_that_share_designs_are_a_fault_also_without_bodies(
+    hub: Hub, data: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    with open_writer(data, split="test") as writer:
+        writer.write(fake_sample(0, 3))
+    hub.publish("me/garments", data)
+    some = str(tmp_path / "some")
+    options = ["--fields", "design", "--endpoint", hub.endpoint, "--quiet", "--out", some]
+    assert main(["download", "me/garments", *options]) == 0
+    said(capsys)
+    for folder in (str(data), some):
+        assert main(["verify", folder]) == 1
+        assert f"{folder}: test and train share 1 design: scores on one are biased" in said(capsys)
 
 
 def small(out: Path, count: int) -> list[str]:

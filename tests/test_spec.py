@@ -256,10 +256,10 @@ def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="NaN is not a number"):
         read_pattern(path)
     path.write_text(f'{{"pattern": {"9" * 5000}}}')
-    with pytest.raises(SpecError, match="mend the JSON"):
+    with pytest.raises(SpecError, match="correct the JSON"):
         read_pattern(path)
     path.write_text('{"pattern": ' + 100_000 * "[" + 100_000 * "]" + "}")
-    with pytest.raises(SpecError, match=r"half\.json: more than 64 levels deep: mend the JSON"):
+    with pytest.raises(SpecError, match=r"half\.json: more than 64 levels deep: correct the JSON"):
         read_pattern(path)
 
 

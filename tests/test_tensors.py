@@ -198,7 +198,7 @@ def test_broken_arrays_are_named() -> None:
 
     for broken, message in (
         (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
-        (replace(tensor, edges=tensor.edges[:3]), "mend N_EDGES"),
+        (replace(tensor, edges=tensor.edges[:3]), "correct N_EDGES"),
         (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
         (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches refer to edges 0 to 7, but there are 4"),
         (with_edge(EdgeColumn.KIND, 9), "edges refer to kinds"),

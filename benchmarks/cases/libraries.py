@@ -30,8 +30,9 @@ UNITS = {
     "killed": "of the limit", "alone": "µs", "wait": "ms", "freed": "ms", "left": "files",
 }  # fmt: skip
 VERDICTS: Mapping[str, str] = {
-    "hub.cache": "kept: a third of diskcache's CPU time, only requested bytes are fetched, the limit holds",
-    "diskcache": "no: three times the CPU time, and more on disk than its limit allows",
+    "hub.cache": "kept: a quarter of diskcache's CPU time for a hit, two thirds for a miss; fetches only what is "
+    "requested; peak 1.1 times its limit",
+    "diskcache": "no: four times the CPU time for a hit, 1.5 times for a miss; peak 1.7 times its limit",
     "fsspec blockcache": "no: no limit, and blocks of 5 MiB eventually fetch the whole shard",
     "fsspec blockcache 64 KiB": "no: no limit, and every close rewrites the whole list of blocks",
     "fsspec filecache": "no: no limit, whole shards, and fetching a shard truncates the file under another reader",

@@ -122,11 +122,10 @@ def _index(options: argparse.Namespace) -> int:
 def _download(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from gcd_dataset.hub.download import download, remote_splits
+    from gcd_dataset.hub.download import download, remote_splits, wanted_layout
     from gcd_dataset.hub.site import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
-    from gcd_dataset.shards.layout import select_fields
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):
@@ -135,7 +134,7 @@ def _download(options: argparse.Namespace) -> int:
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
     fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
-    select_fields(fields)
+    wanted_layout(fields)  # raises before anything is requested
     source, splits = remote_splits(source, remote)
     for split in splits if options.split is None else [options.split]:
         with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:

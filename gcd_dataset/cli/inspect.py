@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.errors import GcdError, ShardError
-from gcd_dataset.hub.partition import BODY, DESIGN, leaks
+from gcd_dataset.hub.partition import DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.contents import layout_in, require_splits
@@ -166,7 +166,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     for split in sorted(set(manifest.splits) - set(splits) if manifest is not None else ()):
         if manifest is not None and manifest.splits[split].shards:
             yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
-    if all({DESIGN, BODY} <= fields_of(reader.layout.members).keys() for reader in readers.values()):
+    if all(DESIGN in fields_of(reader.layout.members) for reader in readers.values()):
         yield from (
             f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(readers)
         )

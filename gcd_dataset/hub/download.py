@@ -36,7 +36,7 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_recipe, keep_split
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["download", "remote_splits"]
+__all__ = ["download", "remote_splits", "wanted_layout"]
 
 META = "meta"
 PARALLEL_SHARDS = 4
@@ -63,7 +63,7 @@ def download(
     mismatch. ``on_progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
     patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for one that cannot be written.
     """
-    wanted = _wanted_layout(fields)
+    wanted = wanted_layout(fields)
     if completed := completed_download(folder, source, split, wanted):
         return completed
     site = Site(source, remote or Remote())
@@ -103,7 +103,7 @@ def remote_splits(source: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple
     return replace(source, revision=site.revision), tuple(manifest.splits)
 
 
-def _wanted_layout(fields: Sequence[str] | None) -> Layout:
+def wanted_layout(fields: Sequence[str] | None) -> Layout:
     """The members to download, ``meta.json`` included, by their current names. Raises ``ConfigError``."""
     if fields is None:
         return GARMENTS

@@ -44,7 +44,7 @@ from gcd_dataset.files import drafted, user_path
 from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.buffers import read_buffer
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMAS, Bytes, member_content
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMAS, Bytes, fields_of, is_extra, member_content
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.npy import npy_header, read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
@@ -55,6 +55,7 @@ __all__ = ["Hdf5Reader", "write_hdf5"]
 logger = logging.getLogger("gcd_dataset")
 
 REMEDY = "copy it again, or make it again with gcd export"
+SHARD_REMEDY = "copy the shard again, or delete it and run gcd generate again"
 FORMAT = "gcd_dataset garments"
 META, META_CRC = MEMBERS[0], "crc32"
 ARRAYS = tuple(field for field, member in FIELDS.items() if member.endswith(".npy"))
@@ -97,8 +98,11 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     """Write all samples of a split to an HDF5 file, yielding the position of each once it is stored.
 
     The file appears under its name when the iterator ends. Every sample is read twice, first for its size. Raises
-    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample.
+    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample. Captions and views are left
+    out, which is logged.
     """
+    if extra := [field for field, member in fields_of(reader.layout.members).items() if is_extra(member)]:
+        logger.warning("%s: without %s: an HDF5 file holds no captions and views", path, ", ".join(extra))
     columns = _columns(reader)
     with drafted(user_path(path)) as draft, Sink(draft) as sink, ThreadPoolExecutor(1) as thread:
         # In a thread, where no KeyboardInterrupt is raised: libhdf5 would take it for a failed write.
@@ -428,7 +432,7 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
             if form.setdefault(field, found) != found:
                 member = f"{reader.store.location()}: sample {position}, member {FIELDS[field]}"
                 raise ShardError(
-                    f"{member}: rows of type and shape {found}, but {form[field]} in earlier samples: {REMEDY}"
+                    f"{member}: rows of type and shape {found}, but {form[field]} in earlier samples: {SHARD_REMEDY}"
                 )
     return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in RAGGED}
 
@@ -461,7 +465,7 @@ def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], colum
         try:
             file[field][position] = bytes(member_content(field, members)).decode()
         except ValueError as error:  # not UTF-8, or with a NUL, which HDF5 texts cannot hold
-            raise ShardError(f"member {FIELDS[field]}: not storable as HDF5 text ({error}): {REMEDY}") from error
+            raise ShardError(f"member {FIELDS[field]}: not storable as HDF5 text ({error}): {SHARD_REMEDY}") from error
     file[META_CRC][position] = zlib.crc32(members[META])
     for field, column in columns.items():
         start, end = column.ptr[position : position + 2].tolist()
@@ -473,4 +477,4 @@ def _array(field: str, data: Bytes) -> np.ndarray:
     try:
         return np.frombuffer(data, np.uint8) if field in PICTURES else read_npy(data)
     except ShardError as error:
-        raise ShardError(f"member {FIELDS[field]}: {error}: {REMEDY}") from error
+        raise ShardError(f"member {FIELDS[field]}: {error}: {SHARD_REMEDY}") from error

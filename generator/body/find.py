@@ -71,7 +71,7 @@ def narrowest_ring(
     turned = (vertices - middle) @ np.stack([across, normal, along], axis=1)
     points, level = section_points(turned, unique_edges(faces)[0], 1, offsets)
     if len(np.unique(level)) < len(offsets):
-        raise BodyError("no skin is found round the right wrist: mend the mesh there")
+        raise BodyError("no skin is found round the right wrist: correct the mesh there")
     if any(contour_length(section(turned, faces[patched], 1, offset)) > MAX_BRIDGED for offset in offsets):
         raise BodyError("the skin round the right wrist has a hole: close it, and give a whole hand")
     loops = [points[level == offset] for offset in offsets]
@@ -79,7 +79,7 @@ def narrowest_ring(
     try:
         hull = narrowest[ConvexHull(narrowest[:, [0, 2]]).vertices]
     except QhullError as error:  # collinear points: a sliver
-        raise BodyError("no skin goes all round the right wrist: mend the mesh there") from error
+        raise BodyError("no skin goes all round the right wrist: correct the mesh there") from error
     return hull @ np.stack([across, normal, along]) + middle
 
 

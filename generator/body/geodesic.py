@@ -155,7 +155,7 @@ def graph_between(
             path = rough.path(vertices)
             band = tube[_near(vertices, _resampled(path), max(BAND * apart, longest))[tube].any(axis=1)]
             return GeodesicGraph.over(band, first, last, points_per_edge=4), vertices
-    raise BodyError("no skin leads from the shoulder to the wrist: mend the mesh of the right arm")
+    raise BodyError("no skin leads from the shoulder to the wrist: correct the mesh of the right arm")
 
 
 def _with_points(

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.bodyfiles import read_body_parts, read_measurements
+from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.arms import turn_off_a_pose
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.closing import ClosedSkin
@@ -72,14 +73,19 @@ def read_body(
     The mesh is in metres, centimetres or millimetres. Its vertices keep their order; the centres of closed holes (see
     ``closing.WIDEST_HOLE``) follow. Without ``measurements`` (YAML) or ``segmentation`` (JSON: part name to vertex
     ids), the body is found in the mesh, turned upright to face +z, and measured. ``given`` (JSON, see ``landmarks``)
-    overrides found landmarks. Raises ``BodyError`` with the file and a remedy.
+    overrides the landmarks at which measures are taken. Raises ``BodyError`` with the file and a remedy, also for
+    ``given`` beside ``measurements``.
     """
+    if given is not None and measurements is not None:
+        raise BodyError(
+            f"{given}: landmarks have no effect beside the measures of {measurements}: leave one of them out"
+        )
     file = _read_mesh(Path(mesh))
     parts = None if segmentation is None else read_body_parts(Path(segmentation), len(file.vertices), file.path)
     if measurements is not None and parts is not None:
         unit_of(float(np.ptp(file.vertices[:, 1])), f"{file.path}: along y")
         return _closed(file, stand(file.vertices * file.unit), parts), read_measurements(measurements)
-    if file.is_upright_model_mesh:
+    if given is None and file.is_upright_model_mesh:
         vertices = stand(file.vertices * file.unit)
         result, found_parts = measure_model_mesh(vertices), body_model().parts
     else:

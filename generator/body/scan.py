@@ -46,7 +46,8 @@ class Scan(Record):
     def of(cls, vertices: Float[np.ndarray, "u 3"], faces: Int[np.ndarray, "g 3"], name: str) -> Self:
         """Weld and patch a mesh. Raises ``BodyError`` for invalid indices and positions, and too few faces."""
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise BodyError(f"{name}: a face names vertex {faces.max()} of {len(vertices)}: export the mesh again")
+            odd = faces.min() if faces.min() < 0 else faces.max()
+            raise BodyError(f"{name}: a face names vertex {odd} of {len(vertices)}: export the mesh again")
         used = np.unique(faces)
         if not np.isfinite(vertices[used]).all():
             bad = used[~np.isfinite(vertices[used]).all(axis=1)]

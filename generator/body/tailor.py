@@ -291,7 +291,7 @@ def _extremal_section(
     points, level = section_points(vertices, sites.rings[name], Y, levels)
     rough = rough_girths(points[:, XZ], level)
     if len(rough) < len(levels):
-        raise BodyError(f"no skin at the level of the {name}, {marks.levels[name]:.1f} cm: mend the mesh there")
+        raise BodyError(f"no skin at the level of the {name}, {marks.levels[name]:.1f} cm: correct the mesh there")
     return points[level == levels[best(rough)]]
 
 
@@ -299,7 +299,7 @@ def _section_at_level(vertices: np.ndarray, sites: Sites, marks: Landmarks, name
     level = marks.levels[name]
     points = section_points(vertices, sites.rings[name], Y, np.array([level]))[0]
     if not len(points):
-        raise BodyError(f"no skin at the level of the {name}, {level:.1f} cm: mend the mesh there")
+        raise BodyError(f"no skin at the level of the {name}, {level:.1f} cm: correct the mesh there")
     return points
 
 
@@ -326,7 +326,7 @@ def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Landmarks, scale: floa
     cut = section(vertices, sites.thighs, Y, level)
     right = cut[:, :, X].mean(axis=1) < middle
     if not right.any() or right.all():
-        raise BodyError(f"no two legs at the level {level:.1f} cm: mend the mesh there")
+        raise BodyError(f"no two legs at the level {level:.1f} cm: correct the mesh there")
     return level, m.larger_thigh(cut, middle) if len(separate) else girth(cut[right, 0][:, XZ])
 
 

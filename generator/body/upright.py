@@ -32,17 +32,16 @@ BACK_TO_FRONT = np.diag([-1.0, 1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class StandingTransform(Record):
-    """From a file's coordinates to upright ones [cm]: ``factor · turn · point``, then down to y = 0."""
+    """From a mesh's coordinates to upright ones [cm]: ``turn · point``, then down to y = 0."""
 
-    factor: float
     turn: Float[np.ndarray, "3 3"]
     floor: float
     """Height of the lowest vertex before the shift to y = 0 [cm]."""
 
     @classmethod
-    def standing(cls, vertices: Float[np.ndarray, "v 3"], factor: float, turn: Float[np.ndarray, "3 3"]) -> Self:
-        """The transform with this factor and rotation that puts the lowest vertex at y = 0."""
-        return cls(factor, turn, float((factor * vertices @ turn[1]).min()))
+    def standing(cls, vertices: Float[np.ndarray, "v 3"], turn: Float[np.ndarray, "3 3"]) -> Self:
+        """The transform with this rotation that puts the lowest vertex at y = 0."""
+        return cls(turn, float((vertices @ turn[1]).min()))
 
     @property
     def turned(self) -> bool:
@@ -50,8 +49,8 @@ class StandingTransform(Record):
         return not np.allclose(self.turn, np.eye(3))
 
     def apply(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Transform points of the file [cm]."""
-        return self.factor * points @ self.turn.T - [0.0, self.floor, 0.0]
+        """Transform points of the mesh [cm]."""
+        return points @ self.turn.T - [0.0, self.floor, 0.0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def _try(
     scan: Scan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
 ) -> UprightScan:
     """The scan in one orientation, with the model aligned to it."""
-    transform = StandingTransform.standing(scan.vertices, 1.0, turn)
+    transform = StandingTransform.standing(scan.vertices, turn)
     standing = transform.apply(scan.vertices)
     scale = model_height() / float(np.ptp(standing[:, 1]))
     middle = (standing.max(axis=0) + standing.min(axis=0)) / 2

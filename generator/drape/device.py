@@ -52,7 +52,7 @@ def resolve_device(name: str) -> str:
     if wp.is_cuda_available():
         known["cuda"] = "cuda:0"
     if name not in known:
-        raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}: use --device auto or cpu")
+        raise ConfigError(f"unknown device {name!r}: choose one of auto, {', '.join(sorted(known))}")
     return known[name]
 
 

@@ -111,5 +111,5 @@ FABRICS: Mapping[str, Fabric] = MappingProxyType(
 def fabric_named(name: str) -> Fabric:
     """The built-in fabric called ``name``. Raises ``ConfigError``, which lists the names, for any other."""
     if name not in FABRICS:
-        raise ConfigError(f"fabric is {name!r}: known are {', '.join(FABRICS)}")
+        raise ConfigError(f"unknown fabric {name!r}: choose one of {', '.join(FABRICS)}")
     return FABRICS[name]

@@ -187,8 +187,10 @@ def _add_garment(world: World, config: DrapeConfig, step: float, length: float, 
     """Add the parameters that follow from time step [s], median edge length [cm] and number of vertices."""
     frame = config.substeps * step
     world.first, world.size, world.dt = first, size, step
-    # Reach of the broad phase, which lists pairs of vertices. Worst case: the ends of two median edges that cross in
-    # their midpoints, a margin apart. A point is nearer to a corner of its triangle than these ends to each other.
+    # Reach of the broad phase, which lists pairs of vertices. Worst case: edges of lengths a and b that cross in their
+    # midpoints at right angles, a margin apart, have their ends hypot(margin, hypot(a, b) / 2) from each other. Covered
+    # are thus two edges of 1.41 medians, or a median edge and one of 1.73; of the flat edges of 12 sampled garments the
+    # longest has 1.47, and 0.4 % exceed 1.41. A point is nearer to a corner of its triangle than these ends.
     world.near = float(np.hypot(world.margin, length))
     world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
     world.frame = frame

@@ -9,7 +9,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels.world import Contacts, CrossingWatch, FrameCounts, SearchState
 from gcd_dataset.generator.drape.model import ClothModel
 
-__all__ = ["ClothState", "new_state"]
+__all__ = ["NOT_COUNTED", "ClothState", "new_state"]
 
 NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 

@@ -13,13 +13,13 @@ from jaxtyping import Bool
 from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.state import NOT_COUNTED
 
 __all__ = ["untangle"]
 
 STEP = 1.0 / 120.0  # s
 ITERATIONS = 10  # of the conjugate gradient method in each step; 20 iterations untangle no more garments
 POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
-UNCOUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 # See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing
 # stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm untangle 13 of them in 20 steps; 0.1, 3 cm and 1 cm
@@ -58,7 +58,7 @@ class _Phase:
         self.active = wp.array(worlds.astype(np.int32), dtype=int, device=device)
         """(w) 1 where the cloth of a given world still has self-crossings."""
         self._crossings, self._improved = (wp.zeros(model.n_worlds, dtype=int, device=device) for _ in range(2))
-        self._least = wp.full(model.n_worlds, UNCOUNTED, dtype=int, device=device)
+        self._least = wp.full(model.n_worlds, NOT_COUNTED, dtype=int, device=device)
         self._best = wp.clone(solver.state.x)
         self._solve = _new_solve(model.n_vertices, model.n_worlds, device)
         solver.state.push.zero_()

@@ -17,7 +17,7 @@ from jaxtyping import Complex, Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.dressing.body_parts import describe_labels, trunk_part
-from gcd_dataset.generator.dressing.openings import Opening, edge_points, openings_of, panel_outline
+from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import is_bodice, role_by_name
@@ -35,7 +35,6 @@ ARMHOLE = 4.0  # cm from the armpit down to the centre of an armhole, as Garment
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 PAIRED = 40  # openings that are compared in pairs, the longest first; a garment has up to ten
 UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
-ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
 SLEEVE_REACH = 0.8  # share of half the trunk's width: a sleeve's centroid lies further out
 SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest centroid
 

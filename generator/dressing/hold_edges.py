@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import Opening, edge_points, openings_of, panel_outline
+from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -15,7 +15,6 @@ __all__ = ["has_legs", "label_edges"]
 
 COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
 HOLDING = frozenset({*COLLARS, EdgeRole.STRAPLESS_TOP, EdgeRole.LOWER_INTERFACE})
-ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
 LEGS_WITHIN = 36.0  # cm from the middle to the centre of an opening, beyond which it belongs to a sleeve
 OVER_WAIST = 12.0  # cm above the waist: a higher top edge belongs to a bodice
 BELOW_WAIST = 35.0  # cm below the waist: the lowest top edge of a bottom

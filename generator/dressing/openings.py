@@ -9,8 +9,9 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["Opening", "edge_points", "openings_of", "panel_outline"]
+__all__ = ["ASIDE", "Opening", "edge_points", "openings_of", "panel_outline"]
 
+ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
 POINTS = 9  # on an edge
 
 

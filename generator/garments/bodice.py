@@ -34,7 +34,7 @@ def fitted_front(size: Measurements) -> TorsoHalf:
     if opening <= 0.0:
         raise PatternError(
             f"right_ftorso: waist_over_bust_line of {level:.1f} cm leaves no side dart over a waist_line of "
-            f"{size.waist_line:.1f} cm: mend the measures"
+            f"{size.waist_line:.1f} cm: correct the measures"
         )
     drawn = Outline.start(0, 0)
     if intake > 0.0:

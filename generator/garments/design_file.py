@@ -50,7 +50,7 @@ def _parsed(path: Path) -> Any:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}): {REMEDY}") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: {REMEDY}") from error
+        raise ConfigError(f"{path}: byte {error.start} is not valid UTF-8: {REMEDY}") from error
     except RecursionError as error:
         raise ConfigError(f"{path}: nested too deep: {REMEDY}") from error
     except yaml.MarkedYAMLError as error:

@@ -99,5 +99,5 @@ def _checked(size: Measurements) -> Measurements:
     for back, girth in BACKS:
         if not 0 < getattr(size, back) < getattr(size, girth):
             figures = f"{back} is {getattr(size, back):.1f} cm, and {girth} is {getattr(size, girth):.1f} cm"
-            raise BodyError(f"{figures}: a back is part of its girth, so mend the measurement file")
+            raise BodyError(f"{figures}: a back is part of its girth, so correct the measurement file")
     return size

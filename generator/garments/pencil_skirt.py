@@ -29,7 +29,8 @@ __all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 BACK_EASE = 1.05  # height from hips to top behind, over the height in front, GarmentCode
-FRONT_DART, BACK_DART = 0.8, 0.85  # dart leg, of the height from hips to top, GarmentCode
+FRONT_DART = 0.8  # dart leg, of the height from hips to top in front, GarmentCode
+BACK_DART = 0.85  # the same behind, to which the back's extra height over the front is added, GarmentCode
 OUTER_DART = 0.9  # leg of the back's outer dart, of its inner dart's leg, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
@@ -181,7 +182,7 @@ def _darted(panel: str, right: float, left: float, darts: Sequence[_Dart]) -> tu
         first, last = middle - 0.5 * fold.width, middle + 0.5 * fold.width
         if not top.pen[0] < first < last < left:
             figures = f"a dart of {fold.width:.2f} cm, {abs(middle):.2f} cm from the middle"
-            raise PatternError(f"{panel}: {figures}, does not fit a top of {left - right:.2f} cm: mend the measures")
+            raise PatternError(f"{panel}: {figures}, does not fit a top of {left - right:.2f} cm: correct the measures")
         _, tip = dart(fold.width, fold.leg, name=f"{panel}.{number}")[0].end
         top = top.line(first, 0, name="top").line(middle, -tip, name=f"dart_{number}.0")
         top = top.line(last, 0, name=f"dart_{number}.1")

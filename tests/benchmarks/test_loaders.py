@@ -1,6 +1,8 @@
 """The loaders benchmark: all loaders yield the same garments."""
 
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +11,7 @@ from benchmarks.cases.loaders import _figures, _rows
 from benchmarks.loading.loaders import LOADERS
 from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.workload import CONFIGS, large_sample, write_shards
+from gcd_dataset.shards import FIELDS, encode_sample
 
 COUNT = 32
 
@@ -42,10 +45,19 @@ def test_all_loaders_yield_the_same_garments(folder: Path, config: str) -> None:
     assert all(torch.equal(rows, seen["ours"]) for rows in seen.values())
 
 
-def test_the_floor_reads_every_byte(folder: Path) -> None:
+def test_the_floor_reads_every_byte(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, preadv = [], os.preadv
+
+    def counted(*arguments: Any) -> int:
+        read.append(preadv(*arguments))
+        return read[-1]
+
+    monkeypatch.setattr(os, "preadv", counted)
     batches = LOADERS["floor"](folder, CONFIGS["geometry"], 0)
     assert batches is not None
     assert len(list(batches)) == COUNT // 16
+    names = [FIELDS[field] for field in CONFIGS["geometry"]]
+    assert sum(read) == sum(len(encode_sample(large_sample(index))[name]) for index in range(COUNT) for name in names)
     assert LOADERS["floor"](folder, CONFIGS["geometry"], 2) is None
 
 

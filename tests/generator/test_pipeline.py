@@ -230,8 +230,8 @@ def test_an_index_may_be_requested_twice() -> None:
         ("picture", 200_000, "picture is 200000: give 0 to 4096"),
         ("bodies_each", 10**9, "bodies_each is 1000000000: give 1 to 10000"),
         ("resolution", 50, "resolution is 50 cm: give a length from 0.2 to 10"),
-        ("bodies", "fat", "bodies is 'fat': known are neutral, random, female, male, both"),
-        ("fabric", "denin", "fabric is 'denin': known are default, gcd_soft"),
+        ("bodies", "fat", "unknown bodies 'fat': choose one of neutral, random, "),
+        ("fabric", "denin", "unknown fabric 'denin': choose one of default, gcd_soft"),
     ],
 )
 def test_options_are_checked(option: str, value: object, expected: str) -> None:

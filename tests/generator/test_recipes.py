@@ -124,7 +124,7 @@ def test_comments_and_names_do_not_change_the_hash_of_a_recipe(tmp_path: Path) -
         ("test = 0.2", 'test = "20%"', "test is '20%': give its share"),
         ("test = 0.2\ntrain = 0.8", "test = 0.001\ntrain = 0.999", "test gets none of 10 designs"),
         ("test = 0.2\ntrain = 0.8", "", "shares add up to 0"),
-        ('stage = "pattern"', 'stage = "drap"', "stage is 'drap': known are pattern, mesh, drape"),
+        ('stage = "pattern"', 'stage = "drap"', "unknown stage 'drap': choose one of pattern, mesh, drape"),
         ('stage = "pattern"', "resolutoin = 2", r"no option resolutoin: .* did you mean resolution\?"),
         ('stage = "pattern"', 'device = "cpu"', "options: device is not part of a recipe"),
         ('stage = "pattern"', 'on-fail = "retry"', "options: on_fail is not part of a recipe"),

@@ -64,7 +64,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 SHARES = {"train": 0.6, "validation": 0.2, "test": 0.2}
 
 
-def test_no_design_and_no_body_is_in_two_splits(both: Path) -> None:
+def test_no_design_is_in_two_splits(both: Path) -> None:
     reader = ShardReader(both)
     parts = partition(reader, SHARES)
     assert list(parts) == list(SHARES)
@@ -233,9 +233,7 @@ def test_stale_shards_are_removed_from_the_repository(hub: Hub, staged: Staged, 
     assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar", "a.tar"}
 
 
-def test_a_reader_sees_either_the_old_or_the_new_version(
-    hub: Hub, staged: Staged, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_sees_either_the_old_or_the_new_version(hub: Hub, staged: Staged, tmp_path: Path) -> None:
     before = fill(tmp_path / "before", range(9))
     hub.publish("org/new-set", before)
     ours = staged.files.keys()
@@ -248,7 +246,7 @@ def test_a_reader_sees_either_the_old_or_the_new_version(
     assert staged.garments == 80
 
 
-def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
 

@@ -11,6 +11,7 @@ import threading
 import time
 import weakref
 from collections import Counter
+from collections.abc import Sequence
 from itertools import islice
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -23,7 +24,15 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.pipeline import prepare
-from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, MixedDataset, PointNoise
+from gcd_dataset.loaders import (
+    Augmented,
+    FakeGarments,
+    FreshGarments,
+    GarmentLoader,
+    GeneratedGarments,
+    MixedDataset,
+    PointNoise,
+)
 from tests.loaders.test_shards import assert_all_same, same
 
 
@@ -338,6 +347,26 @@ def test_one_worker_makes_a_design_for_all_its_bodies(monkeypatch: pytest.Monkey
     made = list(FreshGarments(whole, room=1, workers=2))
     assert designs.value == 3
     assert_all_same(made, [whole[index] for index in range(5)])
+
+
+@pytest.mark.parametrize(
+    ("chosen", "garments"),
+    [
+        (range(2, 6), 2),
+        (range(2, 5), 2),
+        ([4, 5, 0, 1], 2),
+        ([5, 4], 2),
+        (range(1, 5), 1),
+        (range(0, 6, 2), 1),
+        ([0, 1, 2, 4], 1),
+        ([], 1),
+    ],
+)
+def test_selected_garments_of_whole_designs_are_made_together(chosen: Sequence[int], garments: int) -> None:
+    whole = GeneratedGarments(6, seed=5, bodies="both", stage="pattern", fields=["meta"])
+    assert whole.garments_per_design == 2
+    assert whole.select(chosen).garments_per_design == garments
+    assert Augmented(whole.select(chosen), PointNoise(1.0)).garments_per_design == garments
 
 
 def test_different_ranks_make_different_garments() -> None:

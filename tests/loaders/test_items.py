@@ -187,9 +187,18 @@ def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
         for garments in (ds, mixed, ds.select([0])):
             with pytest.raises(TypeError, match="give a whole number"):
                 garments[index]
-    for mask in (np.array([True, False, True, True]), torch.ones(COUNT, dtype=torch.bool), np.eye(2, dtype=int)):
-        with pytest.raises(ConfigError, match=r"give whole numbers in one row, such as mask\.nonzero"):
+    with pytest.raises(ConfigError, match=r"int64 of shape .* give whole numbers in one row"):
+        ds[np.eye(2, dtype=int)]
+
+
+def test_the_error_about_a_mask_names_an_expression_that_selects_its_true_entries(sets: dict[str, Path]) -> None:
+    ds = GarmentDataset(sets["pattern"], fields=["meta"])
+    wanted = [position for position in range(COUNT) if position % 2]
+    for mask in (np.arange(COUNT) % 2 == 1, torch.arange(COUNT) % 2 == 1):
+        with pytest.raises(ConfigError, match="give whole numbers in one row, such as mask") as caught:
             ds[mask]
+        expression = str(caught.value).rpartition("such as ")[2]
+        assert_all_same(ds[eval(expression, {"mask": mask})], [ds[position] for position in wanted])
 
 
 @pytest.mark.parametrize("way", ["folder", "hdf5"])

@@ -180,7 +180,7 @@ def test_meta_and_measures_have_the_same_keys_and_types_in_every_sample(sample: 
         assert all(one == forms[0] for one in forms)
 
 
-def test_missing_measures_are_left_out_of_items(sample: Sample) -> None:
+def test_all_measures_are_stored_in_the_units_of_files(sample: Sample) -> None:
     members = encode_sample(sample)
     assert len(json.loads(members["measures.json"])) == len(MEASURES)
     assert decode_fields(members, ["measures"])["measures"] == sample.measurements.to_file_values()

@@ -5,6 +5,7 @@ import pickle
 import struct
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,11 @@ from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
-from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, hdf5
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Sample, View
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, ShardWriter, hdf5
 from gcd_dataset.shards.hdf5 import Hdf5Reader, write_hdf5
+from gcd_dataset.shards.layout import garments_layout
 from tests.shards.folders import fill
 
 COUNT = 6
@@ -46,6 +50,28 @@ def test_every_member_equals_the_shards_byte_for_byte(folder: Path, file: Path) 
         there, here = shards.read(position, MEMBERS), one.read(position, MEMBERS)
         assert {member: bytes(data) for member, data in there.items()} == {m: bytes(d) for m, d in here.items()}
         one.check(position)
+
+
+def test_captions_and_views_left_out_of_a_file_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
+    assert picture is not None
+    with ShardWriter(tmp_path, seed=0, recipe={}, layout=layout) as writer:
+        writer.write(replace(fake_sample(0, 0), caption="a skirt", views=(View(picture, {}),)))
+    list(write_hdf5(ShardReader(tmp_path), tmp_path / "train.h5"))
+    assert "train.h5: without caption, view_0, view_0_json: an HDF5 file holds no captions and views" in caplog.text
+    assert set(Hdf5Garments(tmp_path / "train.h5")[0]) == set(FIELDS)
+
+
+def test_a_damaged_sample_is_to_be_made_again_not_the_file_being_written(tmp_path: Path) -> None:
+    def misshapen(sample: Sample, index: int) -> Sample:
+        assert sample.points is not None
+        return replace(sample, points=sample.points[:, :3] if index else sample.points)
+
+    with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
+        for index in range(2):
+            writer.write(misshapen(fake_sample(0, index), index))
+    with pytest.raises(ShardError, match=r"sample 1, member points\.npy: .*copy the shard again, or delete it and run"):
+        list(write_hdf5(ShardReader(tmp_path), tmp_path / "train.h5"))
 
 
 def test_items_equal_the_items_of_the_shards(folder: Path, file: Path) -> None:
@@ -318,9 +344,7 @@ def collections_in(content: bytes) -> list[int]:
     return places[:-1]
 
 
-def test_heap_collections_on_which_libhdf5_hangs_are_reported(
-    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_heap_collections_on_which_libhdf5_hangs_are_reported(generated: Path, tmp_path: Path) -> None:
     """An entry of no size, or of nearly 2⁶⁴ bytes, leads libhdf5 back to the same entry forever."""
     path = tmp_path / "endless.h5"
     whole = generated.read_bytes()

@@ -13,7 +13,15 @@ from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
+from gcd_dataset.generator.body import (
+    build_body,
+    draw_shape,
+    female_shape,
+    measure,
+    read_body,
+    read_measurements,
+    write_measurements,
+)
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
@@ -142,6 +150,35 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
     assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
+
+
+def test_given_landmarks_override_those_of_the_models_mesh(tmp_path: Path) -> None:
+    body = build_body(female_shape())
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "own.ply")
+    nape = fitted_woman().marks.points["nape_of_neck"]
+    marks = tmp_path / "marks.json"
+    marks.write_text(json.dumps({"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])]}))
+    _, size = read_body(tmp_path / "own.ply", given=marks)
+    assert size.head_l == pytest.approx(measure(body).head_l + 5.0, abs=0.2)
+    assert size == measure_file(tmp_path / "own.ply", given=marks)[0].measurements
+
+
+def test_landmarks_beside_given_measures_are_an_error(tmp_path: Path) -> None:
+    """They could only correct measures that nobody takes."""
+    body = build_body(female_shape())
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "own.ply")
+    write_measurements(measure(body), tmp_path / "own.yaml")
+    (tmp_path / "marks.json").write_text('{"nape_of_neck": 3}')
+    with pytest.raises(BodyError, match=r"marks\.json: .* leave .* out"):
+        read_body(tmp_path / "own.ply", tmp_path / "own.yaml", given=tmp_path / "marks.json")
+
+
+@pytest.mark.parametrize("odd", [-7, 10**6])
+def test_the_error_about_a_face_names_its_invalid_vertex(odd: int) -> None:
+    faces = woman().faces.copy()
+    faces[5, 1] = odd
+    with pytest.raises(BodyError, match=f"a face names vertex {odd} of"):
+        find_body(woman().vertices, faces)
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_every_named_fabric_has_a_source() -> None:
 
 
 def test_an_unknown_fabric_is_an_error_that_lists_the_known() -> None:
-    with pytest.raises(ConfigError, match=r"'denin': known are default, gcd_soft, .*denim"):
+    with pytest.raises(ConfigError, match=r"'denin': choose one of default, gcd_soft, .*denim"):
         fabric_named("denin")
 
 

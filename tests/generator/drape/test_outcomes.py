@@ -80,7 +80,7 @@ def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
     shape = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, 8.0))
     ring = tube(36, 3, radius=11.5, spacing=2.0, height=95.0)
     [drape] = drape_batch([DrapeJob(ring, body_from(shape), SIZE)], device="cpu")
-    assert np.ptp(drape.vertices[:, 1]) < 8.0 < 12.0
+    assert np.ptp(drape.vertices[:, 1]) < 8.0
     assert 6.0 < drape.vertices[:, 1].min() < drape.vertices[:, 1].max() < 20.0
     assert drape.outcome is Outcome.SLID_OFF
 

@@ -110,7 +110,7 @@ def test_a_missing_or_binary_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"missing\.yaml: cannot be read \(No such file or directory\): give"):
         read_design(tmp_path / "missing.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"design: \xff\xfe")
-    with pytest.raises(ConfigError, match=r"binary\.yaml: byte 8 is no text in UTF-8"):
+    with pytest.raises(ConfigError, match=r"binary\.yaml: byte 8 is not valid UTF-8"):
         read_design(tmp_path / "binary.yaml")
     with pytest.raises(OutputError, match="make its folder first"):
         write_design(OutfitDesign(), tmp_path / "nowhere" / "design.yaml")

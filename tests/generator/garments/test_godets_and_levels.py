@@ -52,7 +52,8 @@ def test_godets_divide_the_hem_and_are_numbered_from_the_right(woman: Measuremen
     assert length(front, "bottom") == pytest.approx(2 * 5)  # the rest of the hem is cut open
     cut = hem / 2 - 5
     assert length(front, "cut_0_left") == pytest.approx(hypot(7.5, 20))
-    assert 2 * sqrt(length(front, "cut_0_left") ** 2 - cut**2 / 4) > 0
+    (_, low), (_, high) = sorted(ends(front, "cut_0_left"), key=lambda point: point[1])
+    assert high - low == pytest.approx(sqrt(hypot(7.5, 20) ** 2 - (cut / 2) ** 2))
     for panel in (front, back):
         tips = [min(ends(panel, f"cut_{i}_right"), key=lambda point: -point[1])[0] for i in range(2)]
         godets = [pattern.panel(f"ins_{panel.name}_{i}") for i in range(2)]

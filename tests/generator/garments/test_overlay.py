@@ -156,7 +156,7 @@ BAD = {
     "[left]\nenable_asym = 'no'": r"left\.enable_asym is 'no', not one of True, False",
     "[left]\nenable_asym = 0": r"left\.enable_asym is 0, not one of True, False",
     "[levels-skirt]\nbase = 'none'": r"levels-skirt\.base is 'none', not one of",
-    "[pants\nlength = 1": r"line 1, column 7.*: mend the TOML",
+    "[pants\nlength = 1": r"line 1, column 7.*: correct the TOML",
 }
 
 

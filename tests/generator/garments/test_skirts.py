@@ -174,7 +174,9 @@ def test_a_pencil_skirt_names_missing_measures(woman: Measurements) -> None:
 
 
 def test_darts_that_do_not_fit_are_refused(woman: Measurements) -> None:
-    with pytest.raises(PatternError, match=r"skirt_front: a dart of .* does not fit a top of .* cm: mend the measures"):
+    with pytest.raises(
+        PatternError, match=r"skirt_front: a dart of .* does not fit a top of .* cm: correct the measures"
+    ):
         skirt(replace(woman, bust_points=60.0), Bottom.PENCIL, {})
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design import Bottom, Upper
+from gcd_dataset.generator.garments.design import Upper
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.records import BoxMesh
@@ -29,7 +29,6 @@ BATTERY: dict[str, Mapping[str, Any]] = {
         for collar in Collar
         for standing in (False, True)
     },
-    **{bottom.value: {"meta": {"upper": None, "bottom": bottom.value}} for bottom in Bottom},
 }
 
 
