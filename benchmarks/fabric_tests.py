@@ -18,7 +18,7 @@ __all__ = ["TARGETS", "Target", "read_targets", "results"]
 TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "set", "none")
 SPECIMENS = 3  # discs whose drape coefficients are averaged
-FINE = 0.75  # cm, spacing below which discs without a target are left out
+FINE = 0.75  # cm, spacing below which one disc has to do, and discs without a target are left out
 UNLIMITED_SPACING = 1.0  # cm
 NOT_RUN = "-"
 UNITS = {"drape_coefficient": "%", "bending_length": "cm", "tensile_stiffness": "N/m"}
@@ -104,7 +104,8 @@ def _run(target: Target, spacing: float, stiffest: float, device: str) -> float 
     if target.test == "drape_coefficient":
         if spacing < FINE and not target.known:
             return None
-        return drape_coefficient(fabric, spacing=spacing, specimens=SPECIMENS, stiffest=stiffest, device=device)
+        specimens = 1 if spacing < FINE or math.isinf(stiffest) else SPECIMENS
+        return drape_coefficient(fabric, spacing=spacing, specimens=specimens, stiffest=stiffest, device=device)
     if target.test == "bending_length":
         grain: Any = target.direction
         resolved = 2 * bending_length(fabric, grain) >= spacing

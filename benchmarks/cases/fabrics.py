@@ -3,8 +3,8 @@
     python -m benchmarks.run fabrics --sheet fabrics.jpg
     python -m benchmarks.run fabrics --fabrics gcd_soft denim --resolution 1 --device cuda:0 --sheet fabrics.jpg
 
-The tests: Cusick's drape coefficient of a disc of 30 cm on a support of 18 cm (BS 5058, ISO 9073-9; mean of three
-discs on different meshes); the bending length of a strip over an edge (Peirce; ISO 9073-7); the tensile stiffness
+The tests: Cusick's drape coefficient of a disc of 30 cm on a support of 18 cm (BS 5058, ISO 9073-9; three discs on
+different meshes, one at 0.5 cm); the bending length of a strip over an edge (Peirce; ISO 9073-7); the tensile stiffness
 of a hanging strip of 5 × 20 cm with a weight, at 1 % strain, along warp, weft and bias. The targets with their
 citations are in `benchmarks/data/fabric_targets.csv`. Bands of drape coefficients are published; those of the other
 tests are ours, ± 10 %. Basis: `measured` on this cloth; of its `class`; `set` by us without a test; `none`.
