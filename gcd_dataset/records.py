@@ -440,6 +440,7 @@ class NamedFabric:
     """The fabric of a garment."""
 
     name: str
+    """The name of a built-in fabric, or ``random`` for one drawn for the sample."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Mechanical parameters, in SI units except for the thickness [cm]."""
 

@@ -46,7 +46,7 @@ from gcd_dataset.records import (
 from gcd_dataset.seeding import Stage, rng
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.drape import DrapeJob
+    from gcd_dataset.generator.drape import DrapeJob, Fabric
     from gcd_dataset.generator.drapers import DrapeReply
 
 __all__ = [
@@ -59,6 +59,7 @@ __all__ = [
     "fit",
     "prepare",
     "rejection",
+    "sample_fabric",
     "sample_key",
 ]
 
@@ -230,11 +231,17 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
     """The drape job of each wearer; none before stage ``drape``."""
     if config.stage != "drape":
         return ()
-    from gcd_dataset.generator.drape import DrapeJob, fabric_named
+    from gcd_dataset.generator.drape import DrapeJob
 
-    fabric = fabric_named(config.fabric)
     return tuple(
-        DrapeJob(wearer.box_mesh, wearer.body, wearer.size, fabric, wearer.coarse, wearer.start)
+        DrapeJob(
+            wearer.box_mesh,
+            wearer.body,
+            wearer.size,
+            sample_fabric(design.seed, wearer.index, config.fabric),
+            wearer.coarse,
+            wearer.start,
+        )
         for wearer in design.dressed
         if wearer.box_mesh is not None
     )
@@ -292,7 +299,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         back=back,
         gathers=dressed.pattern.gather_ratios(),
         tags=outfit_tags(dressed.size, design.design),
-        fabric=None if reply is None else _fabric(config.fabric),
+        fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
     )
 
@@ -301,9 +308,17 @@ def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
     return replace(drape, strain=strain_of(mesh, drape.vertices))
 
 
-def _fabric(name: str) -> NamedFabric:
-    """A fabric by name, with its parameters, for the sample's record."""
-    from gcd_dataset.generator.drape import fabric_named
+def sample_fabric(seed: int, index: int, name: str) -> "Fabric":
+    """The fabric of a sample: the one called ``name``, or for ``random`` one drawn by seed and index.
 
-    parameters = asdict(fabric_named(name)).items()
+    All attempts at an index have the same fabric: otherwise fabrics that drape badly would become rare.
+    """
+    from gcd_dataset.generator.drape import RANDOM_FABRIC, draw_fabric, fabric_named
+
+    return draw_fabric(rng(seed, index, Stage.FABRIC)) if name == RANDOM_FABRIC else fabric_named(name)
+
+
+def _fabric_record(seed: int, index: int, name: str) -> NamedFabric:
+    """The fabric with its parameters, for the sample's record."""
+    parameters = asdict(sample_fabric(seed, index, name)).items()
     return NamedFabric(name, {key: list(value) if isinstance(value, tuple) else value for key, value in parameters})
