@@ -48,13 +48,13 @@ SAME_CHOICES = 5  # attempts; then other choices are drawn: no wearer may be abl
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
     """One of the kinds of garment that the overlay allows, with equal probability."""
-    kinds = possible_kinds(overlay.space.of(MetaDesign))
+    kinds = possible_kinds(_sections(overlay)["meta"])
     return kinds[int(rng.integers(len(kinds)))]
 
 
 def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """A random outfit by the declared distributions alone: nobody may be able to sew or wear it."""
-    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), overlay.space.of(MetaDesign)))
+    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"]))
     design = _with_sections(design, _own_sections(design), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
     parts = {part.field for part in bottom.parts(design)} if bottom else set()

@@ -27,7 +27,7 @@ HOOD = MakeConfig(
         {"meta": {"upper": {"options": ["Shirt", "FittedShirt"]}}, "collar": {"component": {"style": "Hood2Panels"}}}
     ),
 )
-EARS_OUT = (5, 3)  # seed and number of a design: ears pierce its hood
+EARS_OUT = (5, 7)  # seed and number of a design: ears pierce its hood
 
 
 def table() -> Body:
