@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.records import Body, BodyPart, Measurements
 
-__all__ = ["KINDS", "BrokenBody", "broken_body", "fused_by_scanner"]
+__all__ = ["KINDS", "BrokenBody", "broken_body", "fused_by_scanner", "obj_bytes"]
 
 SMOOTHING = 10 * (0.5, -0.53)
 """Smoothing steps of alternating sign, which remove the steps between cells without shrinking (Taubin, 1995)."""
@@ -39,11 +39,11 @@ _Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
 
 def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     """A drawn body with one kind of damage of ``KINDS``."""
-    body = build_body(draw_shape(rng))
+    body = build_body(draw_shape(rng, group="pooled"))
     # With faces in another order the mesh is not recognised as ours, so landmarks must be found.
     body = replace(body, faces=np.roll(body.faces, 1, axis=0))
     (vertices, faces), true_body = KINDS[kind](body, rng)
-    content = _obj(vertices, faces)
+    content = obj_bytes(vertices, faces)
     if kind == "truncated file":
         content = content[: int(rng.uniform(0.0, 0.95) * len(content))]
     if kind == "empty file":
@@ -52,7 +52,8 @@ def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     return BrokenBody(kind, content, truth)
 
 
-def _obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+def obj_bytes(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """The content of an OBJ file of a mesh."""
     lines = ["v %.9g %.9g %.9g" % tuple(v) for v in vertices] + ["f %d %d %d" % tuple(f) for f in faces + 1]  # noqa: UP031
     return ("\n".join(lines) + "\n").encode()
 
@@ -221,7 +222,7 @@ def _no_body(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
 
 
 def _arms_down(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    shape = replace(draw_shape(rng), arm_angle=-np.radians(rng.uniform(32, 42)))
+    shape = replace(draw_shape(rng, group="pooled"), arm_angle=-np.radians(rng.uniform(32, 42)))
     return fused_by_scanner(build_body(shape), rng.uniform(1.2, 2.0)), None
 
 

@@ -266,6 +266,21 @@ class Pattern(Record):
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Other content of the specification file (``parameters``, ``properties``, …), passed through."""
 
+    def gather_ratios(self) -> tuple[float, ...]:
+        """Gathers or ease of each seam: length of its left edge over that of its right edge, to four decimals.
+
+        1: a plain seam; above 1 the left edge is gathered or eased onto the right one, below 1 the right onto the left.
+        A seam of a missing edge, or of one without length, counts as plain: ``validate`` reports it.
+        """
+        lengths = {panel.name: panel.edge_lengths() for panel in self.panels}
+
+        def length(ref: EdgeRef) -> float:
+            edges = lengths.get(ref.panel, ())
+            return float(edges[ref.edge]) if 0 <= ref.edge < len(edges) else 0.0
+
+        pairs = ((length(seam.left), length(seam.right)) for seam in self.seams)
+        return tuple(round(left / right, 4) if left and right else 1.0 for left, right in pairs)
+
     def panel(self, name: str) -> Panel:
         """The panel of that name. Raises ``PatternError`` with the known names."""
         for panel in self.panels:
@@ -425,6 +440,7 @@ class NamedFabric:
     """The fabric of a garment."""
 
     name: str
+    """The name of a built-in fabric, or ``random`` for one drawn for the sample."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Mechanical parameters, in SI units except for the thickness [cm]."""
 
@@ -462,9 +478,12 @@ class Sample(Record):
     """``None`` for a garment without a grade."""
     fabric: NamedFabric | None = None
     gathers: tuple[float, ...] = ()
-    """Length of the left edge divided by the length of the right edge, for each seam; empty if not measured."""
+    """Gathers or ease of each seam, in the order of ``pattern.seams``: see ``Pattern.gather_ratios``; empty if unknown.
+
+    The design decides them: ``levels-skirt.level_ruffle`` is the ratio of each seam between two levels.
+    """
     tags: tuple[str, ...] = ()
-    """Words for the kind of garment."""
+    """The tailor's names for the style, words of ``gcd_dataset.generator.garments.TAGS``; empty if unknown."""
     caption: str | None = None
     """The garment in a sentence; either all samples of a data set have one, or none."""
     views: tuple[View, ...] = ()

@@ -1,4 +1,4 @@
-"""People of a body set: drawn from the population, in both poses (legs straight and apart), measured."""
+"""People of a body set: drawn from a group, in both poses (legs straight and apart), measured."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,20 +6,30 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.bodies import BodyMesh, Person
-from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.population import GROUPS
+from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["PEOPLE_RECIPE", "make_person", "model_mesh"]
-
-PEOPLE_RECIPE: dict[str, Any] = {"stage": "body", "bodies": "random"}
-"""The options of a person besides seed, index and mesh, as stored in a body set's manifest."""
+__all__ = ["make_person", "model_mesh", "people_recipe"]
 
 
-def make_person(seed: int, index: int) -> Person:
-    """Person ``index`` of ``seed``: the random body that wears design ``index`` of a data set with this seed."""
-    name = f"random:{seed}:{index}"
-    shape = draw_shape(rng(seed, index, Stage.BODY))
+def people_recipe(bodies: str) -> dict[str, Any]:
+    """The options of a person besides seed, index and mesh, as stored in a body set's manifest.
+
+    Raises ``ConfigError`` unless ``bodies`` is one of ``GROUPS``.
+    """
+    if bodies not in GROUPS:
+        raise ConfigError(f"bodies is {bodies!r}: a body set is drawn from {', '.join(GROUPS)}")
+    return {"stage": "body", "bodies": bodies}
+
+
+def make_person(seed: int, index: int, *, bodies: str = "random") -> Person:
+    """Person ``index`` of ``seed``: the drawn body that wears design ``index`` of a data set with these ``bodies``."""
+    kind, shape = draw_from(bodies, rng(seed, index, Stage.BODY))
+    name = f"{kind}:{seed}:{index}"
     straight, apart = build_body(shape, name=name), build_body(replace(shape, legs_apart=True), name=name)
     return Person(
         name=name,

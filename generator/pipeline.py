@@ -15,10 +15,17 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import MeshError, PatternError
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.population import SEXES
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.garments import OutfitDesign, Reject, attempted_design, design_to_dict, try_on
+from gcd_dataset.generator.garments import (
+    OutfitDesign,
+    Reject,
+    attempted_design,
+    design_to_dict,
+    outfit_tags,
+    try_on,
+)
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.quality import grade_of, strain_of
@@ -39,7 +46,7 @@ from gcd_dataset.records import (
 from gcd_dataset.seeding import Stage, rng
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.drape import DrapeJob
+    from gcd_dataset.generator.drape import DrapeJob, Fabric
     from gcd_dataset.generator.drapers import DrapeReply
 
 __all__ = [
@@ -52,6 +59,7 @@ __all__ = [
     "fit",
     "prepare",
     "rejection",
+    "sample_fabric",
     "sample_key",
 ]
 
@@ -164,12 +172,12 @@ class _Wearer:
 def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     """The bodies of a design, in the order of their indices."""
     shapes = {}
-    sex = config.bodies if config.bodies in SEXES else None
+    group = "random" if config.bodies == "both" else config.bodies
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
     for drawn in range(config.bodies_each if config.bodies != "neutral" else 0):
-        name = f"{sex or 'random'}:{seed}:{number}" + (f":{drawn}" if drawn else "")
-        shapes[name] = draw_shape(rng(seed, number, Stage.BODY, drawn), sex=sex)
+        kind, shape = draw_from(group, rng(seed, number, Stage.BODY, drawn))
+        shapes[f"{kind}:{seed}:{number}" + (f":{drawn}" if drawn else "")] = shape
     wearers = []
     for offset, (name, shape) in enumerate(shapes.items()):
         body = build_body(shape)
@@ -223,11 +231,17 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
     """The drape job of each wearer; none before stage ``drape``."""
     if config.stage != "drape":
         return ()
-    from gcd_dataset.generator.drape import DrapeJob, fabric_named
+    from gcd_dataset.generator.drape import DrapeJob
 
-    fabric = fabric_named(config.fabric)
     return tuple(
-        DrapeJob(wearer.box_mesh, wearer.body, wearer.size, fabric, wearer.coarse, wearer.start)
+        DrapeJob(
+            wearer.box_mesh,
+            wearer.body,
+            wearer.size,
+            sample_fabric(design.seed, wearer.index, config.fabric),
+            wearer.coarse,
+            wearer.start,
+        )
         for wearer in design.dressed
         if wearer.box_mesh is not None
     )
@@ -283,7 +297,9 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
-        fabric=None if reply is None else _fabric(config.fabric),
+        gathers=dressed.pattern.gather_ratios(),
+        tags=outfit_tags(dressed.size, design.design),
+        fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
     )
 
@@ -292,9 +308,17 @@ def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
     return replace(drape, strain=strain_of(mesh, drape.vertices))
 
 
-def _fabric(name: str) -> NamedFabric:
-    """A fabric by name, with its parameters, for the sample's record."""
-    from gcd_dataset.generator.drape import fabric_named
+def sample_fabric(seed: int, index: int, name: str) -> "Fabric":
+    """The fabric of a sample: the one called ``name``, or for ``random`` one drawn by seed and index.
 
-    parameters = asdict(fabric_named(name)).items()
+    All attempts at an index have the same fabric: otherwise fabrics that drape badly would become rare.
+    """
+    from gcd_dataset.generator.drape import RANDOM_FABRIC, draw_fabric, fabric_named
+
+    return draw_fabric(rng(seed, index, Stage.FABRIC)) if name == RANDOM_FABRIC else fabric_named(name)
+
+
+def _fabric_record(seed: int, index: int, name: str) -> NamedFabric:
+    """The fabric with its parameters, for the sample's record."""
+    parameters = asdict(sample_fabric(seed, index, name)).items()
     return NamedFabric(name, {key: list(value) if isinstance(value, tuple) else value for key, value in parameters})

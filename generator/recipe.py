@@ -25,7 +25,7 @@ __all__ = [
     "versions",
 ]
 
-Bodies = Literal["neutral", "random", "female", "male", "both"]
+Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
 KINDS = {
@@ -55,8 +55,9 @@ class MakeConfig:
     bodies: Annotated[
         Bodies,
         Option(
-            "wearers; neutral: the mean body; random: mostly between the sexes; female, male: adults distributed as in "
-            "a survey; both: samples 2i and 2i+1 are one design on the neutral body and on a random body"
+            "wearers; neutral: the mean body; random: women and men, distributed as in a survey; female, male: adults "
+            "of one sex; pooled: bodies mostly between the sexes, as in GarmentCodeData; both: samples 2i and 2i+1 are "
+            "one design on the neutral body and on a random body"
         ),
     ] = "random"
     bodies_each: Annotated[
@@ -93,7 +94,13 @@ class MakeConfig:
         int, Option("designs tried for one index; the last one is kept even if its drape does not settle")
     ] = 30
     design: Annotated[Overlay, Option("overlay that narrows the design space")] = NO_OVERLAY
-    fabric: Annotated[str, Option("fabric, by its name in drape.FABRICS: denim, drill, wool_light, …")] = USUAL_FABRIC
+    fabric: Annotated[
+        str,
+        Option(
+            "fabric, by its name in drape.FABRICS: denim, drill, wool_light, …; random: another for each sample, drawn "
+            "between measured fabrics"
+        ),
+    ] = USUAL_FABRIC
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -207,9 +214,14 @@ def versions() -> dict[str, str]:
 
 
 def _require_fabric(name: str) -> None:
-    from gcd_dataset.generator.drape import fabric_named
+    from gcd_dataset.generator.drape import RANDOM_FABRIC, fabric_named
 
-    fabric_named(name)
+    if name == RANDOM_FABRIC:
+        return
+    try:
+        fabric_named(name)
+    except ConfigError as error:
+        raise ConfigError(f"{error}, {RANDOM_FABRIC}") from error
 
 
 def _require_type(name: str, value: object, kind: type) -> None:

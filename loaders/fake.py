@@ -103,6 +103,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
         points=tube.surface_points(rng(seed, index, Stage.POINTS), points),
         front=_picture(random),
         back=_picture(random),
+        gathers=tube.pattern("").gather_ratios(),
     )
 
 

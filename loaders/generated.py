@@ -46,6 +46,7 @@ class GeneratedGarments(Garments):
     ``design`` is an overlay from ``read_overlay``, or the content of such a file as a dict: ``{"meta": {"bottom":
     "none"}}``.
     The same ``seed`` with another fabric or another arm pose gives the same patterns, draped differently.
+    ``fabric="random"`` draws a fabric for each sample; ``meta`` holds its parameters.
     ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops before that.
     ``fields``: ``None`` for all fields of the stage; ``dtype``: the type of floating fields, float32 by default,
     ``None`` for the type stored in shards.

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from gcd_dataset import __version__
+from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.loaders.available import absent_at_stage
@@ -175,6 +176,7 @@ class PublishedGarmentCodeData(Garments):
             box_mesh=garment.box_mesh if wanted & MEMBERS_FROM["box"] else None,
             drape=garment.drape if with_meta else _vertices_only(garment) if wanted & {"verts.npy"} else None,
             points=_points(garment, provenance.source) if wanted & {"points.npy"} else None,
+            gathers=_gathers(garment.pattern) if with_meta else (),
             front=_jpeg_on_white(garment, "front") if wanted & MEMBERS_FROM["front"] else None,
             back=_jpeg_on_white(garment, "back") if wanted & MEMBERS_FROM["back"] else None,
         )
@@ -188,6 +190,14 @@ class PublishedGarmentCodeData(Garments):
             recipe=self.origin,
             source=f"{self._garments.batches.release}/{entry}",
         )
+
+
+def _gathers(pattern: Pattern) -> tuple[float, ...]:
+    """The gathers of each seam; empty for a pattern with an edge that cannot be drawn."""
+    try:
+        return pattern.gather_ratios()
+    except PatternError:
+        return ()
 
 
 def _vertices_only(garment: PublishedGarment) -> Drape:

@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator.body import draw_shape
 from gcd_dataset.loaders import BodyDataset
+from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.verbs.body_set import PeoplePlan, workers_for
 from tests.shards.folders import contents
 
@@ -24,7 +26,20 @@ def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.
         "5 bodies in two poses, 0 of them made now",
     ]
     assert contents(out) == contents(at_once)
-    assert [item["name"] for item in BodyDataset(out, fields=["name"])] == [f"random:3:{i}" for i in range(5)]
+    kinds, indices = zip(*(item["name"].split(":3:") for item in BodyDataset(out, fields=["name"])), strict=True)
+    assert indices == tuple("01234")
+    assert set(kinds) == {"female", "male"}
+
+
+@pytest.mark.parametrize("group", ["female", "male", "pooled"])
+def test_people_of_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str], group: str) -> None:
+    assert main(["generate", str(tmp_path), "--count", "2", "--bodies", group, *BODIES]) == 0
+    people = list(BodyDataset(tmp_path, fields=["name", "shape"]))
+    assert [person["name"] for person in people] == [f"{group}:0:0", f"{group}:0:1"]
+    drawn = draw_shape(rng(0, 1, Stage.BODY), group=group)
+    assert people[1]["shape"].numpy() == pytest.approx(drawn.weights, rel=1e-6)
+    assert main(["generate", str(tmp_path), "--count", "3", *BODIES]) == 2
+    assert "bodies" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -32,7 +47,7 @@ def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.
     [
         (["--resolution", "2"], "resolution is for garments"),
         (["--on-fail", "keep"], "on-fail is for garments"),
-        (["--bodies", "neutral"], "bodies is 'neutral': stage body makes random ones"),
+        (["--bodies", "neutral"], "bodies is 'neutral': a body set is drawn from random, female, male, pooled"),
         (["--count", "0"], "count is 0"),
     ],
 )

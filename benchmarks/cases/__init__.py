@@ -10,6 +10,7 @@ __all__ = ["CASES", "load_case"]
 
 CASES: Mapping[str, str] = {
     "bodies": "benchmarks.cases.bodies",
+    "bodies_draped": "benchmarks.cases.bodies_draped",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
     "engines": "benchmarks.cases.engines",

@@ -10,7 +10,7 @@ from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 
-__all__ = ["Worn", "sampled"]
+__all__ = ["Worn", "kind_of", "sampled"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def _dressed(seed: int, config: MakeConfig, number: int) -> list[Worn]:
         Worn(
             worn.index,
             worn.body_name,
-            **_kind(design.design),
+            **kind_of(design.design),
             job=DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse, start=worn.start),
         )
         for worn in design.dressed
@@ -53,6 +53,7 @@ def _dressed(seed: int, config: MakeConfig, number: int) -> list[Worn]:
     ]
 
 
-def _kind(design: OutfitDesign) -> dict[str, str]:
+def kind_of(design: OutfitDesign) -> dict[str, str]:
+    """The fields ``upper``, ``wb`` and ``bottom`` of ``Worn``: names of a design's parts, empty for none."""
     parts = {"upper": design.meta.upper, "wb": design.meta.wb, "bottom": design.meta.bottom}
     return {name: part.value if part else "" for name, part in parts.items()}

@@ -141,12 +141,11 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one run: leave it out")
     if options.engine != "local":
         raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
-    if given.get("bodies", "random") != "random":
-        raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     _require_no_store(options, "bodies")
     with Bar("body", options.quiet) as bar:
-        work = partial(generate_people, options.out, options.count, seed=options.seed, workers=options.workers)
-        bar.run(partial(work, log=options.log))
+        bodies = given.get("bodies", "random")
+        work = partial(generate_people, options.out, options.count, seed=options.seed, bodies=bodies)
+        bar.run(partial(work, workers=options.workers, log=options.log))
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")

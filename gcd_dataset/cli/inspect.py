@@ -104,12 +104,13 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
     members = [member_of[field] for field in ("meta", "design") if field in member_of]
     chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), SAMPLED)).astype(int)).tolist()
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
-    panels = []
+    panels, tags = [], Counter[str]()
     for content in reader.read_many(chosen, members):
         meta = read_meta(content["meta.json"])
         counts["outcome"][meta["drape"]["outcome"] if meta["drape"] else "not draped"] += 1
         counts["wearer"][str(meta["body"]).partition(":")[0] or "unnamed"] += 1
         panels.append(len(meta["panel_names"]))
+        tags.update(meta["tags"])
         kinds = _kinds(content)
         for name in ("upper", "bottom"):
             if name in kinds:
@@ -118,6 +119,8 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
     for name, counter in counts.items():
         if counter:
             yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
+    if tags:
+        yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
 
@@ -132,9 +135,9 @@ def _value(entry: Any) -> Any:
     return entry.get("v") if isinstance(entry, Mapping) else entry
 
 
-def _bars(title: str, amounts: Mapping[str, int]) -> Iterator[str]:
-    """A text plot: one line for each entry."""
-    total, most = sum(amounts.values()), max(amounts.values())
+def _bars(title: str, amounts: Mapping[str, int], *, of: int | None = None) -> Iterator[str]:
+    """A text plot: one line for each entry, with its share ``of`` a number, by default of the sum."""
+    total, most = of or sum(amounts.values()), max(amounts.values())
     if not total:
         return
     yield f"  {title}:"

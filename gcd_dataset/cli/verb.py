@@ -38,7 +38,7 @@ INTERRUPTED = 130  # exit code of shells for a program ended by Ctrl-C
 RETRY = 0.05  # s between checks whether an import has ended
 WRONG_USAGE = 2
 SOURCE_HELP = "folder, URL, or repository ORG/NAME of the Hub"
-MEAN, RANDOM = ("neutral", "female", "male"), ("random", "female", "male")
+MEAN, RANDOM = ("neutral", "female", "male"), ("random", "female", "male", "pooled")
 BODY_NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in RANDOM)))
 """Names of generated bodies, for messages and help."""
 

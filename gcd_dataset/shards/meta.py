@@ -37,7 +37,7 @@ garments              JSON type  holds                                          
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
-``tags``              texts      kinds of garment  (*)                                            ``[""]``
+``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key

@@ -9,7 +9,7 @@ from gcd_dataset.bodies import Person
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.drape.device import cores
-from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, model_mesh
+from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.job_parts import require_merged
@@ -34,20 +34,22 @@ class PeoplePlan(MakingPlan):
 
     out: Path
     seed: int
+    bodies: str = "random"
 
 
-def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
-    """Plan for people 0 … ``count`` - 1 of ``seed`` in the folder ``out``.
+def plan_people(out: Path | str, count: int, *, seed: int = 0, bodies: str = "random") -> PeoplePlan:
+    """Plan for people 0 … ``count`` - 1 of ``seed``, drawn from group ``bodies``, in the folder ``out``.
 
-    Repairs shards that a killed run left unfinished. Raises ``ConfigError`` if ``out`` holds bodies of another seed,
-    ``ShardError`` if it holds garments, ``OutputError`` if it cannot be written.
+    Repairs shards that a killed run left unfinished. Raises ``ConfigError`` for an unknown group, or if ``out`` holds
+    bodies of another group or seed, ``ShardError`` if it holds garments, ``OutputError`` if it cannot be written.
     """
     check_count(count)
+    people_recipe(bodies)
     folder = require_folder(out, "bodies")
     require_merged(user_path(folder), ConfigError)
-    with _writer(folder, seed) as writer:
+    with _writer(folder, seed, bodies) as writer:
         done = writer.done
-    return PeoplePlan(count, tuple(index for index in range(count) if index not in done), folder, seed)
+    return PeoplePlan(count, tuple(index for index in range(count) if index not in done), folder, seed, bodies)
 
 
 def generate_people(
@@ -55,19 +57,22 @@ def generate_people(
     count: int,
     *,
     seed: int = 0,
+    bodies: str = "random",
     workers: int | None = None,
     on_progress: ProgressCallback = ignore_progress,
     log: Path | str | None = None,
 ) -> Progress:
     """Generate people 0 … ``count`` - 1 of ``seed`` in the folder ``out``, in two poses, with their measures.
 
+    ``bodies``: the group they are drawn from: ``random`` (women and men), ``female``, ``male`` or ``pooled``.
     People that the folder already holds are not made again, so a stopped call can be repeated. ``workers``,
     ``on_progress`` and ``log`` as for ``generate``. Raises as ``plan_people`` and ``store_people`` do, and
     ``OutputError`` for a log that cannot be opened.
     """
-    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "stage": "body"}
-    with run_log(log, on_progress, options=options, recipe=PEOPLE_RECIPE) as on_progress:
-        task = plan_people(out, count, seed=seed)
+    recipe = people_recipe(bodies)
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, **recipe}
+    with run_log(log, on_progress, options=options, recipe=recipe) as on_progress:
+        task = plan_people(out, count, seed=seed, bodies=bodies)
         progress, pace = Progress(count, task.existing), Pace()
         on_progress(progress)
         for _ in store_people(task, workers=workers_for(task, cores()) if workers is None else workers):
@@ -90,20 +95,20 @@ def store_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, Non
     with filling(plan.out, plan.count):
         if not plan.missing:
             return
-        with _writer(plan.out, plan.seed) as writer:
+        with _writer(plan.out, plan.seed, plan.bodies) as writer:
             made = timed(_made(plan, workers), WRITER)
             for index, person in zip(plan.missing, made, strict=True):
                 writer.write(index, person)
                 yield person
 
 
-def _writer(out: Path | str, seed: int) -> BodyWriter:
-    return BodyWriter(out, model_mesh(), seed=seed, recipe=PEOPLE_RECIPE, versions=versions())
+def _writer(out: Path | str, seed: int, bodies: str) -> BodyWriter:
+    return BodyWriter(out, model_mesh(), seed=seed, recipe=people_recipe(bodies), versions=versions())
 
 
 def _made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
-    return parallel_map_chunks(partial(_make, plan.seed), plan.missing, workers, chunk=CHUNK)
+    return parallel_map_chunks(partial(_make, plan.bodies, plan.seed), plan.missing, workers, chunk=CHUNK)
 
 
-def _make(seed: int, indices: Sequence[int]) -> list[Person]:
-    return [make_person(seed, index) for index in indices]
+def _make(bodies: str, seed: int, indices: Sequence[int]) -> list[Person]:
+    return [make_person(seed, index, bodies=bodies) for index in indices]

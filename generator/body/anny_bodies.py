@@ -30,6 +30,8 @@ LOCAL = (
 
 ARM, ELBOW, WRIST, LEG = np.radians([45.0, 8.0, 5.0, 1.5])
 """The A-pose [rad]: upper arm and leg off the vertical, elbow and wrist bent forward."""
+A_POSE_ARM = (np.sin(ARM), 0.02, -np.cos(ARM))
+"""Direction of the left upper arm in anny's axes: x to the left, z up, facing -y."""
 JOINTS = ("upperarm01", "upperleg01", "foot")  # the order of the joints in `pose`
 BATCH = 50  # bodies in one call of anny
 
@@ -37,7 +39,8 @@ BATCH = 50  # bodies in one call of anny
 class AnnyBodies:
     """anny bodies by controls (``PHENOTYPES``, then ``LOCAL``); half a body each, since bodies are symmetric."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm: tuple[float, float, float] = A_POSE_ARM) -> None:
+        """``arm``: direction of the left upper arm, as ``A_POSE_ARM``; the right one is its mirror image."""
         import anny
         import torch
 
@@ -46,7 +49,7 @@ class AnnyBodies:
             rig="anny", topology=TOPOLOGY, phenotypes="all", local_changes=list(LOCAL), skinning_method="lbs"
         ).to(dtype=torch.float32)
         self._bones = list(self._model.bone_labels)
-        self._pose = self._a_pose()
+        self._pose = self._pose_with(np.array(arm))
         self.faces: Int[np.ndarray, "f 3"] = self._model.faces.numpy().astype(int)
         template = self._model.template_vertices.numpy()
         self.mirror: Int[np.ndarray, " v"] = cKDTree(template).query(template * MIRROR)[1]
@@ -109,37 +112,35 @@ class AnnyBodies:
                 chosen |= {row} if int(parent) in chosen else set()
         return self._model.dense_vertex_bone_weights.numpy()[:, sorted(chosen)].sum(axis=1)
 
-    def _a_pose(self) -> Any:
-        """The A-pose as anny's parameters: rotations from its rest pose, each relative to the parent's."""
+    def _pose_with(self, arm: np.ndarray) -> Any:
+        """A pose as anny's parameters: rotations from its rest pose, each relative to the parent's."""
         rest = self._model(phenotype_kwargs={"gender": 0.5, "age": 0.75})["bone_poses"][0, :, :3, 3].numpy()
-        turns = {
-            name: turn for side in "LR" for name, turn in _limb_turns(dict(zip(self._bones, rest, strict=True)), side)
-        }
+        bones = dict(zip(self._bones, rest, strict=True))
+        turns = {name: turn for side in "LR" for name, turn in _limb_turns(bones, side, arm)}
         pose = np.tile(np.eye(4), (len(self._bones), 1, 1))
         for name, turn in turns.items():
             pose[self._bones.index(name), :3, :3] = turn
         return self._torch.tensor(pose[None], dtype=self._torch.float32)
 
 
-def _limb_turns(at: dict[str, np.ndarray], side: str) -> list[tuple[str, np.ndarray]]:
+def _limb_turns(at: dict[str, np.ndarray], side: str, arm: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """Rotations of arm, forearm, hand, thigh and foot in anny's axes: z up, facing -y."""
     outward = 1.0 if side == "L" else -1.0
 
     def bone(start: str, end: str) -> np.ndarray:
         return at[f"{end}{side}"] - at[f"{start}.{side}"]
 
-    upper = np.array([outward * np.sin(ARM), 0.02, -np.cos(ARM)])
-    upper /= np.linalg.norm(upper)
-    arm = rotation_between(bone("upperarm01", "lowerarm01."), upper)
-    forearm = rotation_between(arm @ bone("lowerarm01", "wrist."), _bent(upper, ELBOW)) @ arm
+    upper = arm * [outward, 1.0, 1.0] / np.linalg.norm(arm)
+    shoulder = rotation_between(bone("upperarm01", "lowerarm01."), upper)
+    forearm = rotation_between(shoulder @ bone("lowerarm01", "wrist."), _bent(upper, ELBOW)) @ shoulder
     hand = rotation_between(forearm @ bone("wrist", "finger3-1."), _bent(upper, ELBOW + WRIST)) @ forearm
     leg = bone("upperleg01", "lowerleg01.") + bone("lowerleg01", "foot.")
     # About the sagittal axis only: the knees keep facing forward.
     spread = outward * (np.arctan2(outward * leg[0], -leg[2]) - LEG)
     thigh = Rotation.from_rotvec([0.0, spread, 0.0]).as_matrix()
     return [
-        (f"upperarm01.{side}", arm),
-        (f"lowerarm01.{side}", arm.T @ forearm),
+        (f"upperarm01.{side}", shoulder),
+        (f"lowerarm01.{side}", shoulder.T @ forearm),
         (f"wrist.{side}", forearm.T @ hand),
         (f"upperleg01.{side}", thigh),
         (f"foot.{side}", thigh.T),

@@ -8,6 +8,7 @@ from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.mesh_bodies import read_body
+from gcd_dataset.generator.body.population import GROUPS
 from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -15,8 +16,6 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["named_body", "shape_by_name"]
 
 MAX_SEED_DIGITS = 100
-SEX_OF_PREFIX = {"random": None, "female": "female", "male": "male"}
-"""Prefix of a seed to the sex of the drawn body; ``None``: see ``draw_shape``."""
 
 
 def named_body(
@@ -45,13 +44,13 @@ def named_body(
 def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:
     """The shape of this name, or ``None`` for the path of a file.
 
-    Mean bodies: ``neutral``, ``female``, ``male``. Drawn bodies: ``random:SEED``, mostly between the sexes as in
-    GarmentCodeData; ``female:SEED`` and ``male:SEED``, adults distributed as in a survey. Raises ``BodyError`` for an
+    Mean bodies: ``neutral``, ``female``, ``male``. Drawn bodies: ``random:SEED``, ``female:SEED``,
+    ``male:SEED`` and ``pooled:SEED``; see ``draw_shape``. Raises ``BodyError`` for an
     unknown name or a malformed seed.
     """
     prefix, colon, seed = name.partition(":")
-    if colon and prefix in SEX_OF_PREFIX:
-        return draw_shape(rng(_seed(name, seed), 0, Stage.BODY), sex=SEX_OF_PREFIX[prefix], legs_apart=legs_apart)
+    if colon and prefix in GROUPS:
+        return draw_shape(rng(_seed(name, seed), 0, Stage.BODY), group=prefix, legs_apart=legs_apart)
     if name in body_model().named or not Path(name).suffix:
         return named_shape(name, legs_apart=legs_apart)
     return None

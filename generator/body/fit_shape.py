@@ -32,8 +32,8 @@ MAX_FACTOR = 3.0  # ratio of a length to the mean body's: beyond this the length
 MAX_ERROR = 0.1  # largest error of an accepted fit: of a length, relative; of an angle [rad]
 MAX_ERROR_CM = 3.0  # cm: also accepted, for short lengths
 REACH = 12.0
-"""Largest distance from the mean body, over all weights [standard deviations]; drawn bodies are at 3 (pooled) to 10 (of
-one sex)."""
+"""Largest distance from the mean body, over all weights [standard deviations]; drawn bodies are at 3 (pooled) to 10
+(women and men)."""
 REMEDY = "give lengths in cm, all of one person, or leave doubtful ones open (NaN)"
 
 _ANGLE = np.isin(MEASURES, list(ANGLES))

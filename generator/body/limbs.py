@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.errors import BodyError
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["Limb", "limbs_of"]
+__all__ = ["Limb", "leg_of", "limbs_of"]
 
 FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
@@ -66,6 +66,15 @@ def limbs_of(body: Body) -> dict[BodyPart, Limb]:
         if len(arm) > MIN_POINTS:
             limbs[part] = _arm(arm)
     return limbs
+
+
+def leg_of(body: Body, part: BodyPart) -> Limb | None:
+    """The left or right leg, without the foot, with its axis to the foot; ``None`` for a body without it."""
+    leg = _points_of(body, part)
+    if len(leg) <= MIN_POINTS:
+        return None
+    axis = np.linalg.svd(leg - leg.mean(axis=0), full_matrices=False)[2][0]
+    return _tube(leg, axis if axis[1] < 0.0 else -axis)
 
 
 def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:

@@ -1,4 +1,4 @@
-"""Adults of one sex: a Gaussian over the shape weights, calibrated to a survey.
+"""Adults: for each sex a Gaussian over the shape weights, calibrated to a survey; half of them are women.
 
 ``adults.npz``, made by ``calibrate.py``, holds mean and principal axes for each sex.
 """
@@ -10,13 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import checked_data
 from gcd_dataset.records import Record
 
-__all__ = ["SEXES", "Adults", "adults_of", "draw_weights"]
+__all__ = ["FEMALE_SHARE", "GROUPS", "POOLED", "SEXES", "Adults", "adults_of", "weights_of"]
 
 SEXES = ("female", "male")
+POOLED = "pooled"
+"""The pool of GarmentCodeData: bodies about the neutral one, mostly between the sexes."""
+GROUPS = ("random", *SEXES, POOLED)
+"""Groups that bodies are drawn from; ``random``: women and men, as a population is made up."""
+FEMALE_SHARE = 0.5  # of adults, within a point or two in most countries
 MAX_DEVIATION = 3.0  # standard deviations along each axis, to which draws are clipped
 
 
@@ -31,15 +35,13 @@ class Adults(Record):
 
 @functools.cache
 def adults_of(sex: str) -> Adults:
-    """The adults of a sex. Raises ``BodyError`` for a sex not in ``SEXES``, or a damaged file."""
-    if sex not in SEXES:
-        raise BodyError(f"no adults of sex {sex!r}: give {' or '.join(SEXES)}, or None for bodies between them")
+    """The adults of a sex, one of ``SEXES``. Raises ``BodyError`` for a damaged file."""
     with np.load(io.BytesIO(checked_data("adults.npz"))) as file:
         return Adults(file[f"{sex}_mean"].astype(float), file[f"{sex}_axes"].astype(float))
 
 
-def draw_weights(rng: np.random.Generator, adults: Adults) -> Float[np.ndarray, " k"]:
-    """Shape weights (k) of one random adult."""
-    along = np.clip(rng.standard_normal(len(adults.mean)), -MAX_DEVIATION, MAX_DEVIATION)
+def weights_of(adults: Adults, deviates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Shape weights of the adult at ``deviates`` standard deviations along each axis."""
+    along = np.clip(deviates, -MAX_DEVIATION, MAX_DEVIATION)
     # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
     return adults.mean + np.einsum("ka,a->k", adults.axes, along)

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -9,14 +10,23 @@ from jaxtyping import Float
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.body.clearance import arm_clearance
-from gcd_dataset.generator.body.population import adults_of, draw_weights
+from gcd_dataset.generator.body.population import FEMALE_SHARE, GROUPS, POOLED, adults_of, weights_of
 from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
 from gcd_dataset.generator.body.untangle import SkinMesh
 from gcd_dataset.records import Body, BodyShape
 
-__all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
+__all__ = [
+    "DrawnShape",
+    "build_body",
+    "draw_from",
+    "draw_shape",
+    "female_shape",
+    "male_shape",
+    "named_shape",
+    "neutral_shape",
+]
 
-SPREAD = 0.7  # standard deviation of drawn weights, as in GarmentCodeData
+SPREAD = 0.7  # standard deviation of pooled weights, as in GarmentCodeData
 CLEFT = 0.1  # cm: least gap between the skin and its mirror image
 MAX_ARM_ANGLE = np.radians(15.0)  # of drawn arms, up or down from the A-pose, as in GarmentCodeData
 ARM_ROOM = 1.2  # cm between arm and trunk below the armpits: room for two layers of cloth
@@ -43,22 +53,45 @@ def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
     named = body_model().named
     if name not in named:
         raise BodyError(
-            f"no body named {name}: there are {', '.join(named)}, random:SEED, female:SEED, male:SEED, or a mesh file"
+            f"no body named {name}: there are {', '.join([*named, *(f'{group}:SEED' for group in GROUPS)])}, or a mesh "
+            "file"
         )
     return BodyShape(named[name], legs_apart=legs_apart)
 
 
-def draw_shape(rng: np.random.Generator, *, sex: str | None = None, legs_apart: bool = False) -> BodyShape:
+class DrawnShape(NamedTuple):
+    """A random body and its kind."""
+
+    kind: str
+    """``female``, ``male``, or ``pooled``."""
+    shape: BodyShape
+
+
+def draw_shape(rng: np.random.Generator, *, group: str = "random", legs_apart: bool = False) -> BodyShape:
     """A random body with a random arm angle near the A-pose, the arms clear of the trunk.
 
-    ``sex``: ``female`` or ``male`` draws an adult distributed as in a survey (see ``population``); ``None`` a body
-    about the neutral one, mostly between the sexes, as in GarmentCodeData. Raises ``BodyError`` for another sex.
+    ``group``: ``random`` draws a woman or a man; ``female`` or ``male`` an adult of that sex, distributed as in a
+    survey (see ``population``); ``pooled`` a body about the neutral one, mostly between the sexes, as in
+    GarmentCodeData. Raises ``BodyError`` for another group.
     """
-    if sex is None:
-        weights = rng.normal(0.0, SPREAD, size=len(body_model().components))
-    else:
-        weights = draw_weights(rng, adults_of(sex))
-    return _with_clear_arms(BodyShape(weights, float(rng.uniform(-MAX_ARM_ANGLE, MAX_ARM_ANGLE)), legs_apart))
+    return draw_from(group, rng, legs_apart=legs_apart).shape
+
+
+def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False) -> DrawnShape:
+    """A random body of a group, as ``draw_shape``, with its kind.
+
+    The woman that ``random`` draws is the one that ``female`` draws from the same stream, and so is the man.
+    """
+    if group not in GROUPS:
+        raise BodyError(f"no bodies of group {group!r}: give {', '.join(GROUPS)}")
+    components = len(body_model().components)
+    deviates = rng.standard_normal(components)
+    arm_angle = float(rng.uniform(-MAX_ARM_ANGLE, MAX_ARM_ANGLE))
+    kind = group
+    if group == "random":  # after all else is drawn, so that both sexes share the stream
+        kind = "female" if rng.random() < FEMALE_SHARE else "male"
+    weights = SPREAD * deviates if kind == POOLED else weights_of(adults_of(kind), deviates)
+    return DrawnShape(kind, _with_clear_arms(BodyShape(weights, arm_angle, legs_apart)))
 
 
 def _with_clear_arms(shape: BodyShape) -> BodyShape:

@@ -7,18 +7,20 @@ level; the functions here use the survey's definition.
 
 import functools
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.generator.body.asset import body_model, landmark_table
+from gcd_dataset.generator.body.population import FEMALE_SHARE, SEXES
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["Survey", "body_weight", "survey_measures", "survey_of"]
+__all__ = ["HANGING", "Survey", "body_weight", "shoulder_breadths", "shoulders_of", "survey_measures", "survey_of"]
 
 X, Y, Z = range(3)
 XZ, ZY = [0, 2], [2, 1]
@@ -28,12 +30,14 @@ BODY_DENSITY = 1.0
 """[kg/l] with half-filled lungs. Lean tissue has 1.1, fat 0.9 (Siri, 1961): with a quarter of fat it is 1.04,
 and with 3 l of air in 70 l of body 1.00."""
 CALF = np.linspace(0.14, 0.27, 27)  # levels between ankle and knee, as shares of the height
+HANGING = np.radians(-35.0)
+"""``arm_angle`` of hanging arms [rad]: 10° off the vertical, as surveys measure the breadth of shoulders."""
 SPINE = 3.0  # cm; distance from the median plane within which skin counts as the spine
 
 
 @dataclass(frozen=True, eq=False)
 class Survey(Record):
-    """The survey's figures for one sex [cm, kg]."""
+    """The survey's figures for one sex, or for women and men together [cm, kg]."""
 
     measures: tuple[str, ...]
     mean: Float[np.ndarray, " m"]
@@ -47,8 +51,10 @@ class Survey(Record):
 
 @functools.cache
 def survey_of(sex: str) -> Survey:
-    """The published figures for ``female`` or ``male``."""
-    table = json.loads((files("gcd_dataset.generator") / "data" / "survey.json").read_bytes())
+    """The published figures for ``female`` or ``male``; ``random``: for the mixed population."""
+    if sex not in SEXES:
+        return _mixed(*map(survey_of, SEXES))
+    table = _table()
     names, found = tuple(table["measures"]), table[sex]
     mean = np.array([found["mean"][name] for name in names])
     shares = np.array([table["measures"][name]["mean_tolerance"] for name in names], float)
@@ -59,6 +65,33 @@ def survey_of(sex: str) -> Survey:
         tolerance=shares * mean,
         correlated=tuple(table["correlated"]),
         correlation=np.array(found["correlation"]),
+    )
+
+
+def shoulders_of(sex: str) -> dict[str, tuple[float, float]]:
+    """The published breadths of shoulders with hanging arms, by name: mean and standard deviation [cm]."""
+    return {name: (mean, sd) for name, (mean, sd) in _table()["shoulders"][sex].items()}
+
+
+def _table() -> dict[str, Any]:
+    return json.loads((files("gcd_dataset.generator") / "data" / "survey.json").read_bytes())
+
+
+def _mixed(women: Survey, men: Survey) -> Survey:
+    """The figures of a population of ``FEMALE_SHARE`` women, by the law of total covariance."""
+    shares = np.array([FEMALE_SHARE, 1.0 - FEMALE_SHARE])
+    apart = np.sqrt(shares.prod()) * (men.mean - women.mean)
+    columns = [women.measures.index(name) for name in women.correlated]
+    covariances = np.array([each.correlation * np.outer(each.sd[columns], each.sd[columns]) for each in (women, men)])
+    covariance = np.tensordot(shares, covariances, axes=1) + np.outer(apart[columns], apart[columns])
+    sd = np.sqrt(np.diag(covariance))
+    mean = shares @ [women.mean, men.mean]
+    return replace(
+        women,
+        mean=mean,
+        sd=np.sqrt(shares @ [women.sd**2, men.sd**2] + apart**2),
+        tolerance=women.tolerance / women.mean * mean,
+        correlation=covariance / np.outer(sd, sd),
     )
 
 
@@ -95,6 +128,14 @@ def survey_measures(body: Body, size: Measurements) -> dict[str, float]:
         "shoulder_w": size.shoulder_w,
         "arm_length": size.arm_length,
     }
+
+
+def shoulder_breadths(body: Body) -> dict[str, float]:
+    """The breadths of ``shoulders_of`` on a body with the model's mesh and arms at ``HANGING`` [cm]."""
+    points = {name: body.vertices[vertex] for name, vertex in landmark_table().points.items()}
+    left, right, underarm = (points[name] for name in ("shoulder_left", "shoulder_right", "underarm_right"))
+    upper = body.vertices[(body.vertices[:, Y] > underarm[Y]) & (body.vertices[:, Y] < left[Y])]
+    return {"biacromial": float(np.linalg.norm(left - right)), "bideltoid": float(np.ptp(upper[:, X]))}
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,12 @@ from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_b
 from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile
 from gcd_dataset.generator.drape.fabrics import DEFAULT_FABRIC, FABRICS, fabric_named
 from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
+from gcd_dataset.generator.drape.random_fabric import RANDOM_FABRIC, draw_fabric
 
 __all__ = [
     "DEFAULT_FABRIC",
     "FABRICS",
+    "RANDOM_FABRIC",
     "Bending",
     "DrapeConfig",
     "DrapeJob",
@@ -18,6 +20,7 @@ __all__ = [
     "batch_capacity",
     "drape_all",
     "drape_batch",
+    "draw_fabric",
     "every_device",
     "fabric_named",
     "kernels_compiled",

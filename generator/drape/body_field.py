@@ -1,8 +1,8 @@
 """Signed distance field of a body on a grid, with the nearest body part of each voxel, and the skin as a mesh.
 
 Internal faces (eyes, sockets, mouth) are left out and the openings closed with lids, so that the body is solid, with
-neither a cavity nor a second skin behind the first. Hands and toes are convex hulls: a voxel is as wide as
-a finger, and fingers would pierce cloth that slips between them.
+neither a cavity nor a second skin behind the first. Hands, toes and the head above the mouth are convex hulls: a voxel
+is as wide as a finger or an ear, and both would pierce cloth that slips behind them.
 """
 
 import hashlib
@@ -32,6 +32,7 @@ CACHED = 8  # fields and skins kept for later drapes
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
+CRANIUM = 0.7  # share of the head's height, from the top down to the mouth: contains the ears
 FACE_SAMPLE = 8  # every eighth face is sampled to find the axis of a part
 AXES = {
     "trunk": (BodyPart.TRUNK,),
@@ -113,7 +114,7 @@ class HostField:
     axes: Float[np.ndarray, "2 axes 3"]
     """See ``BodyField.axes``."""
     extremities: tuple[Float[np.ndarray, "h 3"], ...]
-    """The vertices of each hand, and of each foot up to the height of its toes [cm]."""
+    """The vertices of each hand, of each foot up to the height of its toes, and of the head above the mouth [cm]."""
     planes: tuple[Float[np.ndarray, "p 4"], ...]
     """Half-spaces of the convex hull of each of ``extremities``: outward normal [1] and offset [cm]."""
 
@@ -169,6 +170,8 @@ class _SkinTopology:
     """Faces of both hands."""
     feet: Int[np.ndarray, " f"]
     """Faces of both feet."""
+    head: Int[np.ndarray, " c"]
+    """Faces of the head."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -176,9 +179,9 @@ class _SkinTopology:
     def of(cls, skin: VisibleSkin) -> "_SkinTopology":
         corner, parts = skin.faces[::FACE_SAMPLE, 0], skin.parts[::FACE_SAMPLE]
         sampled = (corner[np.isin(parts, [part.value for part in own])] for own in AXES.values())
-        left, right, hands, feet = (
+        left, right, hands, feet, head = (
             np.flatnonzero(skin.parts == part.value)
-            for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS, BodyPart.FEET)
+            for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS, BodyPart.FEET, BodyPart.HEAD)
         )
         return cls(
             skin,
@@ -188,6 +191,7 @@ class _SkinTopology:
             (left, right),
             hands,
             feet,
+            head,
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -245,11 +249,13 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """See ``HostField.extremities``; a body without hands or feet gets fewer than four."""
-    hands = points[np.unique(known.skin.faces[known.hands])]
-    feet = points[np.unique(known.skin.faces[known.feet])]
+    """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five."""
+    hands, feet, head = (points[np.unique(known.skin.faces[part])] for part in (known.hands, known.feet, known.head))
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
+    if len(head):
+        top, chin = head[:, 1].max(), head[:, 1].min()
+        sides.append(head[head[:, 1] > top - CRANIUM * (top - chin)])
     return tuple(side for side in sides if len(side) and np.linalg.matrix_rank(side - side[0], tol=1e-3) == 3)
 
 

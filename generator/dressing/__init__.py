@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from gcd_dataset.generator.dressing.body_parts import label_panels
 from gcd_dataset.generator.dressing.hold_edges import has_legs, label_edges
 from gcd_dataset.generator.dressing.placing import place_panels
+from gcd_dataset.generator.dressing.sleeves import turn_sleeves
 from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.records import Body, Measurements, Pattern
 
@@ -29,8 +30,9 @@ def dress(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
     wearer = wearer_of(body, size)
     placed, moved = place_panels(pattern, wearer)
     labelled, parts = label_panels(placed, wearer)
-    held, holds = label_edges(labelled, wearer)
-    return Dressing(held, (*moved, *parts, *holds, *_without_seams(held)))
+    aimed, turned = turn_sleeves(labelled, wearer)
+    held, holds = label_edges(aimed, wearer)
+    return Dressing(held, (*moved, *parts, *turned, *holds, *_without_seams(held)))
 
 
 def _without_seams(pattern: Pattern) -> tuple[str, ...]:

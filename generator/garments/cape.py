@@ -19,6 +19,7 @@ from gcd_dataset.generator.garments.overgarment import (
     with_shoulder,
 )
 from gcd_dataset.generator.garments.space import Design, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
 
@@ -83,6 +84,7 @@ CAPE = SimpleUpper(
     name="Cape",
     section="cape",
     design=CapeDesign,
+    tags_of=lambda design: (Tag.CAPE, Tag.SLEEVELESS),
     weight=0,
     carries=False,
     cut=cape,

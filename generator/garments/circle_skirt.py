@@ -5,10 +5,11 @@ from math import hypot, pi, sqrt
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length, flare_tags
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import sector
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
 from gcd_dataset.records import Measurements
@@ -111,12 +112,17 @@ def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
     return replace(design, cut=replace(design.cut, add=False))
 
 
+def _cut_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
+    return (Tag.SLIT,) if design.cut.add else ()
+
+
 CIRCLE_SKIRT = SimpleBottom(
     name="SkirtCircle",
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
     length_of=flare_skirt_length,
+    tags_of=lambda design: (*flare_tags(design), *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
     fullness_parameter="suns",
@@ -130,6 +136,7 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
     length_of=flare_skirt_length,
+    tags_of=lambda design: (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
     remedies=CUT_REMEDIES,

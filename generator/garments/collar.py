@@ -9,11 +9,12 @@ from gcd_dataset.curves import Quadratic
 from gcd_dataset.generator.garments.hood import with_hood
 from gcd_dataset.generator.garments.panel_shapes import band, sector
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
 from gcd_dataset.generator.pattern.piece import Vector
 from gcd_dataset.records import Measurements
 
-__all__ = ["Collar", "CollarDesign", "with_collar"]
+__all__ = ["STYLES", "Collar", "CollarDesign", "with_collar"]
 
 TURTLENECK_OUT = 10.0  # cm: z of the front, and -z of the back, before sewing, GarmentCode
 LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm: z of front and back before sewing, GarmentCode
@@ -42,6 +43,14 @@ class CollarDesign(Design):
     """Top edge of the hood, as a fraction of half the neckline's width."""
     hood_length: float = real(1.0, 1.0, 1.5, keep=0.6)
     """Height of the hood, as a fraction of nape to crown."""
+
+
+STYLES: Mapping[Collar, Tag] = {
+    Collar.TURTLENECK: Tag.TURTLENECK,
+    Collar.LAPEL: Tag.LAPEL,
+    Collar.HOOD: Tag.HOODED,
+}
+"""The tag of each collar."""
 
 
 def with_collar(size: Measurements, design: CollarDesign, half: Component) -> Component:

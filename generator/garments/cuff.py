@@ -15,7 +15,8 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
+from gcd_dataset.generator.pattern import Component, Interface, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
 __all__ = [
@@ -24,6 +25,8 @@ __all__ = [
     "SleeveCuffDesign",
     "arm_girth_in_cuff",
     "cuff",
+    "cuff_tags",
+    "skirt_share",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
 ]
@@ -82,11 +85,24 @@ class PantsCuffDesign(Design):
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
 
 
+def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
+    """The tags of a cuff, if there is one."""
+    if design.type is None:
+        return ()
+    ruffle = max(design.top_ruffle, 1.0 if design.type is Cuff.BAND else design.skirt_ruffle)
+    return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= RUFFLES else (Tag.CUFFS,)
+
+
+def skirt_share(design: CuffDesign) -> float:
+    """The skirt's share of a cuff: its part that the limb does not fill."""
+    return {Cuff.BAND: 0.0, Cuff.BAND_SKIRT: design.skirt_fraction, Cuff.SKIRT: 1.0, None: 1.0}[design.type]
+
+
 def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
-    """Largest girth of the arm inside the band at the end of a sleeve [cm]; 0 without a band."""
-    if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
+    """Largest girth of the arm inside a cuff: in its band, or at the top of a skirt [cm]; 0 without cuff."""
+    if design.cuff.type is None:
         return 0.0
-    skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
+    skirt = skirt_share(design.cuff)
     end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
     band = sleeve_cuff_length(size, design) / size.arm_length
     levels = np.linspace(end - band, end - skirt * band, 9)
@@ -115,7 +131,7 @@ def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
 def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
     """The right sleeve along the x axis, wrist to the left, with its cuff, at least as wide as the wrist.
 
-    Offers ``opening`` like the sleeve, and the top of a band as the ring ``band``.
+    Offers ``opening`` like the sleeve, and the shorter side of the seam between sleeve and cuff as the ring ``band``.
     """
     if design.cuff.type is None:
         return sleeve
@@ -125,10 +141,12 @@ def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component
     )
     placed = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
     sewn = Component.of(sleeve, placed).sewn(sleeve.interface("end"), placed.interface("top"), gathered=True)
-    offered = {"opening": sleeve.interface("opening")}
-    if design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT):
-        offered["band"] = placed.interface("top")
-    return sewn.offering(**offered)
+    band = min(sleeve.interface("end"), placed.interface("top"), key=lambda ring: _length(sewn, ring))
+    return sewn.offering(opening=sleeve.interface("opening"), band=band)
+
+
+def _length(component: Component, ring: Interface) -> float:
+    return component.offering(ring=ring).length("ring")
 
 
 def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:

@@ -4,9 +4,19 @@ from dataclasses import dataclass
 
 from gcd_dataset.generator.garments.skirt import SHORTEST, length_below_waist
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements
 
-__all__ = ["AsymmetricSkirtDesign", "FlareSkirtDesign", "HemCutDesign", "PanelSkirtDesign", "flare_skirt_length"]
+__all__ = [
+    "AsymmetricSkirtDesign",
+    "FlareSkirtDesign",
+    "HemCutDesign",
+    "PanelSkirtDesign",
+    "flare_skirt_length",
+    "flare_tags",
+]
+
+CIRCLES = ((0.375, Tag.A_LINE), (0.75, Tag.HALF_CIRCLE))  # upper bounds of a skirt's suns
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,11 @@ class FlareSkirtDesign(Design):
     skirt_many_panels: PanelSkirtDesign = part(PanelSkirtDesign, key="skirt-many-panels")
     asymm: AsymmetricSkirtDesign = part(AsymmetricSkirtDesign)
     cut: HemCutDesign = part(HemCutDesign)
+
+
+def flare_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
+    """The tag of a flared skirt by its share of a circle."""
+    return (next((tag for most, tag in CIRCLES if design.suns < most), Tag.CIRCLE),)
 
 
 def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:

@@ -5,13 +5,14 @@ interface that goes once round the body.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, part
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -25,6 +26,7 @@ __all__ = [
     "DesignedBottom",
     "Garment",
     "GarmentChoice",
+    "Ring",
     "SimpleBottom",
     "SimpleUpper",
     "UpperGarment",
@@ -33,6 +35,23 @@ __all__ = [
 ]
 
 D = TypeVar("D", bound=Design)
+
+
+class Ring(NamedTuple):
+    """A closed line of cloth round the body."""
+
+    name: str
+    cloth: float
+    """Its length [cm]."""
+    body: float
+    """Girth of the body inside it [cm]."""
+    remedy: str
+    """The parameters that make it wider."""
+
+    @property
+    def stretch(self) -> float:
+        """Factor by which it has to stretch."""
+        return self.body / self.cloth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +68,8 @@ class Garment(ABC, Generic[D]):
     """Sampling weight relative to the other garments; with 0, only overlays that name the garment sample it."""
     mends: frozenset[Mend] = frozenset()
     """Corrections of faults in GarmentCode's drawing of this garment."""
+    tags_of: Callable[[D], Iterable[Tag]] = field(default=lambda design: ())
+    """The tags of its section."""
 
     @property
     def field(self) -> str:
@@ -59,6 +80,10 @@ class Garment(ABC, Generic[D]):
         """The garment's section of an outfit's design."""
         section: D = getattr(design, self.field)
         return section
+
+    def tags(self, design: "OutfitDesign") -> Iterable[Tag]:
+        """The tags of the garment in an outfit's design."""
+        return self.tags_of(self.section_design(design))
 
 
 class GarmentChoice(Enum):
@@ -154,6 +179,8 @@ class BottomGarment(Garment[D]):
     """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
+    rings_of: Callable[[Measurements, D, float], Iterable[Ring]] = field(default=lambda size, design, rise: ())
+    """The rings below the hips that may be narrower than the legs, for a rise; empty for a wide skirt."""
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
     remedies: tuple[str, ...] = ()
@@ -175,6 +202,10 @@ class BottomGarment(Garment[D]):
     @abstractmethod
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
+
+    def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
+        """The rings of the garment in an outfit's design, its top at ``rise``: see ``rings_of``."""
+        return self.rings_of(size, self.section_design(design), rise)
 
     def parts(self, design: "OutfitDesign") -> "tuple[BottomGarment[Any], ...]":
         """The parts of a combined bottom, from the top down; empty for a simple bottom."""
@@ -276,6 +307,9 @@ class CombinedBottom(BottomGarment[D]):
 
     def length_garment(self, design: "OutfitDesign") -> BottomGarment[Any]:
         return self.top(design) if self.inherits_length else self
+
+    def tags(self, design: "OutfitDesign") -> Iterable[Tag]:
+        return (*super().tags(design), *self.top(design).tags(design))
 
     def _designed_parts(self, design: "OutfitDesign") -> tuple[DesignedBottom[Any], ...]:
         return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

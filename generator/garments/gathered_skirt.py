@@ -1,5 +1,6 @@
 """The gathered skirt (GarmentCode's ``Skirt2``): two trapezoids. Panels ``skirt_front`` and ``skirt_back``."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
@@ -7,6 +8,7 @@ from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
@@ -61,6 +63,15 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
     return design.bottom_cut * max(length, 0.0)
 
 
+def _tags(design: GatheredSkirtDesign) -> Iterator[Tag]:
+    if design.ruffle >= RUFFLES:
+        yield from (Tag.GATHERED, Tag.RUFFLED)
+    else:
+        yield Tag.A_LINE if design.flare else Tag.STRAIGHT
+    if design.bottom_cut:
+        yield Tag.SLIT
+
+
 GATHERED_SKIRT = SimpleBottom(
     name="Skirt2",
     section="skirt",
@@ -68,6 +79,7 @@ GATHERED_SKIRT = SimpleBottom(
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
     length_of=_length,
+    tags_of=_tags,
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
     gather_parameter="ruffle",

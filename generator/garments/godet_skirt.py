@@ -10,6 +10,7 @@ from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
 from gcd_dataset.records import Measurements
 
@@ -150,6 +151,7 @@ def _combined(
 GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
+    tags_of=lambda design: (Tag.GODETS,),
     design=GodetSkirtDesign,
     parts_of=lambda design: (design.base.garment,),
     combine=_combined,

@@ -12,6 +12,7 @@ from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
@@ -130,6 +131,7 @@ LEVELS_SKIRT = CombinedBottom(
     design=LevelsSkirtDesign,
     parts_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,
+    tags_of=lambda design: (Tag.TIERED, Tag.RUFFLED) if design.level_ruffle >= RUFFLES else (Tag.TIERED,),
     rise_of=lambda design, parts: design.rise,
     remedies=("level_ruffle-", "num_levels-"),
     length_of=lambda size, design, parts, rise: _length(size, design, rise),

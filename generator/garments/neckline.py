@@ -1,5 +1,6 @@
 """Necklines: half shapes from the shoulder down to the centre, to cut into the corner between the two edges."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from itertools import pairwise
@@ -7,8 +8,9 @@ from math import hypot, pi, radians, sin, tan
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.collar import Collar, CollarDesign
+from gcd_dataset.generator.garments.collar import STYLES, Collar, CollarDesign
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import blend
 from gcd_dataset.generator.pattern import Stroke
 from gcd_dataset.records import EdgeRole, Measurements
@@ -20,7 +22,9 @@ __all__ = [
     "half_neckline",
     "neckline_drop",
     "neckline_shape",
+    "neckline_tags",
     "neckline_width",
+    "neckline_width_parameter",
     "worn_neckline",
 ]
 
@@ -98,6 +102,24 @@ class LeftNecklineDesign(Design):
         return NecklineDesign(**values, fc_depth=right.fc_depth, bc_depth=right.bc_depth)
 
 
+SHAPES: Mapping[Neckline, Tag] = {
+    Neckline.CIRCLE: Tag.ROUND_NECK,
+    Neckline.CURVY: Tag.CURVED_NECK,
+    Neckline.V: Tag.V_NECK,
+    Neckline.SQUARE: Tag.SQUARE_NECK,
+    Neckline.TRAPEZOID: Tag.SQUARE_NECK,
+    Neckline.ARC: Tag.ROUND_NECK,
+    Neckline.BEZIER: Tag.CURVED_NECK,
+}
+"""The tag of each shape."""
+
+
+def neckline_tags(design: NecklineDesign) -> tuple[Tag, ...]:
+    """The tags of a neckline: its collar, or its shape in front."""
+    style = design.component.style
+    return (SHAPES[design.f_collar],) if style is None else (STYLES[style],)
+
+
 def worn_neckline(design: NecklineDesign) -> NecklineDesign:
     """The neckline adapted to its collar: round for turtlenecks and hoods, round at the back for lapels.
 
@@ -118,6 +140,12 @@ def neckline_width(size: Measurements, design: NecklineDesign) -> float:
     if design.width < 0:
         return blend(0.0, size.neck_w, 1 + design.width)
     return blend(size.neck_w, size.sleeve_balance - 2 * SHOULDER_LEFT, design.width)
+
+
+def neckline_width_parameter(size: Measurements, full_width: float) -> float:
+    """The ``width`` of a design for a full width at the shoulders [cm]: the inverse of ``neckline_width``."""
+    over = full_width - size.neck_w
+    return over / size.neck_w if over < 0 else over / (size.sleeve_balance - 2 * SHOULDER_LEFT - size.neck_w)
 
 
 def neckline_drop(size: Measurements, design: NecklineDesign, *, front: bool, room: float) -> float:

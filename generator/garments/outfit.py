@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.waistband import waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
-__all__ = ["bottom", "bottom_rise", "outfit", "pieces"]
+__all__ = ["bottom", "bottom_rise", "outfit", "parts", "pieces"]
 
 GAP = 5.0  # cm between the parts of an outfit before sewing, GarmentCode
 MEASURES_USED = (
@@ -36,13 +36,13 @@ def outfit(
 
 def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """The component of an outfit, as ``outfit`` assembles it. Raises as ``outfit`` does."""
-    parts = _placed(_parts(_checked(size), design, mends))
-    whole = Component.of(*parts)
-    for above, below in pairwise(parts):
+    placed = _placed(parts(_checked(size), design, mends))
+    whole = Component.of(*placed)
+    for above, below in pairwise(placed):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
         whole = replace(whole, pieces=tuple(_with_export_pivot(piece) for piece in whole.pieces))
-    tops = [part.interface("top") for part in parts if "top" in part.interfaces]
+    tops = [part.interface("top") for part in placed if "top" in part.interfaces]
     return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
 
@@ -61,22 +61,22 @@ def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
     return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
 
-def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> tuple[Component, ...]:
-    """The parts of the outfit, from the top down."""
-    meta, rise, parts = design.meta, bottom_rise(design), []
+def parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> tuple[Component, ...]:
+    """The parts of the outfit, from the top down, not yet placed. Raises ``PatternError`` as ``outfit`` does."""
+    meta, rise, found = design.meta, bottom_rise(design), []
     if meta.upper is None and meta.bottom is None:
         raise PatternError("an outfit without upper and bottom: choose meta.upper or meta.bottom")
     if meta.upper is not None:
-        parts.append(meta.upper.garment.draw(size, design, mends=mends))
+        found.append(meta.upper.garment.draw(size, design, mends=mends))
         if not meta.upper.garment.carries and (meta.wb or meta.bottom):
             raise PatternError(
                 f"nothing can be sewn to the hem of a {meta.upper.value}: set meta.wb and meta.bottom to null"
             )
     if meta.wb is not None:
-        parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
+        found.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
     if meta.bottom is not None:
-        parts.append(bottom(size, design, mends))
-    return tuple(parts)
+        found.append(bottom(size, design, mends))
+    return tuple(found)
 
 
 def _placed(parts: tuple[Component, ...]) -> tuple[Component, ...]:

@@ -6,10 +6,11 @@ from math import atan, atan2, cos, degrees, pi, sin, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length, flare_tags
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
@@ -73,6 +74,7 @@ PANEL_SKIRT = SimpleBottom(
     design=FlareSkirtDesign,
     cut=panel_skirt,
     length_of=flare_skirt_length,
+    tags_of=lambda design: (Tag.PANELLED, *flare_tags(design)),
     flared=True,
     fullness_parameter="suns",
     remedies=("skirt-many-panels.panel_curve", "suns+"),

@@ -4,6 +4,7 @@ A leg panel is drawn from the outer end of its hem up the side seam, over the hi
 down into the crotch and back along the inside leg.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import hypot, tan
 from typing import NamedTuple
@@ -12,10 +13,11 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff
-from gcd_dataset.generator.garments.garment import SimpleBottom
+from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags, skirt_share
+from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
@@ -99,15 +101,16 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
 
 
 def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
-    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band."""
-    if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
+    """Girth of a leg's cuff, and largest girth of the leg inside its band or skirt's top [cm]; 0 without a cuff."""
+    if design.cuff.type is None:
         return 0.0, 0.0
     length = _cuff_length(size, design)
     front = _front_quarter(size, rise)
     quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
     ends = (_hem(size, design, quarter, design.length * size.leg_length - length) for quarter in quarters)
-    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / design.cuff.top_ruffle
-    skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
+    gathers = design.cuff.top_ruffle / (design.cuff.skirt_ruffle if design.cuff.type is Cuff.SKIRT else 1.0)
+    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / max(gathers, 1.0)
+    skirt = skirt_share(design.cuff)
     hem, crotch = (1 - design.length) * size.leg_length, size.leg_length - size.crotch_hip_diff
     levels = np.linspace(hem + skirt * length, hem + length, 9) / crotch
     return girth, float(np.interp(levels, LEG_LEVELS, LEG_GIRTHS).max()) * size.leg_circ
@@ -243,13 +246,28 @@ def _hem(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float)
     return (-flare, 0.0), (inner, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))
 
 
+def _rings(size: Measurements, design: PantsDesign, rise: float) -> Iterator[Ring]:
+    """A leg's hem where it is not gathered to a cuff."""
+    if design.cuff.type is not None:
+        return
+    front = _front_quarter(size, rise)
+    quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
+    ends = (_hem(size, design, quarter, design.length * size.leg_length) for quarter in quarters)
+    crotch = size.leg_length - size.crotch_hip_diff
+    level = min((1 - design.length) * size.leg_length / crotch, 1.0)
+    leg = float(np.interp(level, LEG_LEVELS, LEG_GIRTHS)) * size.leg_circ
+    yield Ring("a trouser leg", sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends), leg, "raise pants.flare")
+
+
 PANTS = SimpleBottom(
     name="Pants",
     section="pants",
     design=PantsDesign,
     cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    tags_of=lambda design: (Tag.TROUSERS, *cuff_tags(design.cuff)),
     legs=True,
+    rings_of=_rings,
     cuffs=cuff_and_leg_girth,
     remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),
     always_sewable=lambda design: design.cuff.type is None,

@@ -1,16 +1,19 @@
 """The pencil skirt: fitted to the hips with darts. Panels ``skirt_front`` and ``skirt_back``."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import radians, tan
 
+import numpy as np
+
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
+from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
-from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
+from gcd_dataset.generator.garments.tags import Tag
+from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise, girth_below_waist
 from gcd_dataset.generator.pattern import (
     Component,
     Interface,
@@ -34,6 +37,7 @@ BACK_DART = 0.85  # the same behind, to which the back's extra height over the f
 OUTER_DART = 0.9  # leg of the back's outer dart, of its inner dart's leg, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
+RINGS = 9  # levels below the hips at which the skirt's girth is compared with the legs
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
 
 
@@ -146,7 +150,7 @@ def _sides_and_darts(size: Measurements, excess: float, height: float) -> tuple[
 
 def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: float) -> Piece:
     """The panel below the origin, the middle of its top; drawn from the right end of its hem up."""
-    hem = shape.hips + 0.25 * size.hips * (design.flare - 1)
+    hem = _hem_width(size, shape, design)
     tilt = tan(radians(design.low_angle)) * hem
     bottom, top = -shape.height - below, shape.hips - shape.lean
     right, left = (-shape.hips, -shape.height), (shape.hips, -shape.height)
@@ -162,6 +166,11 @@ def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: 
         .close(name="bottom")
     )
     return Piece(shape.name, outline)
+
+
+def _hem_width(size: Measurements, shape: _Shape, design: PencilSkirtDesign) -> float:
+    """Half of a panel's width at the hem [cm]."""
+    return shape.hips + 0.25 * size.hips * (design.flare - 1)
 
 
 def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, open_share: float) -> tuple[Stroke, ...]:
@@ -210,12 +219,36 @@ def _with_darts_sewn(skirt: Component, shapes: Sequence[_Shape]) -> Component:
     return skirt
 
 
+def _rings(size: Measurements, design: PencilSkirtDesign, rise: float) -> Iterator[Ring]:
+    """The skirt's cloth below the hips, above its highest slit, the hem's tilt left out."""
+    below = design.length * size.leg_length
+    slit = max(design.front_slit, design.back_slit, design.left_slit, design.right_slit)
+    shapes = (_front(size, rise, ""), _back(size, rise, ""))
+    hems = [(-_hem_width(size, shape, design), -below) for shape in shapes]
+    sides = [_below_hips(hem, (-shape.hips, 0.0), design, "", 0.0)[0] for hem, shape in zip(hems, shapes, strict=True)]
+    for share in np.linspace(0.0, 1.0, RINGS):
+        (front, y), (back, _) = (side.at(share) for side in sides)
+        if -y <= (1 - slit) * below:
+            body = girth_below_waist(size, size.hips_line - y)
+            yield Ring("a pencil skirt", -2 * (front + back), body, "raise pencil-skirt.flare, or a slit")
+
+
+def _tags(design: PencilSkirtDesign) -> Iterator[Tag]:
+    yield Tag.A_LINE if design.flare > 1 else Tag.PENCIL
+    if any((design.front_slit, design.back_slit, design.left_slit, design.right_slit)):
+        yield Tag.SLIT
+    if design.low_angle:
+        yield Tag.ASYMMETRIC
+
+
 PENCIL_SKIRT = SimpleBottom(
     name="PencilSkirt",
     section="pencil-skirt",
     design=PencilSkirtDesign,
     cut=pencil_skirt,
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    tags_of=_tags,
+    rings_of=_rings,
     without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
     hem_tilt=lambda design: design.low_angle,
     remedies=("low_angle", "flare", "left_slit-", "right_slit-"),

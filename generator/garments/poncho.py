@@ -13,6 +13,7 @@ from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
 from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, neck_hole, placed_at_neck, right_neck
 from gcd_dataset.generator.garments.space import Design, choice, real
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
 
@@ -73,6 +74,7 @@ PONCHO = SimpleUpper(
     name="Poncho",
     section="poncho",
     design=PonchoDesign,
+    tags_of=lambda design: (Tag.PONCHO, Tag.SLEEVELESS),
     weight=0,
     carries=False,
     cut=poncho,

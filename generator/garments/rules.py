@@ -3,7 +3,7 @@
 Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` applies all rules.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
@@ -14,11 +14,15 @@ from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
+    NARROWEST_STRAP,
     SHARPEST_CORNER,
     corner_angles,
     cuff_and_arm_girth,
     is_mismatched,
+    shortest_shoulder,
+    strap_width,
 )
+from gcd_dataset.generator.garments.tightness import tightest_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
@@ -38,6 +42,7 @@ __all__ = [
     "has_tight_cuffs",
     "is_flared",
     "is_gathered",
+    "is_too_tight",
     "room_to_floor",
     "top_girth",
     "top_of_bottom",
@@ -144,7 +149,7 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
 
 
 def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
-    """A band at the end of a leg or sleeve is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
+    """The cuff of a leg or sleeve is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg_girth(size, design)
@@ -156,6 +161,25 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
     return None
+
+
+def too_tight(outfit: DrawnOutfit) -> Reject | None:
+    """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
+    ring = tightest_ring(outfit.size, outfit.design)
+    if ring is None or ring.stretch <= CLOTH_GIVES:
+        return None
+    figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"
+    return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
+
+
+def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
+    """A shoulder seam is shorter than ``shortest_shoulder``."""
+    least = shortest_shoulder(outfit.size)
+    panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", least))
+    if length >= least:
+        return None
+    figures = f"panel {panel}: a shoulder seam of {length:.1f} cm, under {least:.1f} cm: lower collar.width"
+    return Reject("narrow_shoulder", figures, {"shoulder_cm": length})
 
 
 def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
@@ -180,6 +204,16 @@ def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 
 
+def narrow_strap(outfit: DrawnOutfit) -> Reject | None:
+    """A neckline comes nearer to an armhole than ``NARROWEST_STRAP``."""
+    panel = min(outfit.pattern.panels, key=strap_width)
+    width = strap_width(panel)
+    if width >= NARROWEST_STRAP:
+        return None
+    figures = f"panel {panel.name}: {width:.1f} cm of cloth between neckline and armhole: make the neckline shallower"
+    return Reject("narrow_strap", figures, {"width_cm": width})
+
+
 def short_edge(outfit: DrawnOutfit) -> Reject | None:
     """An edge is too short to mesh and sew."""
     return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
@@ -201,10 +235,13 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     loose_gathers,
     too_heavy,
     tight_cuff,
+    too_tight,
+    narrow_shoulder,
     mismatched_seam,
     self_crossing,
     short_edge,
     unsewable,
+    narrow_strap,
     sharp_corner,
 )
 
@@ -274,7 +311,7 @@ def bottom_length(design: OutfitDesign) -> float:
 
 
 def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
-    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band.
+    """Girth of the cuff at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for legs that cannot be drawn.
     """
@@ -291,6 +328,24 @@ def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     except PatternError:  # drawing the outfit reports it
         return False
     return cuff * CLOTH_GIVES < leg
+
+
+def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
+    """Panel and length [cm] of each shoulder seam, all its parts together."""
+    for panel in pattern.panels:
+        for name in ("shoulder", "left_shoulder"):
+            parts = [edge for edge, drawn in enumerate(panel.edges) if drawn.name == name]
+            if parts:
+                yield panel.name, float(sum(panel.edge_lengths()[edge] for edge in parts))
+
+
+def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether a ring of cloth round trunk or legs is too tight."""
+    try:
+        ring = tightest_ring(size, design)
+    except PatternError:  # drawing the outfit reports it
+        return False
+    return ring is not None and ring.stretch > CLOTH_GIVES
 
 
 def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:

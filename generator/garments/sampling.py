@@ -9,6 +9,7 @@ value outside the limits set by the rest of the design and by the wearers' measu
 - leaves sections that the garment does not use at their defaults;
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
+- lowers a waistband that is too tight for the hips, and narrows a neckline that leaves too little shoulder;
 - redraws the parameter at fault, such as the depth of a neckline or of a godet, until the panels can be sewn and legs
   and arms fit through their cuffs; all other parameters stay;
 - counts each redraw with its rule.

@@ -2,27 +2,32 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import cos, inf
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Complex, Float
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
-from gcd_dataset.generator.garments.neckline import NecklineDesign
+from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
     "CLOTH_GIVES",
+    "NARROWEST_STRAP",
     "SHARPEST_CORNER",
+    "SHORTEST_SHOULDER",
     "Fault",
     "bottom_fault",
     "corner_angles",
@@ -30,12 +35,20 @@ __all__ = [
     "half_fault",
     "is_mismatched",
     "panel_fault",
+    "shortest_shoulder",
     "sleeve_tightness",
+    "strap_width",
     "upper_fault",
+    "widest_neckline",
 ]
 
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
+NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
+STRAP_POINTS = 33  # of an edge: a neckline of 80 cm lies within a millimetre or two of its chords
+SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
+SHOULDER_SHARE = 0.5  # of the shoulder beside the neck: shoulder seams of dolls may be as short as that
+ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
@@ -71,7 +84,7 @@ def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) 
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
-    """Girth of the band at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a band.
+    """Girth of the cuff at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for a half that cannot be drawn.
     """
@@ -80,6 +93,33 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
         return 0.0, 0.0
     drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
     return drawn.length("band") if "band" in drawn.interfaces else 0.0, arm
+
+
+def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """The largest ``width`` of a half's neckline that leaves shoulder seams of ``shortest_shoulder``.
+
+    Infinite for a half whose shoulder seams are long enough, that has none, or that cannot be drawn. The shoulder lies
+    at ``shoulder_incl``: each centimetre of shoulder takes its cosine from half the neckline.
+    """
+    try:
+        drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    except PatternError:  # drawing the outfit reports it
+        return inf
+    missing = shortest_shoulder(size) + ROUNDING - min(map(_shoulder_length, drawn.pieces))
+    if missing <= ROUNDING:
+        return inf
+    return neckline_width_parameter(size, neckline_width(size, half[1]) - 2 * missing * cos(size.shoulder_incl))
+
+
+def shortest_shoulder(size: Measurements) -> float:
+    """The least length of a shoulder seam for a wearer [cm]."""
+    beside_neck = 0.5 * (size.sleeve_balance - size.neck_w) / cos(size.shoulder_incl)
+    return min(SHORTEST_SHOULDER, SHOULDER_SHARE * beside_neck)
+
+
+def _shoulder_length(piece: Piece) -> float:
+    """Length of a piece's shoulder edge [cm]; infinite without one."""
+    return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
 def bottom_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
@@ -111,12 +151,14 @@ def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
 
 
 def panel_fault(panels: Sequence[Panel]) -> Fault | None:
-    """The first panel with an edge of invalid length, a sharp corner, or a crossing."""
+    """The first panel with an edge of invalid length, a sharp corner, a narrow strap, or a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
     for panel, edges in zip(panels, lengths, strict=True):
         if min(edges) < SHORTEST_EDGE or max(edges) > LARGEST:
             return Fault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
+        if strap_width(panel) < NARROWEST_STRAP:
+            return Fault("narrow_strap", panel.name)
     angles = corner_angles(hulls)
     if angles.min() < SHARPEST_CORNER:
         corners = [panel.name for panel in panels for _ in panel.edges]
@@ -131,6 +173,22 @@ def is_mismatched(sewn: MeasuredJoin) -> bool:
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
 
 
+def strap_width(panel: Panel) -> float:
+    """The least width of cloth between neckline and armhole of a panel [cm]; infinite without both."""
+    neck, armhole = (_drawn(panel, name) for name in ("neck", "armhole"))
+    return float(neck.distance(armhole)) if neck and armhole else inf
+
+
+def _drawn(panel: Panel, name: str) -> shapely.MultiLineString | None:
+    """The edges of that name as lines; ``None`` without any."""
+    lines = [
+        sample_curve(*panel.edge_ends(index), edge.curve, STRAP_POINTS)
+        for index, edge in enumerate(panel.edges)
+        if edge.name == name
+    ]
+    return shapely.MultiLineString(lines) if lines else None
+
+
 def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
     """Interior angles at the starts of all edges, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
     edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
@@ -138,6 +196,7 @@ def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarr
     before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
     before[first], after[first + sizes - 1] = first + sizes - 1, first
     leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
-    corners = edges[:, 0]
-    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
+    # Through the hulls' inner points: the corners alone of more than half a circle run the other way round.
+    areas = (edges.conj() * np.concatenate([edges[:, 1:], edges[after, :1]], axis=1)).imag.sum(axis=1)
+    around = np.sign(np.add.reduceat(areas, first))
     return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))

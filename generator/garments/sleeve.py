@@ -7,19 +7,21 @@ import numpy as np
 
 from gcd_dataset.curves import Point
 from gcd_dataset.generator.garments.armhole import Armhole
-from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
+from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, cuff_tags, sleeve_cuff_length, with_sleeve_cuff
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements, PanelRole
 
-__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
+__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tags"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
 SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
+ELBOW = 0.5  # of armhole to wrist
 DOWN: Point = (0.0, -1.0)
 
 
@@ -70,6 +72,15 @@ class LeftSleeveDesign(SleeveDesign):
 
     opening_dir_mix: float = real(0.2, -0.9, 0.8, keep=1.0)
     cuff: SleeveCuffDesign = part(LeftCuffDesign)
+
+
+def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
+    """The tags of a sleeve with its cuff, or of an armhole without one."""
+    if design.sleeveless:
+        return (Tag.SLEEVELESS,)
+    ruffled = (Tag.RUFFLED,) if design.connect_ruffle >= RUFFLES else ()
+    length = Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
+    return (length, *cuff_tags(design.cuff), *ruffled)
 
 
 def sleeve(

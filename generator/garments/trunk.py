@@ -1,13 +1,32 @@
 """Girths of the trunk between hips and waist, for bottoms and waistbands."""
 
+import numpy as np
+
 from gcd_dataset.records import Measurements
 
-__all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "waist_back", "waist_front"]
+__all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "girth_below_waist", "waist_back", "waist_front"]
+
+LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of floor to hips
+LEGS_GIRTHS = (0.80, 0.79, 0.85, 0.89, 0.87, 0.83, 0.88, 0.94, 0.96, 1.0)
+"""Tape round both legs as they stand, over the hips: means over 12 of this package's bodies, ± 0.05."""
 
 
 def girth_at_rise(size: Measurements, rise: float) -> float:
     """Girth at a rise between the hips (0) and the waist (1) [cm]."""
     return blend(size.hips, size.waist, rise)
+
+
+def girth_below_waist(size: Measurements, depth: float) -> float:
+    """Girth ``depth`` cm below the waist [cm]: of the trunk, and below the hips of a tape round both legs.
+
+    Above the waist (``depth`` < 0) interpolated to the bust.
+    """
+    if depth < 0.0:
+        return blend(size.waist, size.bust, min(-depth / (size.waist_line - size.drawn_bust_line), 1.0))
+    if depth <= size.hips_line:
+        return girth_at_rise(size, 1.0 - depth / size.hips_line)
+    level = (size.leg_length + size.hips_line - depth) / size.leg_length
+    return size.hips * float(np.interp(level, LEGS_LEVELS, LEGS_GIRTHS))
 
 
 def back_at_rise(size: Measurements, rise: float) -> float:

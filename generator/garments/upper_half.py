@@ -40,7 +40,7 @@ def right_half(
     """Front, back, sleeve and collar of the right side.
 
     Offers the edges that meet the left half as ``*_centre``, the hem as ``front_bottom`` and ``back_bottom``, each
-    walked away from the centre, and the top of a band at the end of the sleeve as ``band``.
+    walked away from the centre, and the narrowest ring of a sleeve's cuff as ``band``.
     """
     half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
     if not (fitted and shirt.strapless):

@@ -6,6 +6,7 @@ Each step changes as few parameters as it can and counts what it draws again; ``
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import choice_of
 from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import (
+    FIRM_BAND,
     LIGHT_LENGTH,
     LIGHT_SUNS,
     bottom_length,
@@ -23,12 +25,20 @@ from gcd_dataset.generator.garments.rules import (
     has_tight_cuffs,
     is_flared,
     is_gathered,
+    is_too_tight,
     room_to_floor,
     top_girth,
     top_of_bottom,
     top_parameter,
 )
-from gcd_dataset.generator.garments.sewable import Fault, bottom_fault, half_fault, sleeve_tightness, upper_fault
+from gcd_dataset.generator.garments.sewable import (
+    Fault,
+    bottom_fault,
+    half_fault,
+    sleeve_tightness,
+    upper_fault,
+    widest_neckline,
+)
 from gcd_dataset.generator.garments.space import DesignSpace, value_at
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.records import Measurements
@@ -80,6 +90,7 @@ def wearable(
         design = fitting.with_upper(design)
     if design.meta.bottom:
         design = fitting.with_bottom(design)
+    design = fitting.with_lower_band(design)
     return DrawnDesign(design, dict(redrawing.counts))
 
 
@@ -105,7 +116,7 @@ class _Fitting:
         assert design.meta.upper is not None
         garment = design.meta.upper.garment
         if isinstance(garment, Shirt):
-            limited = self._ending_in_place
+            limited = self._with_shoulders
             design = self._with_wide_cuffs(limited(design))
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
         section = Remedy((garment.section,))
@@ -142,6 +153,15 @@ class _Fitting:
     def _upper_fault(self, design: OutfitDesign) -> Fault | None:
         return _first(upper_fault(size, design) for size in self.sizes)
 
+    def _with_shoulders(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shirt that ends in place, and necklines that leave shoulder seams."""
+        design = self._ending_in_place(design)
+        for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
+            widest = min(widest_neckline(size, design, design.halves()[number]) for size in self.sizes)
+            if widest < inf:
+                design = self.redrawing.again(design, "narrow_shoulder", f"{prefix}collar.width", high=widest)
+        return design
+
     def _ending_in_place(self, design: OutfitDesign) -> OutfitDesign:
         """With a shirt that ends near the waist if a part is sewn to its hem, and above the floor otherwise."""
         assert design.meta.upper is not None
@@ -151,6 +171,16 @@ class _Fitting:
             return self.redrawing.within(design, "off_the_waist", "shirt.length", *JOINED_SHIRT)
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         return self.redrawing.within(design, "reaches_floor", "shirt.length", -np.inf, longest)
+
+    def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a lower waistband while a ring is too tight; a firm band stays firm."""
+        for _ in range(TRIES if design.meta.wb else 0):
+            if not any(is_too_tight(size, design) for size in self.sizes):
+                break
+            height = design.waistband.width
+            least = FIRM_BAND if height > FIRM_BAND else -inf
+            design = self.redrawing.again(design, "too_tight", "waistband.width", low=least, high=height)
+        return design
 
     # --------------------------------------------------------------------------------------------------------- bottoms
 

@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict
+from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, outfit_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -53,6 +53,33 @@ def test_a_stage_leaves_out_the_later_fields() -> None:
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
+
+
+def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
+    """Levels one and a half times as long as the hems above: the ratio of exactly those seams."""
+    values = {
+        "meta": {"bottom": "SkirtLevels", "wb": "FittedWB"},
+        "levels-skirt": {"base": "SkirtCircle", "level": "Skirt2", "num_levels": 2, "level_ruffle": 1.5},
+    }
+    pattern = build_pattern(measure(build_body(neutral_shape())), design_from_dict(values))
+    ratios = pattern.gather_ratios()
+    assert len(ratios) == len(pattern.seams)
+    for seam, ratio in zip(pattern.seams, ratios, strict=True):
+        between_levels = seam.left.panel.rpartition("_")[2] != seam.right.panel.rpartition("_")[2]
+        sides = pattern.panel(seam.left.panel).edges[seam.left.edge].name
+        if sides == "bottom" and between_levels and "wb" not in seam.left.panel:
+            assert ratio == pytest.approx(1 / 1.5, abs=1e-3)
+        elif sides in ("right", "left"):
+            assert ratio == pytest.approx(1.0, abs=1e-3)
+    assert sum(ratio < 0.7 for ratio in ratios) == 4  # front and back of two levels
+
+
+def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
+    for config in (FLAT, MESHED):
+        sample = make(5, 0, config)
+        assert sample.gathers == sample.pattern.gather_ratios()
+        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design))
+        assert sample.tags
 
 
 def test_both_bodies_wear_one_design() -> None:
@@ -98,7 +125,22 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
 def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
     sample = make(9, 2, replace(FLAT, bodies=sex))
     assert sample.provenance.body_name == f"{sex}:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), sex=sex)))
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
+
+
+def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
+    samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
+    kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
+    assert kinds == {"female", "male"}
+    women = replace(FLAT, bodies="female")
+    index, woman = next((i, s) for i, s in enumerate(samples) if s.provenance.body_name == f"female:9:{i}")
+    assert woman.measurements == make(9, index, women).measurements
+
+
+def test_the_pool_is_between_the_sexes_and_has_a_name_of_its_own() -> None:
+    sample = make(9, 2, replace(FLAT, bodies="pooled"))
+    assert sample.provenance.body_name == "pooled:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group="pooled")))
 
 
 def test_a_draped_sample_is_complete() -> None:

@@ -99,6 +99,8 @@ def test_items_equal_those_of_the_exported_shards(folders: Path) -> None:
         assert before["design"] == after["design"]
         for name in ("body", "pattern", "source", "panel_names", "vertex_labels"):
             assert before["meta"][name] == after["meta"][name]
+        assert before["meta"]["gathers"] == pytest.approx(after["meta"]["gathers"], abs=2e-4)
+        assert len(after["meta"]["gathers"]) == len(after["stitches"])
 
 
 def test_archives_and_folders_give_the_same_items(folders: Path, packed: Path) -> None:

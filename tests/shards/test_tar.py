@@ -133,7 +133,7 @@ def barest_first() -> list[Sample]:
         )
         for sample in bare[8:]
     ]
-    return bare[:5] + rich
+    return [replace(sample, gathers=(), tags=()) for sample in bare[:5]] + rich
 
 
 def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:

@@ -15,6 +15,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 LOOK_AHEAD = 0.3  # theta, in substeps
+SPREAD_FROM = wp.constant(0.5)  # share of the sewing time after which compressed cloth spreads
 USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh: the least number of entries in a row
 
 
@@ -79,7 +80,11 @@ def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(d
     spring = rows.springs[at]
     rest = spring.length
     if sewn < 1.0:
-        rest = wp.lerp(rows.start_length[at], rest, sewn)
+        start = rows.start_length[at]
+        if start < rest:  # compressed cloth spreads once the seams are nearly closed
+            rest = wp.lerp(start, rest, wp.max(sewn - SPREAD_FROM, 0.0) / (1.0 - SPREAD_FROM))
+        else:
+            rest = wp.lerp(start, rest, sewn)
     y = ahead[spring.vertex]
     edge = y - x
     length = wp.length(edge)

@@ -25,7 +25,7 @@ GIRTHS = ("height", "bust", "underbust", "waist", "hips")
 
 @cache
 def person() -> Body:
-    return build_body(draw_shape(rng(7, 2, Stage.BODY)))
+    return build_body(draw_shape(rng(7, 2, Stage.BODY), group="pooled"))
 
 
 def clustered(body: Body, cell: float) -> trimesh.Trimesh:

@@ -200,11 +200,10 @@ def test_bodies_by_name() -> None:
     assert drawn == draw_shape(rng(7, 0, Stage.BODY))
 
 
-def test_women_and_men_by_seed_are_drawn_from_the_population() -> None:
-    for sex in ("female", "male"):
-        _, _, drawn = named_body(f"{sex}:7")
-        assert drawn == draw_shape(rng(7, 0, Stage.BODY), sex=sex)
-        assert drawn != named_body("random:7")[2]
+def test_women_men_and_the_pool_by_seed() -> None:
+    for group in ("female", "male", "pooled"):
+        _, _, drawn = named_body(f"{group}:7")
+        assert drawn == draw_shape(rng(7, 0, Stage.BODY), group=group)
 
 
 def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:

@@ -211,7 +211,7 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
     body = build_body(draw_shape(rng(3, 0, Stage.BODY)))
     assert read_measurements(tmp_path / "a.yaml").to_file_values() == pytest.approx(measure(body).to_file_values())
     assert main(["measure", "--shape", "male:3"]) == 0
-    drawn = measure(build_body(draw_shape(rng(3, 0, Stage.BODY), sex="male")))
+    drawn = measure(build_body(draw_shape(rng(3, 0, Stage.BODY), group="male")))
     assert f"\n  waist: {drawn.waist}\n" in capsys.readouterr().out
     assert main(["measure", "--shape", "female"]) == 0
     assert "\n# bust: measured at height" in capsys.readouterr().out

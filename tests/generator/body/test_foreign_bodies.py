@@ -71,7 +71,7 @@ def test_raised_arms_are_moved_to_the_a_pose_to_be_measured() -> None:
 @pytest.mark.parametrize("angle", [-32.0, 25.0, 45.0, 60.0])
 def test_raised_arms_of_the_models_mesh_are_moved_exactly(angle: float, tmp_path: Path) -> None:
     """The woman is slim: on other bodies a lowered arm folds the armpit, and untangling changes the skin."""
-    shape = draw_shape(rng(2, 21, Stage.BODY), sex="female")
+    shape = draw_shape(rng(2, 21, Stage.BODY), group="female")
     lifted = build_body(BodyShape(shape.weights, np.radians(angle)))
     assert skin_crossings(lifted) == 0
     by = off(measure(lifted), measure(build_body(BodyShape(shape.weights))))
@@ -105,7 +105,7 @@ def test_moved_arms_of_a_body_unlike_the_model_are_reported_as_doubtful(examples
 
 def test_a_body_like_smpls(tmp_path: Path) -> None:
     """6,890 vertices in metres, arms level, the origin at the pelvis."""
-    shape = BodyShape(draw_shape(rng(4, 5, Stage.BODY), sex="female").weights)
+    shape = BodyShape(draw_shape(rng(4, 5, Stage.BODY), group="female").weights)
     vertices, faces = like_smpl(shape)
     assert len(vertices) == SMPL_VERTICES
     result, remarks = measure_file(written(tmp_path / "smpl.obj", vertices, faces))

@@ -49,7 +49,7 @@ def test_sites_hold_all_faces_that_sections_cut() -> None:
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]
     narrow = model_sites()
     for index in range(8):
-        drawn = draw_shape(rng(5, index, Stage.BODY))
+        drawn = draw_shape(rng(5, index, Stage.BODY), group="pooled")
         body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
         trunk = body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
         edges = dict.fromkeys(narrow.rings, unique_edges(trunk)[0])
@@ -70,7 +70,7 @@ def test_fifty_bodies_have_all_measures(sizes: list[Measurements]) -> None:
 
 
 def test_drawn_bodies_lie_in_the_ranges_of_adults(sizes: list[Measurements]) -> None:
-    """The ranges hold for nearly all adults of ANSUR II; drawn bodies vary less, by 0.7 of its spread."""
+    """The ranges hold for nearly all adults of ANSUR II; heavy men measure more below the bust than over it."""
     for size in sizes:
         assert 145 < size.height < 205
         assert 70 < size.bust < 140
@@ -79,7 +79,7 @@ def test_drawn_bodies_lie_in_the_ranges_of_adults(sizes: list[Measurements]) -> 
         assert 0.55 < size.waist / size.hips < 1.1
         assert 0.4 < size.leg_length / size.height < 0.56
         assert 0.27 < size.arm_length / size.height < 0.36
-        assert size.underbust < size.bust
+        assert size.underbust < 1.05 * size.bust
         assert size.waist_back_width < 0.6 * size.waist
         assert size.bust_points < size.back_width
     assert 168 < np.mean([size.height for size in sizes]) < 177

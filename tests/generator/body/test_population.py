@@ -1,5 +1,7 @@
 """Adults drawn from the calibrated population, and the calibration's closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,8 +9,17 @@ import trimesh
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.calibrate import nearest_covariance
-from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, draw_weights
-from gcd_dataset.generator.body.survey import body_weight, survey_measures, survey_of
+from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, weights_of
+from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.shape import draw_from, named_shape
+from gcd_dataset.generator.body.survey import (
+    HANGING,
+    body_weight,
+    shoulder_breadths,
+    shoulders_of,
+    survey_measures,
+    survey_of,
+)
 from gcd_dataset.records import MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
@@ -16,16 +27,16 @@ from tests.helpers import body_from
 PEOPLE = 200
 
 
-def measured(sex: str) -> dict[str, np.ndarray]:
-    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), sex=sex)) for index in range(PEOPLE)]
+def measured(group: str) -> dict[str, np.ndarray]:
+    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), group=group)) for index in range(PEOPLE)]
     rows = [survey_measures(body, measure(body)) for body in bodies]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-@pytest.mark.parametrize("sex", ["female", "male"])
-def test_drawn_adults_have_the_surveys_statistics(sex: str) -> None:
+@pytest.mark.parametrize("group", ["random", "female", "male"])
+def test_drawn_adults_have_the_surveys_statistics(group: str) -> None:
     """Within the targets plus the sampling error of 200 people."""
-    survey, found = survey_of(sex), measured(sex)
+    survey, found = survey_of(group), measured(group)
     assert tuple(found) == survey.measures
     means = np.array([found[name].mean() for name in survey.measures])
     sds = np.array([found[name].std() for name in survey.measures])
@@ -43,26 +54,36 @@ def test_drawn_adults_have_the_surveys_statistics(sex: str) -> None:
 def test_every_drawn_adult_can_be_measured() -> None:
     for index in range(20):
         for sex in ("female", "male"):
-            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), sex=sex, legs_apart=True)))
+            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), group=sex, legs_apart=True)))
             assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
 
 
-def test_the_option_sex_does_not_change_bodies_drawn_without_it() -> None:
-    assert draw_shape(rng(3, 5, Stage.BODY)) == draw_shape(rng(3, 5, Stage.BODY), sex=None)
-    woman = draw_shape(rng(3, 5, Stage.BODY), sex="female")
-    assert woman == draw_shape(rng(3, 5, Stage.BODY), sex="female")
-    assert woman != draw_shape(rng(3, 5, Stage.BODY), sex="male")
+def test_random_bodies_are_the_women_and_men_of_their_streams() -> None:
+    kinds = []
+    for index in range(120):
+        kind, shape = draw_from("random", rng(3, index, Stage.BODY))
+        assert shape == draw_shape(rng(3, index, Stage.BODY)) == draw_shape(rng(3, index, Stage.BODY), group=kind)
+        kinds.append(kind)
+    assert set(kinds) == {"female", "male"}
+    assert kinds.count("female") == pytest.approx(60, abs=3 * np.sqrt(120) / 2)
 
 
-def test_the_error_of_an_unknown_sex_lists_the_known_ones() -> None:
-    with pytest.raises(BodyError, match="'Female': give female or male, or None"):
-        draw_shape(rng(0, 0, Stage.BODY), sex="Female")
+def test_the_groups_draw_different_bodies_from_one_stream() -> None:
+    women, men, pool = (draw_shape(rng(3, 5, Stage.BODY), group=group) for group in ("female", "male", "pooled"))
+    assert women != men
+    assert np.linalg.norm(pool.weights) < 0.7 * 3 * np.sqrt(len(pool.weights))
+    assert women.arm_angle == men.arm_angle == pool.arm_angle
 
 
-def test_drawn_weights_have_the_mean_and_axes_of_the_adults() -> None:
+def test_the_error_of_an_unknown_group_lists_the_known_ones() -> None:
+    with pytest.raises(BodyError, match="'Female': give random, female, male, pooled"):
+        draw_shape(rng(0, 0, Stage.BODY), group="Female")
+
+
+def test_weights_have_the_mean_and_axes_of_the_adults() -> None:
     axes = np.diag([2.0, 0.5, 1.0])
     adults, generator = Adults(np.array([1.0, -2.0, 0.0]), axes), np.random.default_rng(0)
-    drawn = np.array([draw_weights(generator, adults) for _ in range(4000)])
+    drawn = np.array([weights_of(adults, generator.standard_normal(3)) for _ in range(4000)])
     assert drawn.mean(axis=0) == pytest.approx(adults.mean, abs=0.1)
     assert np.cov(drawn.T) == pytest.approx(axes**2, abs=0.2)
     assert (np.abs(drawn - adults.mean) <= MAX_DEVIATION * np.diag(axes) + 1e-12).all()
@@ -130,8 +151,34 @@ def test_the_surveys_measures_grow_with_the_body() -> None:
     assert large["weight"] == pytest.approx(1.1**3 * small["weight"])
 
 
+def test_the_mixed_population_is_half_women_and_half_men() -> None:
+    """Statures of 162.85 ± 6.42 and 175.62 ± 6.86 cm: the variance within the sexes and of the sexes."""
+    mixed, row = survey_of("random"), survey_of("random").measures.index("height")
+    assert mixed.mean[row] == pytest.approx((162.85 + 175.62) / 2)
+    assert mixed.sd[row] == pytest.approx(np.sqrt((6.42**2 + 6.86**2) / 2 + ((175.62 - 162.85) / 2) ** 2))
+    assert mixed.sd[row] == pytest.approx(9.2, abs=0.05)
+
+
+def test_shoulder_points_approach_each_other_as_the_arms_rise() -> None:
+    """Thus the shoulder width of the A-pose is less than a survey's breadth with hanging arms."""
+    shape = neutral_shape()
+    widths = [
+        shoulder_breadths(build_body(replace(shape, arm_angle=angle)))["biacromial"] for angle in (HANGING, 0.0, T_POSE)
+    ]
+    assert widths[0] > widths[1] + 2.0 > widths[2] + 4.0
+
+
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_hanging_shoulders_are_as_broad_as_the_surveys(sex: str) -> None:
+    """The mean bodies are taller than the survey's people; breadths are scaled to the same height."""
+    body = build_body(replace(named_shape(sex), arm_angle=HANGING))
+    scale = survey_of(sex).mean[survey_of(sex).measures.index("height")] / np.ptp(body.vertices[:, 1])
+    mean, _ = shoulders_of(sex)["bideltoid"]
+    assert scale * shoulder_breadths(body)["bideltoid"] == pytest.approx(mean, rel=0.04)
+
+
 def test_published_correlations_are_correlations() -> None:
-    for sex in ("female", "male"):
+    for sex in ("female", "male", "random"):
         matrix = survey_of(sex).correlation
         assert np.array_equal(matrix, matrix.T)
         assert np.diag(matrix) == pytest.approx(np.ones(len(matrix)))

@@ -101,15 +101,15 @@ def test_the_same_stream_draws_the_same_body() -> None:
     assert first != other
 
 
-def test_drawn_weights_have_the_papers_spread() -> None:
-    shapes = [draw_shape(rng(0, index, Stage.BODY)) for index in range(300)]
+def test_pooled_weights_have_the_papers_spread() -> None:
+    shapes = [draw_shape(rng(0, index, Stage.BODY), group="pooled") for index in range(300)]
     weights = np.array([shape.weights for shape in shapes])
     assert weights.std() == pytest.approx(0.7, abs=0.03)
     assert max(abs(shape.arm_angle) for shape in shapes) <= np.radians(15.0)
 
 
 def test_a_body_is_linear_in_its_weights() -> None:
-    a, b = (draw_shape(rng(0, index, Stage.BODY)).weights for index in (1, 2))
+    a, b = (draw_shape(rng(0, index, Stage.BODY), group="pooled").weights for index in (1, 2))
     bodies = [build_body(BodyShape(weights)).vertices for weights in (a, b, (a + b) / 2)]
     middle = (bodies[0] + bodies[1]) / 2
     assert bodies[2] - bodies[2][0] == pytest.approx(middle - middle[0], abs=1e-9)

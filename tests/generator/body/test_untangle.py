@@ -83,7 +83,7 @@ def test_a_narrow_groove_is_unchanged() -> None:
 
 @pytest.mark.parametrize(("seed", "number", "sex"), [(0, 1763, "male"), (1, 1174, "female"), (1, 1450, "female")])
 def test_thighs_and_crotch_of_unusual_bodies_do_not_intersect(seed: int, number: int, sex: str) -> None:
-    body = build_body(draw_shape(rng(seed, number, Stage.BODY), sex=sex))
+    body = build_body(draw_shape(rng(seed, number, Stage.BODY), group=sex))
     assert skin_crossings(body) == 0
 
 
@@ -93,5 +93,5 @@ def test_drawn_bodies_have_no_folds() -> None:
     skin = SkinMesh.of(model.mean, model.faces[(model.parts < BodyPart.HEAD.value)[model.faces].all(axis=1)])
     for index in range(12):
         for sex in ("female", "male"):
-            body = build_body(draw_shape(rng(31, index, Stage.BODY), sex=sex))
+            body = build_body(draw_shape(rng(31, index, Stage.BODY), group=sex))
             assert not skin.folded(body.vertices).any()

@@ -37,6 +37,18 @@ def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
     return np.asarray(force.numpy())
 
 
+def test_compressed_cloth_spreads_only_after_half_of_the_sewing() -> None:
+    """Until then springs that start shorter than flat are at rest, and springs that start longer pull."""
+    flat = patch(1, 1, spacing=2.0)
+    for scale, at_rest in ((0.5, True), (1.5, False)):
+        start = np.asarray(flat.vertices * scale, np.float32)
+        job = DrapeJob(replace(flat, vertices=start), far_ball(), SIZE, FABRIC)
+        model = build_model([job], DrapeConfig(), "cpu")
+        at, force = (wp.array(start, dtype=wp.vec3, device="cpu") for _ in range(2))
+        wp.launch(elastic_kernel, dim=len(start), inputs=[model.rows, 0.5, at], outputs=[force], device="cpu")
+        assert (np.abs(force.numpy()).max() < 1.0) == at_rest
+
+
 def gradient_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
     """The gradient, by central differences."""
     gradient, step = np.zeros_like(x), 1e-5

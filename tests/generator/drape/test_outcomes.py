@@ -20,7 +20,7 @@ from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
 HOOD = MakeConfig(
-    bodies="random",
+    bodies="pooled",
     stage="mesh",
     resolution=3.0,
     design=Overlay.from_dict(

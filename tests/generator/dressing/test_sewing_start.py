@@ -1,4 +1,4 @@
-"""Start positions of sewing: wide skirts lie on a cone outside the legs, wide bodices between the arms."""
+"""Start positions of sewing: wide skirts on a cone, wide bodices between the arms, tubes round arms and legs."""
 
 from dataclasses import replace
 
@@ -8,18 +8,20 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, neutral_shape
-from gcd_dataset.generator.body.limbs import limbs_of
+from gcd_dataset.generator.body.limbs import leg_of, limbs_of
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
+from gcd_dataset.generator.garments.pants import PantsDesign
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import BodyPart, BoxMesh, PanelRole
+from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, PanelRole
 from tests.generator.drape.garments import neutral, wear
 
 LEVELS = OutfitDesign(
@@ -124,3 +126,73 @@ def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
 
     assert beside(mesh.vertices[sleeve]) > 6.0
     assert beside(start[sleeve]) < 2.5
+
+
+LONG_SLEEVES = OutfitDesign(
+    meta=MetaDesign(upper=Upper.SHIRT),
+    sleeve=SleeveDesign(
+        sleeveless=False, length=1.15, end_width=0.5, cuff=SleeveCuffDesign(type=Cuff.BAND, cuff_len=0.1)
+    ),
+)
+
+
+def side_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
+    """The vertices of a role on the wearer's left."""
+    vertices = vertices_of(mesh, role)
+    return vertices[mesh.vertices[vertices, 0] > 0.0]
+
+
+def test_a_sleeve_longer_than_the_arm_starts_on_the_arm_and_not_round_the_hand() -> None:
+    mesh = mesh_of(LONG_SLEEVES)
+    sleeve = side_of(mesh, PanelRole.ARM)
+    arm = limbs_of(neutral()[0])[BodyPart.LEFT_ARM]
+    wrist = float((arm.skin @ arm.axis).max())
+    assert (mesh.vertices[sleeve] @ arm.axis).max() > wrist + 3.0
+    assert (sewing_start(mesh, neutral()[0])[sleeve] @ arm.axis).max() < wrist
+
+
+def test_the_end_of_a_moved_sleeve_is_straight() -> None:
+    """Its vertices start at one distance along the arm: cuffs were sewn with the hem of one panel before the wrist."""
+    mesh = mesh_of(LONG_SLEEVES)
+    start, arm = sewing_start(mesh, neutral()[0]), limbs_of(neutral()[0])[BodyPart.LEFT_ARM]
+    cuffs = [name for name in mesh.panel_names if "left_cuff" in name]
+    ends = []
+    for name in cuffs:
+        cuff = np.unique(mesh.faces[mesh.panel_id == mesh.panel_names.index(name)])
+        along = start[cuff] @ arm.axis
+        ends.append(np.sort(along)[-5:].mean())
+    assert len(ends) == 2
+    assert abs(ends[0] - ends[1]) < 0.5
+
+
+def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
+    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9))
+    body = build_body(replace(neutral_shape(), legs_apart=True))
+    mesh = build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
+    start = sewing_start(mesh, body)
+    leg = leg_of(body, BodyPart.LEFT_LEG)
+    assert leg is not None
+    own = vertices_of(mesh, PanelRole.LEG)
+    low = own[(start[own, 1] < 30.0) & (start[own, 0] > 0.0)]
+    assert len(low)
+    assert (start[low] @ leg.axis).max() < (leg.skin @ leg.axis).max()
+    calf = leg.skin[np.abs(leg.skin[:, 1] - 28.0) < 2.0, 0]
+    beside = low[np.abs(start[low, 1] - 28.0) < 2.0]
+    assert start[beside, 0].min() < calf.min()
+    assert start[beside, 0].max() > calf.max()
+
+
+def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
+    design = OutfitDesign(
+        meta=MetaDesign(upper=Upper.SHIRT),
+        shirt=ShirtDesign(width=1.3, length=1.3, flare=1.4),
+        sleeve=SleeveDesign(sleeveless=True, connecting_width=1.0),
+    )
+    mesh = mesh_of(design)
+    body = build_body(replace(neutral_shape(), arm_angle=np.radians(-25.0)))
+    armhole = mesh.labels[EdgeRole.LEFT_ARMHOLE]
+    lowest = armhole[np.argmin(mesh.vertices[armhole, 1])]
+    arm = limbs_of(body)[BodyPart.LEFT_ARM].skin
+    inside = arm[np.abs(arm[:, 1] - mesh.vertices[lowest, 1]) < SLICE, 0].min()
+    assert mesh.vertices[lowest, 0] > inside
+    assert sewing_start(mesh, body)[lowest, 0] < inside

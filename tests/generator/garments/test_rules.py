@@ -11,7 +11,13 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
-from gcd_dataset.generator.garments.sewable import corner_angles
+from gcd_dataset.generator.garments.sewable import (
+    NARROWEST_STRAP,
+    SHORTEST_SHOULDER,
+    corner_angles,
+    strap_width,
+    widest_neckline,
+)
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -35,7 +41,8 @@ def test_a_plain_shirt_can_be_worn(woman: Measurements) -> None:
 
 def test_a_dress_past_the_floor_is_rejected(woman: Measurements) -> None:
     meta = {"upper": "Shirt", "bottom": "SkirtCircle"}
-    assert reasons(woman, {"meta": meta, "shirt": {"length": 2.0}, "flare-skirt": {"length": 0.9}}) == ["reaches_floor"]
+    long = {"meta": meta, "shirt": {"length": 2.0}, "flare-skirt": {"length": 0.9}}
+    assert "reaches_floor" in reasons(woman, long)
     assert reasons(woman, {"meta": meta, "shirt": {"length": 1.0}, "flare-skirt": {"length": 0.9}}) == []
 
 
@@ -128,3 +135,90 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
     assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
+
+
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements, upper: str) -> None:
+    """A neckline of full width leaves a strap of a centimetre or two."""
+    wide = {"meta": {"upper": upper}, "collar": {"width": 1.0}}
+    reject = next(iter(check_outfit(DrawnOutfit.of(woman, design_from_dict(wide)))))
+    assert reject.rule == "narrow_shoulder"
+    assert 0.8 < reject.numbers["shoulder_cm"] < 2.0
+    assert reasons(woman, wide | {"collar": {"width": 0.6}}) == []
+    assert reasons(woman, wide | {"shirt": {"strapless": True}, "meta": {"upper": "FittedShirt"}}) == []
+
+
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measurements, upper: str) -> None:
+    wide = design_from_dict({"meta": {"upper": upper}, "collar": {"width": 1.0}, "shirt": {"width": 1.3}})
+    width = widest_neckline(woman, wide, wide.right_half())
+    pattern = outfit(woman, replace(wide, collar=replace(wide.collar, width=width)))
+    seams = [
+        panel.edge_lengths()[i]
+        for panel in pattern.panels
+        for i, edge in enumerate(panel.edges)
+        if edge.name == "shoulder"
+    ]
+    assert min(seams) == pytest.approx(SHORTEST_SHOULDER, abs=1e-5)
+    assert min(seams) >= SHORTEST_SHOULDER
+
+
+def test_a_straight_band_from_waist_to_hips_is_too_tight_for_the_hips(woman: Measurements) -> None:
+    """A rectangle as long as the waist, whose lower edge lies at the hips."""
+    high = {"meta": {"bottom": "SkirtCircle", "wb": "StraightWB"}, "waistband": {"width": 1.0}}
+    size = replace(woman, hips=1.3 * woman.waist, hip_back_width=0.65 * woman.waist)
+    (reject,) = check_outfit(DrawnOutfit.of(size, design_from_dict(high)))
+    assert reject.rule == "too_tight"
+    assert reject.numbers == pytest.approx({"ring_cm": size.waist, "body_cm": size.hips})
+    assert "too_tight" not in reasons(size, high | {"waistband": {"width": 0.5}})
+
+
+def test_a_band_under_a_long_shirt_is_worn_at_the_hips(woman: Measurements) -> None:
+    size = replace(woman, hips=1.3 * woman.waist, hip_back_width=0.65 * woman.waist)
+    waist_to_hips = 1 + size.hips_line / size.waist_line
+    band = {"meta": {"upper": "Shirt", "wb": "StraightWB"}, "shirt": {"length": waist_to_hips - 0.1}}
+    assert "too_tight" in reasons(size, band)
+    assert "too_tight" not in reasons(size, band | {"shirt": {"length": 1.0}})
+
+
+def test_a_shirt_that_narrows_to_the_hem_is_too_tight_for_the_hips(woman: Measurements) -> None:
+    tapered = {"meta": SHIRT, "shirt": {"length": 1.5, "width": 1.0, "flare": 0.7}}
+    assert reasons(woman, tapered) == ["too_tight"]
+    assert reasons(woman, tapered | {"shirt": {"length": 1.5, "width": 1.2, "flare": 0.9}}) == []
+
+
+def test_a_pencil_skirt_gathered_in_at_the_knees_needs_a_slit(woman: Measurements) -> None:
+    narrow = {"flare": 0.6, "length": 0.3}
+    assert reasons(woman, {"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": narrow}) == ["too_tight"]
+    assert reasons(woman, {"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": narrow | {"back_slit": 0.7}}) == []
+
+
+@pytest.mark.parametrize(("ruffle", "tight"), [(1.0, False), (3.0, True)])
+def test_a_gathered_cuff_skirt_too_tight_for_the_arm_is_rejected(
+    woman: Measurements, ruffle: float, tight: bool
+) -> None:
+    """The top of a skirt binds like a band."""
+    cuff = {"type": "CuffSkirt", "top_ruffle": ruffle}
+    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": 0.3, "cuff": cuff}}
+    assert reasons(woman, design) == (["tight_cuff"] if tight else [])
+
+
+def test_the_corners_of_a_panel_of_more_than_half_a_circle_are_inside(woman: Measurements) -> None:
+    """Its corners alone, without its arcs, run the other way round."""
+    skirt = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1.9}})
+    front = outfit(woman, skirt).panel("skirt_front")
+    assert corner_angles([edge_hulls(front)]) == pytest.approx([90.0] * 4, abs=1.0)
+
+
+def test_a_neckline_near_the_armhole_leaves_no_strap(woman: Measurements) -> None:
+    """A round neckline bulges as it gets deeper, until it runs into the armhole; before that it leaves a thread."""
+    found = [(depth, reasons(woman, deep_back(depth))) for depth in np.linspace(0.5, 1.9, 57)]
+    first = next(number for number, (_, rules) in enumerate(found) if rules)
+    assert found[first][1] == ["narrow_strap"]
+    assert all(rules for _, rules in found[first:])
+    pattern = outfit(woman, design_from_dict(deep_back(found[first][0])))
+    assert 0.0 < strap_width(pattern.panel("right_btorso")) < NARROWEST_STRAP
+
+
+def deep_back(depth: float) -> dict[str, Any]:
+    return {"meta": SHIRT, "collar": {"width": 0.6, "bc_depth": depth}, "shirt": {"length": 2.0}}

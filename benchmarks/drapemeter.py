@@ -1,0 +1,148 @@
+"""Cusick's drapemeter: the shadow of a disc of cloth that hangs over a smaller disc (BS 5058; ISO 9073-9)."""
+
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+import warp as wp
+from jaxtyping import Bool, Float
+from scipy.spatial import Delaunay
+
+from benchmarks.strips import HALF_ROW, LEVEL, hold_fast, strip_job
+from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drape import DrapeConfig, Fabric
+from gcd_dataset.generator.drape.config import GRAVITY
+from gcd_dataset.generator.drape.fabric import STIFFEST
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.records import BoxMesh
+
+__all__ = ["SPECIMEN", "SUPPORT", "Draped", "disc", "drape_coefficient", "drape_disc", "folds", "shadow"]
+
+SPECIMEN, SUPPORT = 15.0, 9.0  # cm, radii of the cloth and of the support
+CLEAR = 0.6  # least distance of lattice points from the rings [edges]
+LOWERING, STEPS = 3.0, 30  # s, number of steps
+LOOK_EVERY = 0.25  # s
+AT_REST = 0.05  # largest change of the drape coefficient between two looks at rest [%]
+LONGEST = 20.0  # s
+FOLD = 0.15  # cm, least range of the rim's distances from the axis if it has folds
+
+
+class Draped(NamedTuple):
+    """A disc at rest in the drapemeter."""
+
+    coefficient: float
+    """Shadow outside the support over cloth outside the support [%]."""
+    folds: int
+    vertices: Float[np.ndarray, "v 3"]
+    """Positions [cm]; y is up."""
+
+
+def disc(spacing: float, *, specimen: int = 0) -> BoxMesh:
+    """A disc meshed like a panel: sampled border, triangular lattice with rows along the weft.
+
+    A ring of vertices lies where the support clamps the cloth, so that the clamped area is the same at any spacing.
+    ``specimen`` shifts the lattice against the disc.
+    """
+    lattice = _lattice(spacing) + spacing * np.random.default_rng(specimen).random(2)
+    radius, clear = np.linalg.norm(lattice, axis=1), CLEAR * spacing
+    inner = lattice[(radius < SPECIMEN - clear) & (np.abs(radius - _clamp(spacing)) > clear)]
+    uv = np.concatenate([_ring(SPECIMEN, spacing), _ring(_clamp(spacing), spacing), inner])
+    faces = np.asarray(Delaunay(uv).simplices, int)
+    return BoxMesh(
+        vertices=np.stack([uv[:, 0], np.full(len(uv), LEVEL), -uv[:, 1]], axis=1),
+        faces=faces,
+        uv=uv,
+        corners=faces,
+        uv_vertex=np.arange(len(uv)),
+        panel_id=np.zeros(len(faces), int),
+        panel_names=("disc",),
+        panel_labels=("body",),
+        seams=np.zeros((0, 2), int),
+        labels={},
+    )
+
+
+def _clamp(spacing: float) -> float:
+    """Radius within which vertices are held [cm]; the cloth is then clamped within ``SUPPORT``, see ``HALF_ROW``."""
+    return SUPPORT + HALF_ROW * spacing
+
+
+def _ring(radius: float, spacing: float) -> Float[np.ndarray, "n 2"]:
+    count = max(round(2 * np.pi * radius / spacing), 12)
+    angle = 2 * np.pi * np.arange(count) / count
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _lattice(spacing: float) -> Float[np.ndarray, "n 2"]:
+    half = int(np.ceil(1.3 * SPECIMEN / spacing))
+    row, column = np.mgrid[-half : half + 1, -half : half + 1]
+    return spacing * np.stack([column + 0.5 * (row % 2), np.sqrt(0.75) * row], axis=-1).reshape(-1, 2)
+
+
+def drape_coefficient(
+    fabric: Fabric, *, spacing: float = 1.0, specimens: int = 1, stiffest: float = STIFFEST, device: str = "cpu"
+) -> float:
+    """Cusick's drape coefficient of a fabric, the mean of some specimens [%]. Arguments as of ``drape_disc``."""
+    found = [
+        drape_disc(fabric, spacing=spacing, specimen=number, stiffest=stiffest, device=device).coefficient
+        for number in range(specimens)
+    ]
+    return float(np.mean(found))
+
+
+def drape_disc(
+    fabric: Fabric, *, spacing: float = 1.0, specimen: int = 0, stiffest: float = STIFFEST, device: str = "cpu"
+) -> Draped:
+    """Drape a disc with the garments' solver. ``stiffest``: as in ``DrapeConfig``.
+
+    The weight grows over ``LOWERING`` seconds, as in the test, where the table round the support is lowered by hand:
+    cloth that falls freely buckles into more folds. Raises ``DrapeError`` if it does not come to rest.
+    """
+    mesh = disc(spacing, specimen=specimen)
+    config = DrapeConfig(sewing_time=1e-4, held_time=1e6, max_frames=1_000_000, stiffest=stiffest)
+    solver = Solver(build_model([strip_job(mesh, fabric)], config, device), config)
+    hold_fast(solver.model, np.linalg.norm(mesh.uv, axis=1) <= _clamp(spacing) + 1e-6)
+    _lower(solver)
+    before, time = np.inf, LOWERING
+    while time < LONGEST:
+        time += LOOK_EVERY
+        solver.run_for(time)
+        x = solver.state.x.numpy().astype(float)
+        coefficient = _coefficient(x, mesh)
+        if abs(coefficient - before) < AT_REST:
+            return Draped(coefficient, folds(x, mesh), x)
+        before = coefficient
+    raise DrapeError(f"a disc of spacing {spacing} cm still moves after {LONGEST} s: raise LONGEST")
+
+
+def _lower(solver: Solver) -> None:
+    for step in range(1, STEPS + 1):
+        worlds = solver.model.worlds.numpy()
+        worlds["gravity"] = GRAVITY * step / STEPS
+        wp.copy(solver.model.worlds, wp.array(worlds, dtype=solver.model.worlds.dtype, device=solver.model.device))
+        solver.run_for(LOWERING * step / STEPS)
+
+
+def _coefficient(x: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> float:
+    support = np.pi * SUPPORT**2
+    flat = float(shapely.area(shapely.polygons(mesh.uv[mesh.faces])).sum())
+    return 100 * (shadow(x, mesh) - support) / (flat - support)
+
+
+def shadow(x: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> float:
+    """Area of the mesh seen from above [cm²]; layers count once."""
+    seen = shapely.polygons(x[mesh.faces][:, :, [0, 2]])
+    return float(shapely.union_all(seen[shapely.area(seen) > 1e-9], grid_size=1e-6).area)
+
+
+def folds(x: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> int:
+    """Number of the rim's folds: how often its distance from the axis rises through the mean."""
+    rim = x[_on_rim(mesh)]
+    radius = np.linalg.norm(rim[:, [0, 2]], axis=1)
+    out = radius > radius.mean()
+    return int((out & ~np.roll(out, 1)).sum()) if np.ptp(radius) > FOLD else 0
+
+
+def _on_rim(mesh: BoxMesh) -> Bool[np.ndarray, " v"]:
+    return np.linalg.norm(mesh.uv, axis=1) > SPECIMEN - 1e-6

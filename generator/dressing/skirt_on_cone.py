@@ -1,0 +1,124 @@
+"""A wide skirt on a cone round the trunk, as the start of sewing."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gcd_dataset.generator.body.limbs import Limb
+from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.records import BoxMesh, EdgeRole
+
+__all__ = ["Skirt"]
+
+RISE = 5.0  # cm above its top: a skirt that reaches higher starts on a cone
+HALF_WIDTH = 60.0  # cm from the middle: a skirt that reaches further to a side starts on a cone
+SLOPE = 0.5  # least descent of a flat panel per distance from its top: 60° from the vertical
+TOP_BAND = 2.0  # cm, distance from the nearest vertex of a panel within which vertices count as its top
+CLEARANCE = 2.0  # cm from the ellipse round the trunk to the top of the cone
+HIPS = 30.0  # cm below the skirt's top: the ellipse contains the trunk down to here, the waves reach full amplitude
+SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
+WAVE, WAVES = 0.4, 17.0  # cm, amplitude; periods round the cone: small waves that determine where folds form
+
+
+@dataclass(frozen=True, eq=False)
+class Skirt:
+    """The faces of a skirt, its top, front and side seams."""
+
+    mesh: BoxMesh
+    cloth: FlatCloth
+    _panel: Int[np.ndarray, " f"]
+    """Panel of each face of ``cloth``."""
+    top: Int[np.ndarray, " t"]
+    """Vertices sewn to a bodice or waistband, or held at the waist."""
+    front: Bool[np.ndarray, " v"]
+    """Marks vertices that belong to front panels only."""
+    side: Int[np.ndarray, " s"]
+    """Vertices of the side seams, which join front panels and back panels."""
+
+    @staticmethod
+    def of(mesh: BoxMesh, skirts: Bool[np.ndarray, " p"]) -> "Skirt | None":
+        """The skirt of the given panels; ``None`` without a top."""
+        own = skirts[mesh.panel_id]
+        faces, panel = mesh.faces[own], mesh.panel_id[own]
+        inside, outside = np.zeros((2, len(mesh.vertices)), bool)
+        inside[faces] = True
+        outside[mesh.faces[~own]] = True
+        top = inside & outside
+        if not top.any() and EdgeRole.LOWER_INTERFACE in mesh.labels:
+            top[mesh.labels[EdgeRole.LOWER_INTERFACE]] = True
+            top &= inside
+        if not top.any():
+            return None
+        depth = np.bincount(panel, mesh.vertices[faces].mean(axis=1)[:, 2], minlength=len(skirts))
+        ahead = (depth > 0.0)[panel]
+        front, back = np.zeros((2, len(mesh.vertices)), bool)
+        front[faces[ahead]] = True
+        back[faces[~ahead]] = True
+        cloth = FlatCloth.of(mesh, own)
+        return Skirt(mesh, cloth, panel, np.flatnonzero(top), front & ~back, np.flatnonzero(front & back))
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the skirt reaches far above its top or to a side, or a panel of it far above the panel's top.
+
+        Far is ``RISE`` and ``HALF_WIDTH``. A panel's height above its top is compared with that of cloth that hangs at
+        ``SLOPE``: the ends of a ring sewn to a hem point up.
+        """
+        points = self.mesh.vertices[self.cloth.vertices]
+        if points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH:
+            return True
+        height, down = self.mesh.vertices[:, 1], self.cloth.distance_from(self.top)
+        for panel in np.unique(self._panel):
+            own = np.unique(self.cloth.faces[self._panel == panel])
+            first = own[down[own] <= down[own].min() + TOP_BAND]
+            if (height[own] + SLOPE * (down[own] - down[own].min())).max() > height[first].max() + RISE:
+                return True
+        return False
+
+    def place_on_cone(self, trunk: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+        """Set the skirt's rows of ``placed`` to positions on a cone round the trunk [cm].
+
+        The distance of a vertex from the top, along the cloth, becomes its distance down the cone. Its position between
+        the side seams becomes its angle round the cone. A skirt without side seams on both sides stays flat.
+        """
+        if not ((self._aside > 0.0).any() and (self._aside < 0.0).any()):
+            return
+        rows = self.cloth.vertices
+        down, turn = self.cloth.distance_from(self.top)[rows], self._turns()[rows]
+        trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
+        sine = self._sine(float(np.percentile(down, 95)))
+        out = CLEARANCE + sine * down + WAVE * np.sin(WAVES * turn) * np.minimum(down / HIPS, 1.0)
+        placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
+        placed[rows, 1] = self._level - np.sqrt(1.0 - sine**2) * down
+        forward = np.where(self.front[rows], 1.0, -1.0)
+        placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
+
+    @cached_property
+    def _level(self) -> float:
+        """Height of the top [cm]."""
+        return float(self.mesh.vertices[self.top, 1].mean())
+
+    @cached_property
+    def _aside(self) -> Float[np.ndarray, " s"]:
+        """1 for vertices of the left side seam, -1 for vertices of the right."""
+        return np.sign(self.mesh.vertices[self.side, 0])
+
+    def _turns(self) -> Float[np.ndarray, " v"]:
+        """(v) angle of each vertex from the middle of the front or back [rad].
+
+        π/2 on the left side seam, -π/2 on the right; harmonic in the flat cloth between the side seams.
+        """
+        return self.cloth.harmonic(self.side, 0.5 * np.pi * self._aside)
+
+    def _sine(self, length: float) -> float:
+        """Sine of the angle between cone and axis, for a skirt of the given length [cm].
+
+        The mean girth of the skirt is its area over its length. The girth grows twice as much from top to hem as from
+        top to mean.
+        """
+        ends, flat = self.cloth.edges
+        on_top = np.isin(ends, self.top).all(axis=1)
+        growth = 2.0 * (self.cloth.area / length - float(flat[on_top].sum()))
+        return float(np.clip(growth / (2.0 * np.pi * length), *SINES))

@@ -1,0 +1,121 @@
+"""A sleeve round an arm or a trouser leg round a leg, as the start of sewing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from gcd_dataset.generator.body.limbs import Limb
+from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.records import BoxMesh
+
+__all__ = ["put_on_limb"]
+
+SECTION = 2.0  # cm of distance from the root that make a cross section of a tube
+ROOT = 10.0  # cm from the root, within which a tube may lie beside the limb's axis
+GAP = 1.0  # cm that a cross section must reach beyond the limb on either side
+BEFORE_END = 1.0  # cm between the end of a tube and that of the limb
+LEAST_LENGTH = 0.4  # share of its length to which a tube may be compressed
+RINGS = 40  # level sets on which the distance from the root is averaged
+
+
+def put_on_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+    """Move the cross sections of a tube of cloth, in ``placed``, so that each surrounds a limb.
+
+    ``tube`` marks the faces of a sleeve or a trouser leg; ``limb``: the arm without the hand, or the leg without the
+    foot. The tube is turned to the direction of the limb. Its cross sections are centred on the limb's axis, at their
+    distance from the tube's root, where other cloth is sewn to it, and widened where the limb is wider. A tube that is
+    longer than the limb is compressed to its length: sewn round a hand or foot it would be too narrow to slip off. A
+    tube that surrounds the limb as it is placed, and is no longer, keeps its positions.
+    """
+    cloth = _Tube.of(mesh, tube)
+    if cloth is not None and not (cloth.surrounds(limb.skin) and cloth.ends_on(limb)):
+        placed[cloth.rows] = cloth.moved_to(limb)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tube:
+    """The vertices of a sleeve or trouser leg, as placed."""
+
+    rows: Int[np.ndarray, " n"]
+    points: Float[np.ndarray, "n 3"]
+    """Positions [cm]."""
+    distance: Float[np.ndarray, " n"]
+    """Distance from the root [cm]: equal along a cross section, at the end of the tube above all."""
+    frame: Float[np.ndarray, "3 3"]
+    """Unit vectors across the tube, along it away from the root, and to the front."""
+
+    @staticmethod
+    def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
+        """The tube of the marked faces; ``None`` without a root or an open end."""
+        cloth = FlatCloth.of(mesh, own)
+        root = np.intersect1d(cloth.vertices, mesh.faces[~own])
+        end = np.setdiff1d(cloth.border, root)
+        if not (len(root) and len(end)):
+            return None
+        rows = cloth.vertices
+        level = cloth.harmonic(np.concatenate([root, end]), np.repeat([0.0, 1.0], [len(root), len(end)]))[rows]
+        distance = _averaged(level, cloth.distance_from(root)[rows])
+        points = np.array(mesh.vertices[rows], float)
+        along = mesh.vertices[end, :2].mean(axis=0) - mesh.vertices[root, :2].mean(axis=0)
+        x, y = along / np.linalg.norm(along)
+        return _Tube(rows, points, distance, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
+
+    def surrounds(self, skin: Float[np.ndarray, "s 3"]) -> bool:
+        """Whether every cross section beyond ``ROOT`` reaches beyond the skin beside it, across and in depth."""
+        across, along, depth = (self.points @ self.frame.T).T
+        skin_across, skin_along, skin_depth = (skin @ self.frame.T).T
+        for here in self._sections():
+            low, high = along[here].min() - SECTION, along[here].max() + SECTION
+            beside = (skin_along > low) & (skin_along < high)
+            if self.distance[here].mean() > ROOT and beside.any():
+                for cloth, body in ((across[here], skin_across[beside]), (depth[here], skin_depth[beside])):
+                    if cloth.min() > body.min() - GAP or cloth.max() < body.max() + GAP:
+                        return False
+        return True
+
+    def ends_on(self, limb: Limb) -> bool:
+        """Whether the end of the tube lies before the end of the limb."""
+        return bool(((self.points - limb.origin) @ limb.axis).max() <= _end_of(limb))
+
+    def moved_to(self, limb: Limb) -> Float[np.ndarray, "n 3"]:
+        """The positions round a limb [cm]; the root stays where it is."""
+        frame = self.frame @ Rotation.align_vectors(limb.axis[None], self.frame[1:2])[0].as_matrix().T
+        skin_across, skin_along, _ = ((limb.skin - limb.origin) @ frame.T).T
+        at_root = self.distance < SECTION
+        root = float(((self.points[at_root] - limb.origin) @ limb.axis).mean())
+        across, _, depth = (self.points @ self.frame.T).T
+        longest = float(self.distance.max())
+        shrink = np.clip((_end_of(limb) - root) / longest, LEAST_LENGTH, 1.0) if longest > ROOT else 1.0
+        distances, middles, factors = [], [], []
+        for here in self._sections():
+            distance = float(self.distance[here].mean())
+            beside = np.abs(skin_along - root - shrink * distance) < SECTION
+            low, high = float(across[here].min()), float(across[here].max())
+            need = float(np.abs(skin_across[beside]).max(initial=0.0)) + GAP if beside.any() else 0.0
+            distances.append(distance)
+            middles.append(0.5 * (low + high))
+            factors.append(max(1.0, 2.0 * need / max(high - low, SECTION)))
+        middle, factor = (np.interp(self.distance, distances, values) for values in (middles, factors))
+        local = np.stack([factor * (across - middle), root + shrink * self.distance, depth], axis=1)
+        share = np.minimum(self.distance / ROOT, 1.0)[:, None]
+        return self.points + share * (limb.origin + local @ frame - self.points)
+
+    def _sections(self) -> list[Int[np.ndarray, " k"]]:
+        """The vertices of each cross section, from the root to the end."""
+        numbers = np.floor(self.distance / SECTION).astype(int)
+        return [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+
+
+def _end_of(limb: Limb) -> float:
+    """Position along the limb's axis, from its origin, before which a tube ends [cm]."""
+    return float(((limb.skin - limb.origin) @ limb.axis).max()) - BEFORE_END
+
+
+def _averaged(level: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The mean distance on the level set of each vertex: increases with ``level``, which is within 0 and 1."""
+    ring = np.round(level * RINGS).astype(int)
+    count = np.bincount(ring, minlength=RINGS + 1)
+    mean = np.bincount(ring, distance, minlength=RINGS + 1)[count > 0] / count[count > 0]
+    return np.interp(level * RINGS, np.flatnonzero(count), np.maximum.accumulate(mean))
