@@ -21,6 +21,8 @@ The rules that move a parameter by more than 5 %, and why:
 - ``tight_cuff``: a leg or an arm does not fit through its cuff;
 - ``too_heavy`` of ``flare-skirt.length``, ``flare-skirt.suns`` and ``levels-skirt.length``: a long or wide flared skirt
   alone needs a firm waistband, as in GarmentCode;
+- ``nothing_holds`` of ``meta.bottom`` and ``meta.wb``: a skirt alone on a wearer whose waist is nearly as wide as the
+  hips gets a band, or trousers are drawn;
 - ``slides_off`` and ``loose_gathers`` of ``waistband.waist``: a bottom alone may not be wider than the trunk, and
   gathers need a band no wider than the body;
 - ``off_the_waist`` of ``shirt.length``: a shirt with a part sewn to its hem ends near the waist;

@@ -1,16 +1,18 @@
 """Random designs can be worn, and follow GarmentCode's rule: defaults are kept with a probability."""
 
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Upper
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.rules import garment_length, room_to_floor
+from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.space import to_dict
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -107,3 +109,21 @@ def test_designs_stay_within_an_overlay() -> None:
         values = to_dict(design)
         assert values["collar"]["component"]["style"] == "Hood2Panels"
         assert 0.8 <= design.sleeve.length <= 1.1
+
+
+@pytest.mark.parametrize(("hips", "with_band"), [(6.0, True), (1.0, False)])
+def test_a_skirt_alone_needs_hips_wider_than_the_waist(hips: float, with_band: bool) -> None:
+    """With little difference skirts get a band, with hardly any they become trousers; uppers are not concerned."""
+    size = measure(build_body(neutral_shape()))
+    straight = replace(size, waist=size.hips - hips)
+    held = 0
+    for number in range(80):
+        drawn = attempted_design(5, number, 0, (straight,))
+        meta, before = drawn.design.meta, attempted_design(5, number, 0, (size,)).design.meta
+        if meta.upper or before.bottom is None:
+            assert "nothing_holds" not in drawn.by_rule()
+            continue
+        assert meta.bottom is not None
+        assert meta.bottom.garment.legs or (with_band and meta.wb)
+        held += drawn.by_rule()["nothing_holds"]
+    assert held > 5
