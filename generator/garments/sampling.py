@@ -100,7 +100,7 @@ def attempted_design(
     sizes = tuple(wearers)
     draft, redraws = _held_up(draft, sizes, rng, overlay)
     drawn = wearable(draft, sizes, rng, overlay.space)
-    return drawn if not redraws else replace(drawn, redraws=redraws | drawn.redraws)
+    return drawn if not redraws else replace(drawn, redraws={**redraws, **drawn.redraws})
 
 
 def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
