@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
@@ -102,8 +104,24 @@ class Skirt:
 
     @cached_property
     def _aside(self) -> Float[np.ndarray, " s"]:
-        """1 for vertices of the left side seam, -1 for vertices of the right."""
-        return np.sign(self.mesh.vertices[self.side, 0])
+        """1 for vertices of a left side seam, -1 for vertices of a right one.
+
+        The side seams of one panel are compared with each other: both seams of nearly a full disc lie above its middle.
+        """
+        ends, _ = self.cloth.edges
+        ends = ends[np.isin(ends, self.side).all(axis=1)]
+        graph = coo_array((np.ones(len(ends)), ends.T), shape=(self.cloth.size, self.cloth.size))
+        _, numbers = connected_components(graph, directed=False)
+        seam = np.unique(numbers[self.side], return_inverse=True)[1]
+        x = np.bincount(seam, self.mesh.vertices[self.side, 0]) / np.bincount(seam)
+        seam_of = np.full(self.cloth.size, -1)
+        seam_of[self.side] = seam
+        middle = np.zeros(len(x))
+        for panel in np.unique(self._panel):
+            seams = np.setdiff1d(seam_of[self.cloth.faces[self._panel == panel]], -1)
+            if len(seams) > 1:
+                middle[seams] = x[seams].mean()
+        return np.sign(x - middle)[seam]
 
     def _turns(self) -> Float[np.ndarray, " v"]:
         """(v) angle of each vertex from the middle of the front or back [rad].
