@@ -114,7 +114,7 @@ NO_PICTURE = (
     + bytes.fromhex("ffc0000b080001000101011100ffc40014000100000000000000000000000000000003")
     + bytes.fromhex("ffc40014100100000000000000000000000000000000ffda0008010100003f0037ffd9")
 )
-"""A grey JPEG of one pixel. An empty member would not do, since other readers decode every picture."""
+"""A grey JPEG of one pixel: other readers decode every picture, and cannot decode an empty member."""
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
 """Fields that hold row numbers."""

@@ -11,7 +11,7 @@ from gcd_dataset.generator.drape.kernels.sheet import Sheet, bend_share, hinge_r
 
 wp.set_module_options({"enable_backward": False})
 
-LARGEST_BEND_WEIGHT = 8.0  # of two corners of about 14°; hinges of sharper slivers are softened, for stability
+LARGEST_BEND_WEIGHT = 8.0  # of a hinge with two corners of about 14°; hinges of sharper slivers are softened
 
 
 @wp.struct
