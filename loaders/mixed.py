@@ -34,11 +34,11 @@ class MixedDataset(Garments):
     or more data sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float has
     the value of its printed decimal.
 
-    Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: it ends when every
-    data set has been exhausted once, and repeats data sets with few garments for their weight. Indices from ``len()`` on are
+    Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: it ends when every data
+    set has been exhausted once, so data sets with few garments for their weight repeat. Indices from ``len()`` on are
     the following epochs, which continue where the previous one ended. A ``GarmentLoader`` keeps this order for any
-    ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on
-    average only.
+    ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on average
+    only.
 
     ``transform`` is called with each item, after the transform of its own data set. Raises ``ConfigError`` for data
     sets with different fields or ``dtype``, an empty data set, or weights other than one positive number for each.

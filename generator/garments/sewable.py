@@ -44,13 +44,13 @@ __all__ = [
 
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
-NARROWEST_STRAP = 1.0  # cm: seam allowances would take up a narrower strap between neckline and armhole
-STRAP_POINTS = 33  # sample points of an edge: a neckline of 80 cm lies within one or two millimetres of the polyline
-SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam would be a strap, which no garment here has
-SHOULDER_SHARE = 0.5  # of the shoulder beside the neck: least shoulder seam on small bodies such as dolls
-ROUNDING = 1e-6  # cm, margin: with the widest neckline, rounding must not make the shoulder too short
+NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
+STRAP_POINTS = 33  # of an edge: a neckline of 80 cm lies within a millimetre or two of its chords
+SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
+SHOULDER_SHARE = 0.5  # of the shoulder beside the neck: shoulder seams of dolls may be as short as that
+ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
-TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the maximum of the design space
+TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
 class Fault(NamedTuple):
