@@ -20,19 +20,19 @@ from gcd_dataset.records import BoxMesh
 __all__ = ["SPECIMEN", "SUPPORT", "Draped", "disc", "drape_coefficient", "drape_disc", "folds", "shadow"]
 
 SPECIMEN, SUPPORT = 15.0, 9.0  # cm, radii of the cloth and of the support
-CLEAR = 0.6  # least distance of lattice points from the rings [edges]
-LOWERING, STEPS = 3.0, 30  # s, number of steps
-LOOK_EVERY = 0.25  # s
-AT_REST = 0.05  # largest change of the drape coefficient between two looks at rest [%]
-LONGEST = 20.0  # s
-FOLD = 0.15  # cm, least range of the rim's distances from the axis if it has folds
+CLEAR = 0.6  # least distance of lattice points from both rings of vertices [edge lengths]
+LOWERING, STEPS = 3.0, 30  # time over which the weight grows [s], and the number of steps in which it grows
+LOOK_EVERY = 0.25  # s between two evaluations of the drape coefficient
+AT_REST = 0.05  # the disc is at rest if its coefficient changes less between two evaluations [%]
+LONGEST = 20.0  # s of simulated time until a disc must be at rest
+FOLD = 0.15  # cm: a rim has folds only if its distances from the axis vary by more
 
 
 class Draped(NamedTuple):
     """A disc at rest in the drapemeter."""
 
     coefficient: float
-    """Shadow outside the support over cloth outside the support [%]."""
+    """Area of the shadow outside the support over area of the cloth outside the support [%]."""
     folds: int
     vertices: Float[np.ndarray, "v 3"]
     """Positions [cm]; y is up."""
@@ -42,7 +42,7 @@ def disc(spacing: float, *, specimen: int = 0) -> BoxMesh:
     """A disc meshed like a panel: sampled border, triangular lattice with rows along the weft.
 
     A ring of vertices lies where the support clamps the cloth, so that the clamped area is the same at any spacing.
-    ``specimen`` shifts the lattice against the disc.
+    ``specimen``: seed of the shift of the lattice relative to the disc.
     """
     lattice = _lattice(spacing) + spacing * np.random.default_rng(specimen).random(2)
     radius, clear = np.linalg.norm(lattice, axis=1), CLEAR * spacing
@@ -64,7 +64,7 @@ def disc(spacing: float, *, specimen: int = 0) -> BoxMesh:
 
 
 def _clamp(spacing: float) -> float:
-    """Radius within which vertices are held [cm]; the cloth is then clamped within ``SUPPORT``, see ``HALF_ROW``."""
+    """Radius of the held vertices [cm]: larger than ``SUPPORT``, since cloth is clamped ``HALF_ROW`` behind them."""
     return SUPPORT + HALF_ROW * spacing
 
 
@@ -83,7 +83,7 @@ def _lattice(spacing: float) -> Float[np.ndarray, "n 2"]:
 def drape_coefficient(
     fabric: Fabric, *, spacing: float = 1.0, specimens: int = 1, stiffest: float = STIFFEST, device: str = "cpu"
 ) -> float:
-    """Cusick's drape coefficient of a fabric, the mean of some specimens [%]. Arguments as of ``drape_disc``."""
+    """Cusick's drape coefficient of a fabric [%], the mean over ``specimens`` discs; see ``drape_disc``."""
     found = [
         drape_disc(fabric, spacing=spacing, specimen=number, stiffest=stiffest, device=device).coefficient
         for number in range(specimens)
@@ -96,8 +96,8 @@ def drape_disc(
 ) -> Draped:
     """Drape a disc with the garments' solver. ``stiffest``: as in ``DrapeConfig``.
 
-    The weight grows over ``LOWERING`` seconds, as in the test, where the table round the support is lowered by hand:
-    cloth that falls freely buckles into more folds. Raises ``DrapeError`` if it does not come to rest.
+    The weight grows over ``LOWERING`` seconds, since in the laboratory test the table round the support is lowered by
+    hand: cloth that falls freely buckles into more folds. Raises ``DrapeError`` for a disc that does not come to rest.
     """
     mesh = disc(spacing, specimen=specimen)
     config = DrapeConfig(sewing_time=1e-4, held_time=1e6, max_frames=1_000_000, stiffest=stiffest)
@@ -137,7 +137,7 @@ def shadow(x: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> float:
 
 
 def folds(x: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> int:
-    """Number of the rim's folds: how often its distance from the axis rises through the mean."""
+    """Number of folds of the rim: along it, the distance from the axis rises above its mean once per fold."""
     rim = x[_on_rim(mesh)]
     radius = np.linalg.norm(rim[:, [0, 2]], axis=1)
     out = radius > radius.mean()

@@ -18,7 +18,7 @@ __all__ = ["TARGETS", "Target", "read_targets", "results"]
 TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "set", "none")
 SPECIMENS = 3  # discs whose drape coefficients are averaged
-FINE = 0.75  # cm, spacing below which one disc has to do, and discs without a target are left out
+FINE = 0.75  # cm: below this spacing only one disc is draped, and none without a target
 UNLIMITED_SPACING = 1.0  # cm
 NOT_RUN = "-"
 UNITS = {"drape_coefficient": "%", "bending_length": "cm", "tensile_stiffness": "N/m"}
@@ -26,7 +26,7 @@ UNITS = {"drape_coefficient": "%", "bending_length": "cm", "tensile_stiffness": 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a test of a fabric should show, and who says so."""
+    """The published result of a standard test of a fabric, and its source."""
 
     fabric: str
     test: str
@@ -34,12 +34,12 @@ class Target:
     """``warp``, ``weft``, ``bias``, or ``all`` for the drape coefficient."""
     unit: str
     target: float
-    """NaN if only a band is published, or nothing."""
+    """Published value; NaN if only a band is published, or no figure."""
     low: float
-    """NaN without a published figure, as ``high``."""
+    """Lower end of the accepted band; ``low`` and ``high`` are NaN without a published figure."""
     high: float
     basis: str
-    """``measured`` on this cloth, of its ``class``, ``set`` by us without a test, or ``none``."""
+    """``measured``: on this cloth; ``class``: on cloth of its class; ``set``: by us, without a test; or ``none``."""
     citation: str
 
     def has(self, value: float) -> bool:
@@ -74,7 +74,7 @@ def _target(row: dict[str, Any], where: str) -> Target:
 def results(targets: list[Target], spacings: list[float], device: str) -> Iterator[dict[str, Any]]:
     """A row for each target: the result and ``in_band`` at each spacing [cm], ``-`` where the test was not run.
 
-    ``measured_stiffness``: at 1 cm with the tensile stiffness as published, which a drape limits (``Fabric.softened``).
+    ``measured_stiffness``: at 1 cm, with the published tensile stiffness; drapes limit it (``Fabric.softened``).
     """
     for target in targets:
         band = f"{target.low:g} to {target.high:g}" if target.known else NOT_RUN
@@ -93,7 +93,7 @@ def _columns(name: str, target: Target, value: float | None) -> dict[str, Any]:
 
 
 def _is_limited(target: Target) -> bool:
-    """Whether the drape's limit of stiffness changes the test of this fabric."""
+    """Whether the limit on tensile stiffness in drapes can change the result of this test."""
     fabric = fabric_named(target.fabric)
     return target.known and target.test != "bending_length" and fabric.softened() != fabric
 

@@ -14,11 +14,11 @@ __all__ = ["FEWEST", "UNUSED", "Shift", "shift", "used"]
 
 UNUSED = "unused"
 """The value of a parameter in a design that does not use it."""
-FEWEST = 20  # designs for a comparison
-BINS = 20  # of a number's range
-RARE = 0.2  # accepted over proposed designs: below, a value hardly ever comes
+FEWEST = 20  # least number of designs for a comparison
+BINS = 20  # equal parts of a number's range
+RARE = 0.2  # ratio of the accepted to the proposed share of a value: smaller for a rare value
 Bin: TypeAlias = int | str
-"""Number of a part of the range, or the name of an option or of the default."""
+"""Number of one of ``BINS`` parts of the range; or the name of an option, of the default, or ``UNUSED``."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Shift:
     moved: float
     """Total variation between proposed and accepted values, 0 to 1."""
     noise: float
-    """Its expected value if chance alone decided which designs change, or are accepted."""
+    """The expected ``moved`` if designs were changed or accepted at random."""
     rare: tuple[str, ...]
-    """Proposed values of which less than ``RARE`` is accepted."""
+    """Proposed values with an accepted share below ``RARE`` times the proposed share."""
 
 
 def shift(leaf: Leaf, proposed: Sequence[Any], accepted: Sequence[Any], *, paired: bool) -> Shift:
@@ -68,7 +68,7 @@ def _bin(leaf: Leaf, value: Any) -> Bin:
 
 
 def _named(leaf: Leaf, bins: Iterable[Bin]) -> Iterator[str]:
-    """The bins in words, neighbours together."""
+    """The bins in words; adjacent bins as one range."""
     yield from sorted(name for name in bins if isinstance(name, str))
     numbers = enumerate(sorted(name for name in bins if isinstance(name, int)))
     for _, run in groupby(numbers, key=lambda pair: pair[1] - pair[0]):

@@ -45,7 +45,7 @@ HEAVY = 1e12  # g
 HALF_ROW = 0.25 * np.sqrt(3)  # along the warp, across the rows [edges]
 HALF_STEP = 0.25  # along the weft: rows are shifted by half an edge [edges]
 HANGING, HANGING_WIDTH = 20.0, 5.0  # cm, strip of the tensile test, as in ISO 13934-1
-STRAIN = 0.01  # at which the tensile stiffness is measured
+STRAIN = 0.01  # strain of the tensile test
 
 
 def strip(

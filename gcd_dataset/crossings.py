@@ -18,12 +18,12 @@ from gcd_dataset.records import Panel
 
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
-TOUCH = 0.01  # cm: a contact within this distance of a shared corner is not a crossing
+TOUCH = 0.01  # cm: edges that meet within this distance of a shared corner do not cross
 SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
-FEW = 64  # edges: larger panels are swept; up to this size, comparing all pairs is faster
-AT_ONCE = 1 << 19  # pairs of edges compared at once: 30 MB
+FEW = 64  # edges: larger panels are swept; for smaller ones comparing all pairs is faster
+AT_ONCE = 1 << 19  # pairs of edges compared at once, in 30 MB
 MOST_CROSSINGS = 100  # reported for one panel
-APART = 1e-6  # cm between boxes, rad between sectors: a smaller gap may be a rounding error
+APART = 1e-6  # gap [cm between boxes, rad between sectors]: a smaller one may be a rounding error
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class Crossing:
 
     edge: int
     other: int
-    """Equal to ``edge`` for an edge that meets itself."""
+    """Number of the other edge; ``edge`` itself for an edge that crosses itself."""
     point: tuple[float, float]
-    """In the panel's plane [cm]; for an edge that meets itself, its start."""
+    """Position in the panel's plane [cm]; for an edge that crosses itself, its start."""
 
 
 def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:

@@ -9,12 +9,12 @@ that rounded a tie the other way.
 
 The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
 rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
-arc its midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they
-follow from the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of
-an arc, which is unbounded for a nearly straight one.
+arc its midpoint, side and large flag; the stitches. Two kinds of ``PatternTensor`` columns are left out, since they
+follow from the others with larger rounding errors: Euler angles of rotations, which are not unique, and radii of arcs,
+which are unbounded for nearly straight arcs.
 
 The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
-depend on their order. It identifies a data set; it is not secure against forgery.
+depend on their order. It identifies a data set, but gives no security against forgery.
 """
 
 import hashlib
@@ -33,9 +33,9 @@ from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 __all__ = ["STEP", "PatternHash", "hash_pattern"]
 
 STEP = 1e-4  # cm; unitless for quaternions
-NEAR = 1e-5  # steps: 1e-9 cm, fifty times the greatest difference observed between machines
-MOST_TIES = 6  # ties of one pattern: 2^6 roundings are hashed
-LARGEST = 1e15  # steps
+NEAR = 1e-5  # of a step: a number so near to half-way is a tie; 1e-9 cm, 50 times the largest observed difference
+MOST_TIES = 6  # largest number of ties of a pattern for which all roundings, 2^6, are hashed
+LARGEST = 1e15  # steps: upper limit of a number
 MODULUS = 1 << 256
 
 PANEL_COLUMNS = [
@@ -66,7 +66,7 @@ class PatternHash:
 
     value: int = 0
     ties: tuple[int, ...] = ()
-    """Differences from ``value`` on machines that round one or more ties of one pattern the other way."""
+    """Differences between ``value`` and the hashes with one or more ties of one pattern rounded the other way."""
     count: int = 0
     """Number of patterns."""
 

@@ -41,15 +41,15 @@ UNITS_IN_METER = 100  # files are written in centimetres
 NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row
 UNPLACED = [0.0, 0.0, 0.0]  # default translation and rotation of a panel
 LARGEST_UNIT = 1e6  # upper bound of units_in_meter; its inverse is the lower bound
-MOST_NAMES = 40  # in a message
+MOST_NAMES = 40  # most names listed in a message
 NAMES = {
     PanelRole.LEG: ("pant", "skirt", "leg", "trouser", "short"),
     PanelRole.ARM: ("sleeve", "arm", "cuff", "sl_"),
     PanelRole.BODY: ("torso", "bodice", "wb", "hood", "collar", "lapel", "body", "top", "waist"),
 }
 """Role of a panel to words in its name."""
-TROUSERS = "pant"  # in the names of GarmentCode's trousers and their cuffs
-BODICE = ("torso", "bodice", "top", "bust")  # in the names of panels that hang from the armpits
+TROUSERS = "pant"  # part of the names of GarmentCode's trouser panels and their cuffs
+BODICE = ("torso", "bodice", "top", "bust")  # parts of the names of panels that hang from the armpits
 NAMELESS = frozenset({"specification", "template", "prediction"})  # stems: the pattern is named after the folder
 
 

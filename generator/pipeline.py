@@ -118,18 +118,18 @@ class DressedWearer:
 
 @dataclass(frozen=True)
 class DressedDesign:
-    """A design accepted for all its wearers, after ``rejects`` failed attempts."""
+    """A design accepted for all its wearers, with the rejected attempts before it in ``rejects``."""
 
     seed: int
     number: int
     rejects: tuple[Rejected, ...]
     redraws: Mapping[str, int]
-    """Rule to the number of redraws within all attempts."""
+    """Rule to the number of parameter redraws, summed over all attempts."""
     design: OutfitDesign
     dressed: tuple[DressedWearer, ...]
 
     def all_redraws(self) -> dict[str, int]:
-        """Rule to the number of redraws within the attempts and of whole attempts, by the name of the rule."""
+        """Rule to the number of redraws: of parameters within all attempts, plus of whole designs."""
         return dict(sorted((Counter(self.redraws) + Counter(reject.rule for reject in self.rejects)).items()))
 
 
@@ -248,7 +248,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 
 
 def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> Rejected | None:
-    """The first failed drape as the reason for another attempt; ``None``: the design is kept.
+    """The first failed drape, as the reason for another attempt; ``None`` if the design is kept.
 
     A failed drape is kept with ``on_fail="keep"`` and in the last attempt.
     """
@@ -309,7 +309,7 @@ def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
 
 
 def sample_fabric(seed: int, index: int, name: str) -> "Fabric":
-    """The fabric of a sample: the one called ``name``, or for ``random`` one drawn by seed and index.
+    """The fabric of a sample: the fabric called ``name``; for ``random`` a fabric drawn by seed and index.
 
     All attempts at an index have the same fabric: otherwise fabrics that drape badly would become rare.
     """

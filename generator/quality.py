@@ -7,7 +7,7 @@ from gcd_dataset.records import BoxMesh, Drape, Grade, Outcome, Strain
 
 __all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
 
-MAX_STRETCH = 1.4  # of any panel (see ``strain_of``); a garment stretched further is too tight to be clean
+MAX_STRETCH = 1.4  # largest stretch of a panel (``strain_of``) of a clean garment: further stretched it is too tight
 OUTLIERS = 1.0  # percent of a garment's faces left out at either end
 PANEL_OUTLIERS = 5.0  # percent of a panel's faces; more, since a panel may have few faces
 THIN = 1e-6  # cm²: a face with a smaller flat area has no defined stretch

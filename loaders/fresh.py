@@ -1,8 +1,8 @@
 """``FreshGarments``: garments made during training into a buffer of fixed size, each used several times.
 
-The workers are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run users' data sets and transforms,
-which may be a lambda in a script without a ``__main__`` guard, and need random streams of their own in each worker.
-They make garments with ``produce``, by the same draping processes and with the same look-ahead as ``gcd generate``.
+The workers belong to a ``DataLoader``, not to ``gcd_dataset.workers``: they run users' data sets and transforms, which
+may be lambdas in a script without a ``__main__`` guard, and each worker needs its own random streams. Like ``gcd
+generate`` they call ``produce``, with the same draping processes and the same look-ahead.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,7 +36,7 @@ __all__ = ["FreshGarments"]
 
 
 class FreshGarments(IterableDataset[Item]):
-    """A stream of generated garments, made ahead of the training by ``workers`` processes, each used ``replay`` times.
+    """A stream of garments generated during training, each used ``replay`` times.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> fresh = FreshGarments(FakeGarments(4, fields=["meta"]), replay=2, room=3)
@@ -45,23 +45,31 @@ class FreshGarments(IterableDataset[Item]):
     >>> [item["meta"]["index"] for item in fresh]  # the next epoch
     [0, 0, 1, 3, 3, 2, 1, 2]
 
-    For a model that consumes garments faster than they are made: each garment is used ``replay`` times, at random
-    moments while it is in the buffer; with ``replay=2.5`` one garment is used twice, the next three times. After its
-    last use a new garment takes its place, so memory is bounded: ``room`` items here, and the items of 74 designs in
-    each worker, plus 48 garments of 1 MB (at 1 cm) if draping processes serve the workers. The first item comes as soon
-    as the first garment is made: the buffer grows by one garment with each item, up to ``room``. The order is a
-    function of ``seed``, epoch and position, and of the data set, not of workers or timing.
+    For a model that consumes garments faster than they are made. Garments are used in random order from a buffer; after
+    its last use a garment is replaced by a new one. The first item is ready as soon as the first garment is made: the
+    buffer grows by one garment with each item, up to ``room``.
 
-    Each ``iter()`` is the next epoch: the same garments in another order, with other augmentation. An ``endless`` data
-    set, such as ``MixedDataset``, supplies its following garments each epoch. ``set_epoch`` selects an epoch;
-    ``load_state_dict`` resumes within one, and makes again only the earlier garments that are still in the buffer. A
-    ``GarmentLoader`` calls both according to its own state.
+    - ``garments``: the data set that makes the garments, usually ``GeneratedGarments``.
+    - ``replay``: uses of each garment, at least 1; with 2.5 one garment is used twice, the next three times.
+    - ``room``: number of garments in the buffer.
+    - ``workers``: number of processes that make garments ahead of the training; 0: this process makes them.
+    - ``seed``: seed of order and augmentation. The order depends on ``seed``, epoch, position and data set, not on
+      workers or timing.
+    - ``augment``: called at each use with the item in the buffer, which it must not change in place, and a random
+      stream for this use: see ``gcd_dataset.loaders.transforms``.
 
-    ``augment`` is applied at each use, with a random stream of its own: see ``gcd_dataset.loaders.transforms``. It gets
-    the item in the buffer and must not change it in place.
+    **Loaders.** Pass the stream to a ``GarmentLoader`` with ``shuffle=False``, or to a ``DataLoader``; both without
+    workers. For several ranks that make different garments, pass ``garments.select(range(rank, n, ranks))`` on each
+    rank, and ``rank=0, world_size=1`` to the loader.
 
-    Give it to a ``GarmentLoader`` with ``shuffle=False``, or to a ``DataLoader``; both without workers. To divide the
-    making among ranks, give each ``garments.select(range(rank, n, ranks))``, and the loader ``rank=0, world_size=1``.
+    **Epochs.** Each ``iter()`` is the next epoch: the same garments in another order, with other augmentation. An
+    ``endless`` data set, such as ``MixedDataset``, supplies its following garments each epoch. ``set_epoch`` selects an
+    epoch; ``load_state_dict`` resumes within an epoch, and makes again only the earlier garments that are still in the
+    buffer. A ``GarmentLoader`` calls both according to its own state.
+
+    **Memory.** The buffer holds ``room`` items; each worker holds the items of up to 74 designs, plus 48 garments of
+    1 MB (at 1 cm) if draping processes serve the workers.
+
     Raises ``ConfigError`` for invalid options, and the errors of workers, such as ``DrapeError`` if a draping process
     ends: then ``load_state_dict(state_dict())`` resumes at the garment that failed.
     """
@@ -77,7 +85,9 @@ class FreshGarments(IterableDataset[Item]):
         augment: Augment | None = None,
     ) -> None:
         if not isinstance(garments, Garments):
-            raise ConfigError(f"FreshGarments of a {type(garments).__name__}: give GeneratedGarments, or the like")
+            raise ConfigError(
+                f"FreshGarments of a {type(garments).__name__}: give GeneratedGarments or another data set of garments"
+            )
         self.garments, self.room = garments, require_integer("room", room, least=1)
         self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
         self.augment = None if augment is None else require_callable("augment", augment)
@@ -132,7 +142,7 @@ class FreshGarments(IterableDataset[Item]):
         """
         if get_worker_info() is not None:
             raise ConfigError(
-                "FreshGarments in a worker: give the loader num_workers=0; they have workers of their own"
+                "FreshGarments in a worker: give the loader num_workers=0; FreshGarments starts its own workers"
             )
         epoch, offset = divmod(position, max(len(self), 1))
         window = ReplayWindow(len(self.garments), self._rate, self.room, self.seed, epoch)

@@ -36,35 +36,41 @@ logger = logging.getLogger("gcd_dataset")
 
 
 class GeneratedGarments(Garments):
-    """Garments 0 … ``n`` - 1 of ``seed``, made on demand; equal to those that ``gcd generate`` writes to shards.
+    """Garments 0 … ``n`` - 1 of ``seed``, made on demand, byte for byte as ``gcd generate`` writes them to shards.
 
     >>> ds = GeneratedGarments(1000, drape=None, fields=("panels", "box"))  # doctest: +SKIP
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``options`` are those of ``MakeConfig``: ``bodies="both"``, ``resolution=2.0`` [cm], ``fabric="denim"`` and so on;
-    ``design`` is an overlay from ``read_overlay``, or the content of such a file as a dict: ``{"meta": {"bottom":
-    "none"}}``.
-    The same ``seed`` with another fabric or another arm pose gives the same patterns, draped differently.
-    ``fabric="random"`` draws a fabric for each sample; ``meta`` holds its parameters.
-    ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops before that.
-    ``fields``: ``None`` for all fields of the stage; ``dtype``: the type of floating fields, float32 by default,
-    ``None`` for the type stored in shards.
-    Pictures are rendered for a cache, or if ``fields`` include ``front``, ``back`` or ``meta``, which holds the
-    checksums of all members.
+    What is made:
 
-    ``device``: where cloth is draped: ``cpu``, ``cuda:0``, ``cuda:0,1``; ``auto`` is every GPU that torch sees, or the
-    CPU. Under ``torchrun``, or with ``torch.distributed`` initialised, ``auto`` is this rank's own GPU, and several
-    GPUs are divided among the ranks of this machine. On GPUs, workers of a ``DataLoader``, forked or spawned, make
-    body, design, pattern and mesh, and two draping processes per GPU drape for them; without workers, this process
-    drapes each batch in one go on the first GPU, which then waits for the preparation of garments. On a CPU each
-    worker drapes its own garments.
+    - ``n``, ``seed``: number of garments, and the seed that determines them.
+    - ``drape``: ``warp``, or ``None`` to stop at the box mesh. ``stage="pattern"`` stops before the box mesh.
+    - ``design``: restricts the designs: an overlay from ``read_overlay``, or the content of an overlay file as a dict,
+      ``{"meta": {"bottom": "none"}}``.
+    - ``options``: the other options of ``MakeConfig``, such as ``bodies="both"``, ``resolution=2.0`` [cm],
+      ``fabric="denim"``. Fabric and arm pose change the drapes of a seed, not its patterns. ``fabric="random"`` draws a
+      fabric for each sample; ``meta`` holds its parameters.
+    - ``device``: the device of the drape: ``cpu``, ``cuda:0``, ``cuda:0,1``, or ``auto``: every GPU that torch sees,
+      else the CPU.
 
-    ``cache_dir``: stores every garment made, and reads it the next time. Each seed, recipe and version of this package
-    has a folder of its own there, the attribute ``cache``: a data set for ``GarmentDataset``, ``gcd verify`` or ``gcd
-    publish``. Any number of workers and processes may share it; a damaged garment is made again.
+    What an item holds:
 
-    If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` warns once.
+    - ``fields``: names of fields; ``None`` for all fields of the stage. Pictures are rendered only for a cache, or if
+      ``fields`` include ``front``, ``back`` or ``meta``, which holds the checksums of all members.
+    - ``dtype``: the type of floating fields, float32 by default; ``None`` for the type stored in shards.
+    - ``transform``: called with each item.
+
+    ``cache_dir`` stores every garment made, and later reads are from there. It has one folder per seed, recipe and
+    version of this package; the attribute ``cache`` is the folder of this data set, which ``GarmentDataset``, ``gcd
+    verify`` and ``gcd publish`` can read. Any number of workers and processes may share it; a damaged garment is made
+    again.
+
+    **Processes.** On GPUs, workers of a ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and two
+    draping processes per GPU drape for them. Without workers this process drapes each batch at once on the first GPU,
+    which is idle while the next batch is prepared. On a CPU each worker drapes its own garments. Under ``torchrun``, or
+    with ``torch.distributed`` initialised, ``auto`` is this rank's own GPU, and several GPUs are divided among the
+    ranks of this machine. If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` warns once.
 
     Raises ``ConfigError`` for options that do not fit together, fields of a later stage, and more ranks than GPUs; a
     missing GPU raises with the first garment. Raises ``DrapeError`` if a draping process ends; the next request

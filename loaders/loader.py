@@ -32,12 +32,12 @@ class GarmentLoader:
     - ``state_dict()`` counts the batches that the training loop has received, not those prefetched by workers. A loader
       with another number of ranks or workers or another ``batch_size`` can load the state: the rest of the epoch
       follows, each garment once.
-    - ``iter()`` begins an epoch: the first, then the following ones, also after a broken-off loop. After
-      ``load_state_dict`` it yields the rest of the state's epoch; to resume a broken-off loop, call
+    - Each ``iter()`` begins the next epoch, also after a loop that ended early. After ``load_state_dict`` it yields the
+      rest of the state's epoch; to continue a loop that ended early, call
       ``loader.load_state_dict(loader.state_dict())``. Only the most recent iterator yields batches.
     - ``batch_size`` is per rank; all ranks get equally many garments, so none waits for another. ``rank``,
       ``world_size`` and ``pad`` are those of ``ElasticSampler``; if not given, each ``iter()`` looks them up. With
-      ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that fill up.
+      ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that are repeated.
       ``drop_last`` leaves out each rank's last, smaller batch.
     - ``num_workers=0``: a thread reads stored garments, two batches ahead of the loop. Worker processes cost more than
       reading does; use them for generated garments and slow transforms. They persist over epochs.
@@ -49,9 +49,9 @@ class GarmentLoader:
       the garment.
     - On a machine with a GPU batches are in pinned memory.
     - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
-      is read from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``. ``FreshGarments``
-      resume without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is nevertheless read by
-      index.
+      is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
+      ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an
+      exception: the loader reads it by index.
 
     Raises ``ConfigError`` for options that do not fit together.
     """

@@ -31,14 +31,14 @@ class MixedDataset(Garments):
 
     Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order, the count of each data set differs
     from its share by at most one garment for two data sets, by at most two for three, and by a few for more. (For three
-    or more data sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float counts
-    as the decimal that it prints as.
+    or more data sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float has
+    the value of its printed decimal.
 
-    Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: until every data set has
-    been exhausted once; data sets with few garments for their weight repeat by then. Indices from ``len()`` on are
-    the following epochs, which continue where the previous one ended. A ``GarmentLoader`` keeps this order, whatever
-    its ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on
-    average only.
+    Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: it ends when every data
+    set has been exhausted once, so data sets with few garments for their weight repeat. Indices from ``len()`` on are
+    the following epochs, which continue where the previous one ended. A ``GarmentLoader`` keeps this order for any
+    ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on average
+    only.
 
     ``transform`` is called with each item, after the transform of its own data set. Raises ``ConfigError`` for data
     sets with different fields or ``dtype``, an empty data set, or weights other than one positive number for each.

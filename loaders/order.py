@@ -24,7 +24,7 @@ __all__ = ["ElasticSampler", "Pad", "Permutation", "RankShare", "SampleOrder", "
 
 Pad = Literal["none", "repeat"]
 
-ROUNDS = 8  # of the Feistel network: four change the row, four the column
+ROUNDS = 8  # rounds of the Feistel network: four change the row, four the column
 MASK64 = (1 << 64) - 1
 CHUNK = 1024  # indices that a rank computes at once
 

@@ -31,7 +31,7 @@ from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 __all__ = ["PublishedGarmentCodeData"]
 
 LARGEST_PICTURE = 8192  # pixels per side; published pictures have 800
-POINTS = 8192  # on a garment's surface, as in generated data sets
+POINTS = 8192  # sampled points per garment, as in generated data sets
 META, MEASURES = "meta.json", "measures.json"
 MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
 DRAPE = ("sim", "segmentation")

@@ -40,7 +40,7 @@ EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
 
 
 class GarmentDataset(Garments):
-    """Garments by index, from a folder of shards, a URL, or a repository of the Hugging Face Hub.
+    """Garments by index, read from shards in a folder, at a URL, or in a repository of the Hugging Face Hub.
 
     >>> ds = GarmentDataset("garments", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
@@ -48,37 +48,45 @@ class GarmentDataset(Garments):
     >>> GarmentDataset("org/garments", "train[:10%]", fields=["points"], max_cache_size="20GB")  # doctest: +SKIP
     >>> GarmentDataset("recipe:standard-1k", "test")  # doctest: +SKIP
 
-    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, ``s3://BUCKET/PREFIX`` or any other URL of
-    ``fsspec``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``); or ``recipe:NAME`` or ``recipe:FILE.toml``: the data
-    set of a recipe, made on first use.
-    ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
-    ``fields``: the fields to read, ``None`` for all that the garments hold (those of stage ``pattern`` or ``mesh`` lack
-    some); other members are neither read nor downloaded. ``dtype``: the type of floating fields, float32 by default,
-    ``None`` for the stored types.
-    ``root``: download the split, or its selected fields, to this folder first, and read it there. A recipe's data set
-    is made in its subfolder NAME, by default in the cache.
-    ``download``: ``False`` asks no server and makes nothing: ``root`` or the cache must hold the data.
-    ``revision``: branch, tag or commit of a repository; resolved once, see the attribute ``revision``.
-    ``cache_dir``, ``max_cache_size``: the cache of remote data and its limit, such as ``"20GB"``; any number of
-    processes may share it. By default ``~/.cache/gcd_dataset``, without limit.
-    ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30, ``math.inf`` for
-    no limit.
-    ``endpoint``, ``token``: of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
-    ``transform``: called with each item.
-    ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
-    on opening, ``off`` nothing; remote data is checked in any case.
-    ``settled_only``: only garments whose drape has settled.
-    ``quality``: only garments of that grade or a better one: ``"clean"`` has no crossing edge and no panel that is too
-    tight, ``"paper"`` is within the limits of GarmentCodeData; see ``generator.quality``.
-    ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
-    garments over ranks and workers; remote data is not cached.
+    Selection:
 
-    Foreign tars for ``webdataset`` are read too: their fields are the extensions of their files, such as ``seg.png``,
-    decoded by the last one, and ``None`` for a sample without such a file.
+    - ``source``: a folder; a URL, ``http://…``, ``https://…``, ``file://…``, ``s3://BUCKET/PREFIX`` or any other that
+      ``fsspec`` supports; a repository of the Hub, ``ORG/NAME``, ``hf://…`` or ``…@REVISION``; or the data set of a
+      recipe, ``recipe:NAME`` or ``recipe:FILE.toml``, which is made on first use.
+    - ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
+    - ``revision``: branch, tag or commit of a repository; resolved once, see the attribute ``revision``.
+    - ``settled_only``: only garments with a settled drape.
+    - ``quality``: only garments of this grade or a better one: ``"clean"`` garments have no crossing edge and no panel
+      that is too tight, ``"paper"`` garments are within the limits of GarmentCodeData; see ``generator.quality``.
 
-    Raises ``ShardError`` for a source without such a split, or a damaged or newer one, ``RemoteError`` for a server
-    that does not answer, ``ConfigError`` for options that do not fit together, and for a field that no garment of the
-    split holds, such as ``verts`` of garments made up to stage ``mesh``.
+    Items:
+
+    - ``fields``: the fields to read, ``None`` for all that the garments hold (garments of stage ``pattern`` or ``mesh``
+      lack some); other members are neither read nor downloaded.
+    - ``dtype``: the type of floating fields, float32 by default; ``None`` for the stored types.
+    - ``transform``: called with each item.
+    - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
+      everything on opening, ``off`` nothing; remote data is checked in any case.
+    - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
+      garments over ranks and workers; remote data is not cached.
+
+    Remote data:
+
+    - ``root``: download the split, or its selected fields, to this folder first, and read it there. A recipe's data set
+      is made in the subfolder NAME of ``root``, by default in the cache.
+    - ``download``: ``False`` sends no request and makes nothing: ``root`` or the cache must hold the data.
+    - ``cache_dir``, ``max_cache_size``: the cache and its limit, such as ``"20GB"``; any number of processes may share
+      a cache. By default ``~/.cache/gcd_dataset``, without limit.
+    - ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30, ``math.inf``
+      for no limit.
+    - ``endpoint``, ``token``: address and token of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
+
+    Foreign tars for ``webdataset`` are read too. Their fields are the extensions of their files, such as ``seg.png``;
+    the last extension decides the decoding. A sample without such a file has ``None``.
+
+    Raises ``ShardError`` for a missing split, or a damaged or newer source, ``RemoteError`` for a server that does not
+    answer, and ``ConfigError`` for options that contradict each other and for a field that no garment of the split
+    holds, such as ``verts`` of garments made up to stage ``mesh``.
     """
 
     reads_only = True
@@ -309,8 +317,8 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 class StreamedGarments(GarmentDataset, IterableDataset):
     """The items in the order of the shards; each rank and worker reads one contiguous part.
 
-    Every garment comes once, and the parts differ by one garment at most. Each process whose part overlaps a shard
-    reads it: in a folder from the start of its part, on a server from the start of the shard.
+    Every garment comes once, and the parts differ by one garment at most. A process reads a shard in a folder from the
+    start of its part, and a shard on a server from the start of the shard.
     """
 
     _ranks: tuple[int, int] | None = None

@@ -4,10 +4,11 @@
 
 Poses of our own body (arms up and down by 40 degrees, T-pose, arms forward, legs wide), scans of a woman (3,000
 vertices; with holes), an ``anny`` body with its arms forward (needs the extra ``bake``), and GarmentCode's mean bodies
-(needs ``--examples``): see ``benchmarks.draping.other_bodies``. A body that cannot be built is left out, with a line
-that gives the reason. Each garment is sampled for its wearer, whose measures are those of the A-pose but for the angle
-of the arms; sleeves that point elsewhere are turned to the arms, as by ``gcd drape``. With its arms 40 degrees down the
-body passes through itself in the armpits ("body through itself" counts the edges); with 25 degrees it does not.
+(needs ``--examples``): see ``benchmarks.draping.other_bodies``. If a body cannot be built, a line gives the reason and
+the body is left out. Each garment is sampled for the measures of its wearer: those taken in the A-pose, with the arm
+angle of the actual pose. Sleeves that point away from the arms are turned to them, as ``gcd drape`` does. With its arms
+40 degrees down the body passes through itself in the armpits ("body through itself" counts the edges); with 25 degrees
+it does not.
 ``neutral``, ``female`` and ``male`` are the usual wearers, to compare with.
 """
 
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Drape ``count`` garments on each body. Raises ``ConfigError`` if no body can be had."""
+    """Drape ``count`` garments on each body. Raises ``ConfigError`` if no body can be built."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
     wearers = _wearers(options)
@@ -93,7 +94,7 @@ def _wearers(options: argparse.Namespace) -> Mapping[str, OtherBody]:
 
 
 def _draped(worn: Sequence[Worn], device: str, batch: int, *, warm: bool) -> tuple[list[Drape], float]:
-    """The drapes, and the seconds they took, kernels loaded."""
+    """The drapes and their wall time [s], without the time to load kernels."""
     jobs = [one.job for one in worn]
     if not warm:
         drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
@@ -132,7 +133,7 @@ def _row(name: str, count: int, worn: Sequence[Worn], drapes: Sequence[Drape], s
 
 
 def _self_crossings(body: Body) -> int | str:
-    """Edges of the skin that pass through the skin, where no cloth can hang; empty for a mesh unlike the model's."""
+    """Skin edges that cross the skin: no cloth fits between there. An empty string for faces unlike the model's."""
     return skin_crossings(body) if np.array_equal(body.faces, body_model().faces) else ""
 
 

@@ -37,7 +37,7 @@ class Variant:
 
 
 def variants() -> list[Variant]:
-    """The full system, both pulls off as in Korosteleva et al. (ECCV 2024), then each feature switched."""
+    """The full system; without ``PULLS``, as in Korosteleva et al. (ECCV 2024); then with each feature switched."""
     switches = {entry.name: entry.default for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
     return [
         Variant("full", {}, by_body=True),

@@ -1,4 +1,4 @@
-"""Bodies and poses unlike those that garments are sampled for: other poses, GarmentCode's bodies, damaged scans."""
+"""Bodies outside the sampled population: other poses, GarmentCode's mean bodies, ``anny`` and damaged scans."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -32,11 +32,11 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["OTHER_BODIES", "OtherBody", "arms_forward", "decimated", "dressed", "other_body", "with_holes"]
 
 ATTEMPTS = 30  # designs tried for one garment
-ARM_TURN = np.radians(40.0)
-CLEAR_ARM_TURN = np.radians(25.0)  # further down, the neutral body passes through itself in the armpits
-WIDE_LEGS = np.radians(12.0)  # of each thigh; trousers are sampled for 3°
+ARM_TURN = np.radians(40.0)  # raising or lowering of the arms from the A-pose
+CLEAR_ARM_TURN = np.radians(25.0)  # arms lowered further make the neutral body pass through itself in the armpits
+WIDE_LEGS = np.radians(12.0)  # rotation of each thigh; 3° in generated samples with trousers
 FORWARD = np.array([0.25, -0.35, 0.9])
-"""Direction of the left arm held forward: a little outward, 20° below the horizontal. anny's z is up, it faces -y."""
+"""Direction of the left arm held forward: a little outward, 20° below the horizontal (x left, y up, z forward)."""
 SCAN_VERTICES = 3000
 SCANNED = 7  # seed of the woman in the scans
 HOLE = 2.5  # cm, radius of a hole in a scan
@@ -53,10 +53,11 @@ HOLES: tuple[tuple[float, float, float], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class OtherBody:
-    """A wearer: its body, the same with legs apart for trousers, and its measures."""
+    """A wearer with measures."""
 
     body: Body
     apart: Body
+    """The body with its legs apart, for trousers."""
     size: Measurements
 
 
@@ -113,7 +114,7 @@ def _named(name: str) -> OtherBody:
 
 
 def _scan(damage: Callable[[Body], Body]) -> OtherBody:
-    """A woman as a mesh file of other faces, read and measured as an unknown body."""
+    """A woman's body with damaged skin, written to a mesh file and read back as an unknown body."""
     woman = draw_shape(rng(SCANNED, 0, Stage.BODY), group="female")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scan.obj"
@@ -127,14 +128,14 @@ def _scan(damage: Callable[[Body], Body]) -> OtherBody:
 
 
 def decimated(body: Body) -> Body:
-    """The body's skin with ``SCAN_VERTICES`` vertices, without cavities; its parts are not known."""
+    """The body's skin decimated to ``SCAN_VERTICES`` vertices, without cavities and without labels of body parts."""
     skin = VisibleSkin.of(body.faces, body.parts)
     vertices, faces = coarser(skin.points(body.vertices), skin.faces, SCAN_VERTICES)
     return Body(vertices, faces, np.zeros(len(vertices), np.uint8), body.name)
 
 
 def with_holes(body: Body) -> Body:
-    """The body without the skin within ``HOLE`` of ``HOLES``, its faces in another order."""
+    """The body without the skin within ``HOLE`` of each of ``HOLES``, and with its faces in another order."""
     height = float(np.ptp(body.vertices[:, 1].copy()))
     gone = np.zeros(len(body.vertices), bool)
     for at in HOLES:
@@ -148,7 +149,7 @@ def with_holes(body: Body) -> Body:
 
 
 def _garmentcode(examples: Path, name: str, *, apart: str = "", sizes: str = "") -> OtherBody:
-    """A mean body of GarmentCode; ``sizes``: the body in the A-pose whose measures it has, but for the arms' angle."""
+    """A mean body of GarmentCode; ``sizes``: the A-pose body with its measures, all but the arm angle."""
     segmentation = examples / "ggg_body_segmentation.json"
     body, size = read_body(examples / f"{name}.obj", examples / f"{sizes or name}.yaml", segmentation)
     if sizes:
@@ -161,7 +162,7 @@ def _garmentcode(examples: Path, name: str, *, apart: str = "", sizes: str = "")
 
 def _anny_forward() -> OtherBody:
     """The average adult of ``anny`` with its arms held forward, posed by anny itself."""
-    x, y, z = FORWARD
+    x, y, z = FORWARD  # anny: z up, facing -y
     forward, usual = (_average_adult(bodies) for bodies in (AnnyBodies(arm=(x, -z, y)), AnnyBodies()))
     size = replace(measure(usual), arm_pose_angle=measure(forward).arm_pose_angle)
     return OtherBody(forward, forward, size)
@@ -196,7 +197,7 @@ def dressed(wearer: OtherBody, name: str, seed: int, resolution: float, number: 
 
 
 def other_body(name: str, examples: Path) -> OtherBody | str:
-    """The body ``name`` of ``OTHER_BODIES``, or the reason why it is left out, in a sentence.
+    """The body ``name`` of ``OTHER_BODIES``, or the reason why it was not built, as a sentence.
 
     ``examples``: folder of GarmentCode's mean bodies.
     """
@@ -227,4 +228,4 @@ OTHER_BODIES: Mapping[str, Callable[[Path], OtherBody]] = {
     "mean_all_apart": partial(_garmentcode, name="mean_all_apart", sizes="mean_all"),
     "mean_all_tpose": partial(_garmentcode, name="mean_all_tpose", sizes="mean_all"),
 }
-"""Name to the function that builds the body from the folder of GarmentCode's; the first three are the usual ones."""
+"""Name to the function that builds the body, given the folder of GarmentCode's bodies; first the three usual ones."""

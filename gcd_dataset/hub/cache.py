@@ -30,7 +30,7 @@ from gcd_dataset.shards.store import MemberLocation
 __all__ = ["Cache", "CachedMember", "size_in_bytes"]
 
 COUNTER = 8  # bytes of the counter at the start of a .have file
-OPEN_SHARDS = 256  # of the 1024 descriptors that most systems allow a process
+OPEN_SHARDS = 256  # most open shards, out of the 1024 descriptors that most systems allow a process
 TOUCHED_EVERY = 60.0  # s between updates of mtime: on network file systems one costs as much as reading a member
 UNITS = {"": 1, "B": 1} | {
     f"{prefix}{unit}": base ** (power + 1)

@@ -92,7 +92,7 @@ class Release:
     """Members of each garment."""
     license: str
     divided: bool
-    """Whether the splits share neither designs nor bodies: they divide one split, or a recipe defines them."""
+    """Whether the splits share neither designs nor bodies: true for parts of one split, and for splits of a recipe."""
     endpoint: str
 
     @property

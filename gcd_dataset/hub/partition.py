@@ -92,7 +92,7 @@ def _hashes(reader: ShardReader, field: str) -> Int[np.ndarray, " n"]:
 
 
 def _unspecific_bodies(reader: ShardReader, design: np.ndarray, body: np.ndarray) -> list[int]:
-    """Numbers of bodies of several designs that are neutral or have no shape weights."""
+    """Numbers of the bodies without shape weights, or neutral, among the bodies with several designs."""
     pairs = np.unique(np.stack([body, design]), axis=1)[0]
     shared = np.flatnonzero(np.bincount(pairs) > 1)
     first = {int(number): int(np.flatnonzero(body == number)[0]) for number in shared}

@@ -31,7 +31,7 @@ from gcd_dataset.shards.unfinished import unfinished
 __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
-CLIENTS = ("httpx2", "httpx", "requests")  # of huggingface_hub 2, 1 and 0.36
+CLIENTS = ("httpx2", "httpx", "requests")  # HTTP libraries of huggingface_hub 2, 1 and 0.36
 ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
 REPLACED = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")

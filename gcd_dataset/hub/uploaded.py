@@ -50,7 +50,7 @@ class UploadedRange:
     shards: Mapping[str, UploadedShard]
     """Split to shard."""
     rejects: bytes = b""
-    """Lines of ``rejects.jsonl`` in the note; empty for a published range: the published file has its lines."""
+    """Lines of ``rejects.jsonl`` in the note; empty for a published range: its lines are in the published file."""
 
     @property
     def samples(self) -> frozenset[int]:
@@ -70,13 +70,13 @@ class UploadedDataset:
         (self.range_size,) = {record.shard_size for record in requested.values()}
 
     def with_sleep(self, sleep: Callable[[float], object]) -> "UploadedDataset":
-        """A copy that waits between attempts with ``sleep``, and gives up once it returns true."""
+        """A copy that calls ``sleep`` between attempts, and stops trying when it returns true."""
         files = Objects(self.files.base, patience=self.files.patience, sleep=sleep)
         return UploadedDataset(files, self._requested, self._layout)
 
     @property
     def is_begun(self) -> bool:
-        """Whether an upload has begun and is not complete."""
+        """Whether an upload has begun and is not yet complete."""
         return self._manifest(f"{NOTES}/{MANIFEST}") is not None
 
     def begin(self) -> None:
@@ -92,14 +92,14 @@ class UploadedDataset:
         return range(-(-count // self.range_size))
 
     def ranges(self, count: int) -> dict[int, UploadedRange]:
-        """Number to range, for each range with all its shards in the store, in their recorded sizes.
+        """Number to range, for ranges with all shards in the store at their recorded sizes.
 
         During an upload the notes of the ranges of ``count`` samples are read too.
         """
         found = self._published()
         if self.is_begun:
             lacking = [n for n in self.numbers(count) if n not in found or not self._holds(found[n], n, count)]
-            # A note holds at least the samples of the published range: its run started from them.
+            # A note lists at least the samples of the published range, since its run continued from them.
             noted = _run_parallel(self._noted_range, lacking)
             found |= {number: uploaded for number, uploaded in noted.items() if uploaded is not None}
         is_stored = _run_parallel(lambda number: self._is_stored(found[number]), found)

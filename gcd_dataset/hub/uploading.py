@@ -1,7 +1,7 @@
 """Writes a data set to an object store: ranges are filled in local folders, and uploaded when complete.
 
 The spool is a local folder with a subfolder for each range that is not uploaded yet: a data set of that range alone,
-with one shard per split. After a kill a writer continues it. An uploaded range is removed from the spool.
+with one shard per split. After a kill, the next writer continues in it. An uploaded range is removed from the spool.
 """
 
 import contextlib
@@ -72,8 +72,8 @@ class StoreTarget:
     def filling(self, count: int) -> Iterator["StoreWriter | FinishedWriter"]:
         """A writer of the missing samples below ``count``. The data set becomes visible at the end of the block.
 
-        After an error, store and spool keep their samples, and the same call continues. A complete data set is not
-        written again.
+        After an error the same call continues with the samples in store and spool. A complete data set is not written
+        again.
         """
         uploaded = self._uploaded()
         if self._is_finished(uploaded, count):
@@ -99,7 +99,7 @@ class StoreTarget:
         return UploadedDataset(Objects(self.url.url, patience=self.patience), self.requested, self.layout)
 
     def _spool(self, is_begun: bool) -> "Spool":
-        """The spool; emptied if no upload has begun: the last one is complete, or its objects were removed."""
+        """The spool. Emptied if no upload has begun: its folders are of a complete or removed upload."""
         spool = Spool(self.spools / self.url.slug, self.open_writer)
         if not is_begun:
             spool.remove()

@@ -37,7 +37,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 DAMAGED = (zlib.error, EOFError, tarfile.HeaderError)
 LARGEST_CONTENT = 1 << 62  # bytes of an unpacked archive
 LARGEST = 1 << 28  # bytes of one file of a garment; a published mesh has 2 MB
-MOST_GARMENTS = 1 << 20  # of an archive; published ones have 5,000
+MOST_GARMENTS = 1 << 20  # per archive; published archives have 5,000
 GAP = 1 << 22  # bytes between two files of a garment: unpacking a gap costs less than another seek
 
 

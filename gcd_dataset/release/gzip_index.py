@@ -5,14 +5,16 @@ content before it: the window. ``GzipScanner`` reads a file once from end to end
 points; ``read_from`` unpacks from a seek point.
 
 zlib does not report block starts, so they are found by trial: a byte is a candidate if the following bits parse as a
-block header. Since other bits may parse too, by chance, a candidate is accepted only if unpacking from it gives,
-byte for byte, the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are
-used: shifting the bits of the other blocks would misalign later stored blocks, which start at byte boundaries.
+block header. Other bits may parse by chance, so a candidate is accepted only if unpacking from it gives, byte for byte,
+the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are used. Other blocks
+could be unpacked only from shifted bits, which would misalign later stored blocks: those start at byte boundaries.
 
 No library is used: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
-200 MB, 396 published garments, on two cores: CPU time and growth of memory for indexing, size of the index, CPU time
-for reading a garment of 0.8 MB.
+200 MB, 396 published garments, on two cores: CPU time and memory growth of indexing, size of the index, CPU time to
+read a garment of 0.8 MB.
 
+=============================  =======  =======  =======  ======
+tool                             indexed   memory    index    read
 =============================  =======  =======  =======  ======
 this module                      2.2 s    11 MB   0.7 MB   31 ms
 indexed_gzip, point per 4 MB     3.4 s    51 MB   2.4 MB   20 ms
@@ -35,17 +37,17 @@ __all__ = ["WINDOW", "GzipScanner", "SeekPoint", "read_from"]
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
 EVERY = (
     1 << 24
-)  # bytes of content between seek points: before a garment, half of this is unpacked on average, in about 30 ms
-CHUNK = 1 << 18  # bytes of a read; blocks are seldom longer than 40 kB
+)  # bytes of content between seek points: reading a garment unpacks half of this first on average, in about 30 ms
+CHUNK = 1 << 18  # bytes per read; most blocks are shorter than 40 kB
 PIECE = 1 << 14  # packed bytes per call of zlib
-LARGEST_PART = 1 << 20  # unpacked bytes per call: deflate compresses up to 1000 : 1
-MOST_SEARCHED = 64 * CHUNK  # bytes of content of a chunk: a chunk that unpacks to more gets no seek point
+LARGEST_PART = 1 << 20  # most unpacked bytes per call: a packed byte may hold up to 1000 bytes
+MOST_SEARCHED = 64 * CHUNK  # largest content of a chunk that is searched for a block start [bytes]
 NOT_ZERO = re.compile(rb"[^\0]")
 GZIP, RAW = 31, -15  # window bits that tell zlib the format
 TRAILER = 8  # bytes after a stream: CRC-32 and length
 LONGEST_MATCH = 258
-CODE_LENGTHS = 19  # of a block's header
-LONGEST_HEADER = 17 + 3 * CODE_LENGTHS  # bits, up to the codes themselves
+CODE_LENGTHS = 19  # most code-length codes in a block's header
+LONGEST_HEADER = 17 + 3 * CODE_LENGTHS  # bits of a header before the codes of literals and distances
 MOST_CODES = 29  # largest valid HLIT and HDIST
 FULL_CODE = 128  # Kraft sum of a complete code of up to 7 bits, in units of 2⁻⁷
 
@@ -55,9 +57,9 @@ class SeekPoint:
     """A position at which unpacking can begin."""
 
     packed: int
-    """Byte of the packed file: start of a block, or of a gzip stream where ``window`` is ``None``."""
+    """Byte offset in the packed file: start of a block; of a gzip stream if ``window`` is ``None``."""
     start: int
-    """The same position as a byte of the content."""
+    """Byte offset in the content."""
     window: bytes | None
     """The 32 kB of content before it."""
 
@@ -194,7 +196,7 @@ def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
 
 
 def _matching_start(packed: bytes, content: bytes) -> int | None:
-    """Offset in ``content`` at which the content of ``packed`` lies, up to near the end; ``None`` if it does not."""
+    """Offset in ``content`` of the content of ``packed``, except its last bytes; ``None`` if it does not match."""
     try:
         zeros, ones = (zlib.decompressobj(RAW, zdict=bytes([fill]) * WINDOW) for fill in (0, 255))
         low, high = (np.frombuffer(stream.decompress(packed), np.uint8) for stream in (zeros, ones))
@@ -203,7 +205,7 @@ def _matching_start(packed: bytes, content: bytes) -> int | None:
     if len(low) != len(high) or len(low) < WINDOW // 8:
         return None
     known = np.flatnonzero(low == high)  # bytes that do not depend on the window
-    # The omitted last byte holds a few codes, each a literal or a match.
+    # The omitted last byte holds a few codes, each of them a literal or a match.
     latest = len(content) - len(low)
     starts = np.arange(max(WINDOW, latest - 16 * LONGEST_MATCH), latest + 1)
     probes = known[:: max(len(known) // 64, 1)]

@@ -29,7 +29,7 @@ __all__ = ["PublishedGarment"]
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # prefix of seam vertices in the segmentation file
 SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
-MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML tree with its aliases expanded
+MOST_VALUES, DEEPEST = 1_000_000, 64  # values and depth of a YAML tree with its aliases expanded
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
 """Exceptions of PyYAML on invalid dates, ``!!bool maybe``, a map that is its own key, …"""
 SHORTEST = 1e-6  # cm: flat length below which an edge has no stretch

@@ -1,7 +1,7 @@
 """Writes our garments as the files of the published layout, for code that reads GarmentCodeData.
 
-The layout loses some information: PLY files split vertices at seams, and texture coordinates lose their scale. The rest
-lengths of seams are a pickle, of plain numbers only.
+The layout loses some information: PLY files split vertices at seams, and texture coordinates have no scale. The rest
+lengths of seams are stored as a pickle, which holds plain numbers only.
 """
 
 import io
@@ -120,7 +120,7 @@ def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dic
 
 
 def _segments(mesh: BoxMesh) -> list[str]:
-    """Panel, or comma-separated seams, of every vertex."""
+    """For each vertex the name of its panel, or the comma-separated seams on which it lies."""
     segments = [""] * len(mesh.vertices)
     for face, panel in zip(mesh.faces.tolist(), mesh.panel_id.tolist(), strict=True):
         for vertex in face:

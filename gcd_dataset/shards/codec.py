@@ -3,8 +3,8 @@
 ===================  ===================================================================================================
 ``meta.json``        seed, index and recipe; names that the arrays refer to by row; figures of the drape; CRC-32 of
                      every other member and its own; all keys: ``gcd_dataset.shards.meta``
-``spec.txt``         the pattern as a GarmentCode specification: JSON, named ``.txt`` since its keys differ between
-                     samples and readers that infer types would fail
+``spec.txt``         the pattern as a GarmentCode specification: JSON, but named ``.txt``: its keys differ between
+                     samples, so readers that infer types would fail
 ``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
 ``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
                      measurement file; -1.0 for a missing measure, omitted from items
@@ -22,8 +22,8 @@
 ``box.npy``          f32 [v, 3]: positions before sewing [cm]
 ``verts.npy``        f32 [v, 3]: positions at rest [cm]
 ``points.npy``       i16 [n, 6]: surface points relative to their centroid, and normals; ``meta.json`` holds scale and
-                     centre; -32768 for points that a diverged drape lacks. Items hold f32 points in cm
-``front.jpg``        pictures, of one pixel where none was rendered
+                     centre; -32768 for missing points of a diverged drape. Items hold f32 points in cm
+``front.jpg``        pictures; one grey pixel if none was rendered
 ``back.jpg``
 ``caption.txt``      the garment in a sentence                          } optional: in every sample of a data set,
 ``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none
@@ -32,7 +32,8 @@
 
 An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
 loaded fields hold ids as int32. Readers that infer types from the first samples need the same type in the whole data
-set; ids meet this unless only some garments exceed 65 536 vertices or 256 panels.
+set. The types of ids differ only in a data set in which some garments, but not all, exceed 65 536 vertices or 256
+panels.
 
 Samples of schema 1 are decoded too: there specification and design were ``.json`` members, ``measures.json`` held only
 the measures taken, and ``points.npy`` was f16 in cm.
@@ -113,7 +114,7 @@ NO_PICTURE = (
     + bytes.fromhex("ffc0000b080001000101011100ffc40014000100000000000000000000000000000003")
     + bytes.fromhex("ffc40014100100000000000000000000000000000000ffda0008010100003f0037ffd9")
 )
-"""A grey JPEG of one pixel: other readers decode every picture, so no member may be empty."""
+"""A grey JPEG of one pixel: other readers decode every picture, and cannot decode an empty member."""
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
 """Fields that hold row numbers."""
@@ -197,7 +198,7 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     """The members of all arrays except the points."""
     mesh = sample.box_mesh
     if mesh is not None and mesh.panel_names != tensor.panel_names:
-        raise ShardError("the panels of its mesh differ from the panels of its pattern")
+        raise ShardError("its mesh and its pattern have different panels")
     arrays: dict[str, np.ndarray] = {
         "panels": tensor.panels,
         "edges": tensor.edges,
@@ -256,14 +257,14 @@ def _no_mesh() -> dict[str, np.ndarray]:
 
 
 def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
-    """The array as f32; for ``None`` zeros of ``shape``, which has no rows."""
+    """The array as f32; for ``None`` an array of ``shape``, which has 0 rows."""
     return np.zeros(shape, np.float32) if array is None else np.asarray(array, np.float32)
 
 
 def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
     """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
     rows = np.asarray(rows)
-    # Column 1 of labels and seams, rows of edge labels and of stitches, is held to the same limit.
+    # Column 1 of labels and seams, which holds rows of edge labels or stitches, gets the same limit.
     if rows.size and not 0 <= rows.min() <= rows.max() < count:
         raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
     size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
@@ -426,7 +427,7 @@ def _read_points(data: Bytes, meta: Bytes) -> Float32[np.ndarray, "n 6"]:
 
 
 def _by_rows(points: Float32[np.ndarray, " n"], operation: np.ufunc, operand: tuple[float, ...]) -> None:
-    """Apply an operation to all rows in place, 128 at a time: broadcasting over rows of six numbers is much slower."""
+    """Apply an operation to all rows in place, 128 at a time: broadcasting over single rows is much slower."""
     repeated = np.empty((ROWS, len(operand)), np.float32)
     repeated[:] = operand
     flat = repeated.reshape(-1)
@@ -535,7 +536,7 @@ def _shape(field: Mapping[str, Any]) -> BodyShape:
 def _drape(field: Mapping[str, Any]) -> Drape:
     figures, strain = field["meta"]["drape"], field["meta"]["strain"]
     if figures["outcome"] not in Outcome.__members__:
-        raise ShardError(f"outcome {figures['outcome']!r}: there are {', '.join(Outcome.__members__)}")
+        raise ShardError(f"outcome {figures['outcome']!r}: known are {', '.join(Outcome.__members__)}")
     values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
     values |= {name: np.nan for name in ("stretch_median", "stretch_p99") if values[name] is None}
     principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))

@@ -22,7 +22,7 @@ from gcd_dataset.shards.tar import BLOCK
 __all__ = ["FolderStore", "OpenFiles", "read_members"]
 
 GAP = 1 << 16  # bytes: reading across a gap this long costs less than a second call
-OPEN_FILES = 256  # of the 1024 descriptors that most systems allow a process
+OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
 class FolderStore(Store):

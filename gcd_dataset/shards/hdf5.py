@@ -80,7 +80,7 @@ COLLECTION_MAGIC = b"GCOL\x01"
 ENTRY = struct.Struct("<H6xQ")
 """Header of an entry: its number, 0 for free space, and its size; the text follows."""
 ALIGNMENT = 8
-MOST_ENTRIES = 1 << 16  # of a collection: entry numbers are 16-bit
+MOST_ENTRIES = 1 << 16  # per collection: entry numbers are 16-bit
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 LAYOUT_PROGRAM = Path(__file__).with_name("hdf5_layout.py")

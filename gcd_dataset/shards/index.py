@@ -58,7 +58,7 @@ __all__ = [
 
 REBUILD = "delete it: it is rebuilt from the shards"
 META = "meta.json"
-MOST_MEMBERS = 256  # of a sample, when its format is probed
+MOST_MEMBERS = 256  # most members of a sample read to recognise its format
 SCHEMA_ENTRY = re.compile(rb'\{\s*"schema":\s*(\d{1,9})\D')
 OWN_START = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # start of every shard written by this package
 

@@ -50,7 +50,7 @@ __all__ = [
 PARTS, MERGED = ".parts", ".parts-merged"
 PLAN, FINISHED, MERGING = "parts.json", "part.json", "merging"
 LOCK = ".parts.lock"
-DIGITS = 12  # of a hash, in messages
+DIGITS = 12  # shown digits of a hash, in messages
 
 
 @dataclass(frozen=True)

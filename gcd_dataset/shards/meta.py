@@ -1,9 +1,9 @@
 """``meta.json``: provenance, names and figures of a sample, in the file and in loaded items.
 
 In the file every key has one type in all samples, since readers such as ``datasets`` infer types from the first ones.
-Values of free structure are JSON text. A missing value is stored as a neutral one: ``""``, ``-1``, ``-1.0``, or a list
-with one such entry. Items hold ``None`` or an empty list for a missing value, and parsed JSON; ``grade``, ``source``
-and the counts of ``drape`` are the same in items as in the file.
+Values without a fixed structure are JSON text. In place of a missing value the file has ``""``, ``-1``, ``-1.0``, or a
+list with one such entry, and a loaded item has ``None`` or an empty list; ``grade``, ``source`` and the counts of
+``drape`` are the same in both. In items JSON text is parsed.
 
 ====================  =========  ===============================================================  =====================
 garments              JSON type  holds                                                            if missing
@@ -18,7 +18,7 @@ garments              JSON type  holds                                          
 ``rejects``           texts      rule and reason of each rejected design                          ``[""]``
 ``redraws``           objects    ``rule`` (text), ``count`` (int): parameters, parts and designs  one of ``""``, 0
                                  drawn again
-``versions``          JSON text  package to version, of all packages that decide the bytes
+``versions``          JSON text  package to version, of all packages that affect the bytes
 ``recipe``            JSON text  options of the generator
 ``recipe_sha256``     text
 ``pattern``           text       name of the pattern
@@ -43,9 +43,9 @@ garments              JSON type  holds                                          
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key
 ====================  =========  ===============================================================  =====================
 
-(*) missing unless a later step of the generator has filled it.
+(*) missing where it was not computed, such as ``grade`` without a drape, or ``tags`` of a published garment.
 
-In a body set a person has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
+In a body set each body has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
 ``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float). In schema 1 there was no
 ``crc32_before``, and missing values were null or left out.
 """
@@ -89,7 +89,7 @@ FRAME = re.compile(
     HEAD.pattern
     + rb'\s*"points":\s*\{\s*"scale":%b,\s*"normal_scale":%b,\s*"centre":\s*\[%b,%b,%b\]\s*\}' % (5 * (NUMBER,))
 )
-LONGEST = 1 << 62  # above all numbers of samples and bytes that an index can hold
+LONGEST = 1 << 62  # exceeds every sample number and byte count in an index
 
 
 class Quantization(NamedTuple):

@@ -24,7 +24,7 @@ from gcd_dataset.workers import parallel_map_chunks
 __all__ = ["PeoplePlan", "generate_people", "plan_people", "store_people", "workers_for"]
 
 CHUNK = 16  # people per task: a quarter of a second of work, 10 MB of results
-CPU_SECONDS = 0.016  # to make a person
+CPU_SECONDS = 0.016  # CPU time per body [s]
 STARTUP = 4.0  # s for a worker to start
 
 

@@ -39,7 +39,7 @@ __all__ = [
 Engine = Literal["local", "ray"]
 
 STARTUP = 4.0  # s for a worker to start
-CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for a garment, by stage; draping excluded
+CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # worker's CPU time per garment [s], without draping
 
 
 @dataclass(frozen=True)

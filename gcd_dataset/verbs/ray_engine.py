@@ -3,7 +3,7 @@
     missing indices ─► ranges ─► tasks, a bounded number at a time ─► results in order ─► the writer, this process
                                    │  ▲
                                    ▼  │
-                                 draping actors, two for each GPU; without GPUs each task drapes on its CPU
+                                 draping actors, two per GPU; without GPUs each task drapes on a CPU
 
 Ray schedules the tasks, and retries a task whose worker or node is lost. A sample depends only on seed and index, so a
 retried task makes the same bytes; only this process writes, so no sample is stored twice.
@@ -45,15 +45,15 @@ __all__ = [
     "with_cluster_device",
 ]
 
-CONNECTED = 30.0  # s: timeout for a cluster to answer at its address
-STARTED = 120.0  # s: timeout for a worker to start on each node, and for an actor on a GPU
+CONNECTED = 30.0  # s: longest wait for a cluster's answer at its address
+STARTED = 120.0  # s: longest wait for a worker on each node, and for an actor on a GPU, to start
 LOOK = 30.0  # s between checks of the nodes while waiting for a result
-RETRIES = 3  # of a task after the loss of its worker or node
+RETRIES = 3  # repetitions of a task after losses of its worker or node
 AHEAD = 2  # tasks submitted for each slot, so that none is idle while the writer is busy
-RANGE = 5.0  # CPU-s of a task: its overhead in Ray is some milliseconds
-EVENT = 160  # characters of an event message of Ray
+RANGE = 5.0  # CPU time of a task [s]: long against Ray's overhead of some milliseconds
+EVENT = 160  # most characters of a logged event message of Ray
 SHARES = 4  # least number of tasks for each slot in a short run
-CPUS_BESIDE_GPU = 0.5  # CPUs per task if GPUs drape: one task prepares while another waits for its drapes
+CPUS_BESIDE_GPU = 0.5  # CPUs per task if GPUs drape: while one task waits for its drapes, another uses the CPU
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -62,11 +62,11 @@ logger = logging.getLogger("gcd_dataset")
 def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["RayCluster"]:
     """Connect to a Ray cluster for the block.
 
-    In this order: the cluster that this program is already connected to, the one at ``RAY_ADDRESS``, one that runs on
-    this machine, or a new local one, which ends with the block. ``workers``: tasks that run at a time, by default one
-    for each CPU of the cluster, or two if GPUs drape. Raises ``ConfigError`` if ray is not installed, the cluster does
-    not answer within half a minute, it lacks the GPU that the config asks for, or a node has other versions of the
-    packages that determine the samples.
+    The first available of: the cluster that this program is already connected to, the cluster at ``RAY_ADDRESS``, a
+    cluster that runs on this machine, and a new local cluster, which ends with the block. ``workers``: number of
+    concurrent tasks, by default one per CPU of the cluster, or two per CPU if GPUs drape. Raises ``ConfigError`` if ray
+    is not installed, the cluster does not answer within half a minute, it lacks the GPU that the config asks for, or a
+    node has other versions of the packages that determine the samples.
     """
     ray = _imported()
     with ExitStack() as opened:
@@ -224,7 +224,7 @@ def _run_task(task: _Task, actors: Sequence[Actor]) -> _TaskResult:
     error: Exception | None = None
     with _captured_log() as logged:
         try:
-            if difference := mismatch(task.versions, code_versions()):  # the node may have joined after the check
+            if difference := mismatch(task.versions, code_versions()):  # the node may be newer than the check
                 raise ConfigError(f"node {_node()}: {difference}")
             with ExitStack() as opened:
                 draper = opened.enter_context(_draper(actors, task.number)) if task.config.stage == "drape" else None
@@ -312,7 +312,7 @@ def _imported() -> ModuleType:
 
 
 def _log_events(ray: ModuleType) -> None:
-    """Log Ray's events, such as lost nodes, in one line each: Ray prints them on stdout, and no option stops it."""
+    """Log Ray's events, such as lost nodes, as one line each; no option stops Ray from printing them to stdout."""
 
     def log(data: Mapping[str, Any], *_: object, **__: object) -> None:
         logger.warning("Ray: %s", shown(" ".join(" ".join(data["lines"]).split())[:EVENT]))
@@ -397,7 +397,7 @@ def _require_same(ray: ModuleType) -> None:
         if differs:
             faults.append(f"node {asked[reference]}: {differs}")
     if faults:
-        raise ConfigError(faults[0] + (f"; and {len(faults) - 1} more nodes" if len(faults) > 1 else ""))
+        raise ConfigError(faults[0] + (f"; nodes with further faults: {len(faults) - 1}" if len(faults) > 1 else ""))
 
 
 def _versions_task() -> Callable[[], dict[str, str]]:
@@ -455,11 +455,12 @@ def _fetch(ray: ModuleType, reference: Any) -> _TaskResult:
             raise GcdError(f"the Ray cluster has no node left: add one (ray status lists the nodes), then {resume}")
     try:
         return ray.get(reference)
-    except ray.exceptions.RayTaskError as error:  # outside our own code: the node lacks this package
-        raise GcdError(f"on a node of the Ray cluster: {type(error.cause).__name__}: {error.cause}; {resume}") from None
+    except ray.exceptions.RayTaskError as error:  # raised outside this package, which the node lacks
+        cause = f"{type(error.cause).__name__}: {error.cause}"
+        raise GcdError(f"on a node of the Ray cluster: {cause}: install this package there, then {resume}") from None
     except ray.exceptions.RayError as error:
         lost = " ".join(str(error).split())[:200]
         raise GcdError(
-            f"Ray lost a range of garments {RETRIES + 1} times, the last by {type(error).__name__} ({lost}): see ray "
-            f"status and its logs, then {resume}"
+            f"Ray lost a range of garments {RETRIES + 1} times, the last by {type(error).__name__} ({lost}): look "
+            f"at ray status and Ray's logs, then {resume}"
         ) from error

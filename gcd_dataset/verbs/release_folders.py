@@ -41,7 +41,7 @@ LETTERS_IN_NAME = 10
 SPLIT_FILE = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
 TEXTURE = 15  # pixels per centimetre
 LARGEST_TEXTURE = 2048  # pixels
-CLOTH_OPACITY, OUTLINE = 166, 0.5  # of 255; cm
+CLOTH_OPACITY, OUTLINE = 166, 0.5  # opacity of cloth, of 255; width of outlines [cm]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["claim", "hash_of", "is_sealed", "require_claimable", "seal"]
 
-DIGITS = 12  # of a hash, in messages
+DIGITS = 12  # shown digits of a hash, in messages
 
 log = logging.getLogger(__name__)
 

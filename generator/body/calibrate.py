@@ -38,7 +38,7 @@ ROUNDS = 6
 DAMPING = 0.3  # share of the correction that is applied after a round, since measures vary together
 PEOPLE = 700  # bodies drawn in a round, each with its mirror image about the mean (antithetic sampling)
 STEP = 0.3  # half width of the central differences [standard deviations]
-SWEEPS = 60  # of iterative proportional fitting
+SWEEPS = 60  # iterations of iterative proportional fitting
 NEAR = (0.02, 0.1, 0.1)
 """Errors of equal weight: of a mean and of a standard deviation (relative), and of a correlation with the height."""
 WIDEST = 5.0

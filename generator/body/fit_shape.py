@@ -21,16 +21,16 @@ __all__ = ["FittedShape", "fit_shape"]
 STEPS = 12
 DIFFERENCES = (0.3, 0.1)
 """Half widths of the central differences, used in turn [standard deviations]. Girth levels are searched in steps of
-5 mm, so heights of landmarks jump. Where a jump hides the slope at one width, the other width shows it."""
+5 mm, so measures jump with the level. If a jump hides the derivative at one width, the other width shows it."""
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # tried in a line search
-MAX_STEP = 2.0  # standard deviations in any weight, within which measures are nearly linear
+MAX_STEP = 2.0  # standard deviations: largest change of a weight in a step; measures are nearly linear within it
 LEAST_GAIN = 1e-3  # the fit ends when the relative decrease of the cost is smaller at every width
-TOLERANCE = 0.1  # cm: an error that costs as much as one standard deviation in one weight
+TOLERANCE = 0.1  # cm: error of a measure with the same cost as one standard deviation of a weight
 ANGLE_TOLERANCE = np.radians(0.1)
 ARM_SPREAD = np.radians(9.0)  # standard deviation of the drawn arm angle, uniform over ±15°
-MAX_FACTOR = 3.0  # ratio of a length to the mean body's: beyond this the length is in another unit
-MAX_ERROR = 0.1  # largest error of an accepted fit: of a length, relative; of an angle [rad]
-MAX_ERROR_CM = 3.0  # cm: also accepted, for short lengths
+MAX_FACTOR = 3.0  # largest ratio of a length to the mean body's, or inverse: others are in another unit
+MAX_ERROR = 0.1  # largest error of an accepted fit: relative for lengths, absolute for angles [rad]
+MAX_ERROR_CM = 3.0  # cm: largest error of a length that is accepted even if its relative error is larger
 REACH = 12.0
 """Largest distance from the mean body, over all weights [standard deviations]; drawn bodies are at 3 (pooled) to 10
 (women and men)."""
@@ -61,7 +61,7 @@ def fit_shape(measures: Measurements) -> FittedShape:
     for step in range(STEPS):
         cost = _cost(found, wanted)
         found = _step(found, wanted, DIFFERENCES[step % len(DIFFERENCES)])
-        _require_within_reach(found, 1.25 * REACH)  # steps from further out do not lead back
+        _require_within_reach(found, 1.25 * REACH)  # beyond it, later steps do not return
         gains = [*gains[1:], 1 - _cost(found, wanted) / max(cost, 1e-12)]
         if max(gains) < LEAST_GAIN:
             break

@@ -16,14 +16,14 @@ from gcd_dataset.records import BodyPart
 
 __all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_uncertainty"]
 
-MISSING = 3.0  # cm; a part with a larger median distance from the skin is missing
-STRAY = 8.0  # cm: a surface further from the model is not part of the body
-STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a scrap
-STICKS_OUT = 6.0  # cm over the model's head or under its soles
-MAX_BRIDGED = 3.0  # cm of one patch that a tape may cross: straight over it, the tape is at most 0.1 cm short
-MAX_JOINED = 8.0  # cm of the arms' contour in the loop of a girth's section; drawn bodies have none
-LEVEL_ERROR = 2.0  # times the misfit: possible error of a level
-MIN_TRUNK = 20.0  # cm: a loop with more trunk and legs than this belongs to the trunk
+MISSING = 3.0  # cm: largest median distance of a present part from the scan
+STRAY = 8.0  # cm: surface further from the registered model is not part of the body
+STRAY_SHARE = 0.02  # largest share of the mesh's area that is stray: a bun, a heel, a fragment
+STICKS_OUT = 6.0  # cm above the model's head or below its soles, largest extent of the mesh
+MAX_BRIDGED = 3.0  # cm that a tape may run over one patch: straight over it, the tape is at most 0.1 cm too short
+MAX_JOINED = 8.0  # cm: largest length of arm contour in the loop of a girth; sampled bodies have none
+LEVEL_ERROR = 2.0  # possible error of a level over the misfit
+MIN_TRUNK = 20.0  # cm: a loop with more contour of trunk and legs than this belongs to the trunk
 
 NEEDED = {
     BodyPart.TRUNK: "the trunk",

@@ -20,7 +20,7 @@ POOLED = "pooled"
 """The pool of GarmentCodeData: bodies about the neutral one, mostly between the sexes."""
 GROUPS = ("random", *SEXES, POOLED)
 """Groups that bodies are drawn from; ``random``: women and men, as a population is made up."""
-FEMALE_SHARE = 0.5  # of adults, within a point or two in most countries
+FEMALE_SHARE = 0.5  # share of women among adults; within one or two per cent in most countries
 MAX_DEVIATION = 3.0  # standard deviations along each axis, to which draws are clipped
 
 

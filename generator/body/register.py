@@ -31,7 +31,7 @@ __all__ = [
     "registration_at",
 ]
 
-ROUGH, FINE = 500, 1600  # vertices of the model matched to the surface
+ROUGH, FINE = 500, 1600  # numbers of model vertices matched to the surface
 TANGENTIAL = 0.2  # weight of distances along the surface; 1 along its normal
 BLOCK = 64  # rows in one matrix product
 CONVERGED = 0.002  # cm; mean movement of the points in the last step
@@ -45,7 +45,7 @@ POSE_SIZE = 6 + 3 * len(LIMBS)
 STIFFNESS = np.sqrt(np.repeat([1e-6, 1e-3, 1e-3], [3, 3, 3 * len(LIMBS)]))
 """Square root of the damping of each pose entry in a step, relative to a mean error of 1 cm."""
 SPARSE = {BodyPart.HANDS: 0.3, BodyPart.INTERNAL: 0.0}
-"""Factors on the sampling density of parts: the pose of the model's fingers tells little about other bodies."""
+"""Sampling density of parts relative to the skin: few points on hands, since fingers differ in pose."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ __all__ = ["Scan", "coincident_vertices"]
 
 MIN_FACES = 500  # fewer give girths off by more than a centimetre: see the benchmark case `measures`
 BODY_SHARE = 0.8  # share of the area above which the largest piece is taken for the body
-LONGEST_EDGE = 0.02  # of the mesh's size; longer edges are halved, so that faces are small against the tapes' bands
-WELD = 1e-5  # of the mesh's size; the grid on which positions coincide
+LONGEST_EDGE = 0.02  # fraction of the mesh's size; longer edges are halved: faces must be small against tape bands
+WELD = 1e-5  # grid of coinciding positions, as a fraction of the mesh's size
 
 
 @dataclass(frozen=True, eq=False)

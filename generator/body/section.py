@@ -14,7 +14,7 @@ CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
 )
 """Row: bit set of the corners above the plane. Entries: the corner cut off, then the others, in section order."""
-DIRECTIONS = 48  # of widths averaged by a rough girth; the tape at its best level is within 0.01 cm of the best tape
+DIRECTIONS = 48  # widths averaged for a rough girth; the tape at its best level is within 0.01 cm of the best
 
 
 def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], axis: int, level: float) -> np.ndarray:

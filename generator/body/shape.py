@@ -28,7 +28,7 @@ __all__ = [
 
 SPREAD = 0.7  # standard deviation of pooled weights, as in GarmentCodeData
 CLEFT = 0.1  # cm: least gap between the skin and its mirror image
-MAX_ARM_ANGLE = np.radians(15.0)  # of drawn arms, up or down from the A-pose, as in GarmentCodeData
+MAX_ARM_ANGLE = np.radians(15.0)  # largest sampled turn of the arms, up or down from the A-pose, as in GarmentCodeData
 ARM_ROOM = 1.2  # cm between arm and trunk below the armpits: room for two layers of cloth
 ARM_STEP = np.radians(2.0)  # arms are raised in these steps until they have room
 

@@ -43,17 +43,17 @@ LANDMARKS_AT_LEVEL = {
     "waist": ("waist_side_left", "waist_side_right", "mid_waist_back"),
     "hips": ("hips_side_left", "hips_side_right", "bum_left", "bum_right"),
 }
-"""Landmarks that move to the section of a girth."""
+"""Girth to the landmarks that are moved to its section."""
 X, Y, Z = 0, 1, 2
 XZ = slice(0, 3, 2)
-# Lengths in cm are for a body of USUAL_HEIGHT, and scale with the height.
+# The lengths below are for a body of USUAL_HEIGHT; they scale with the height.
 USUAL_HEIGHT = 172.0  # cm
-SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, as in GarmentCodeData
-LEG_STEP = 0.5  # cm; the thigh's section is lowered in such steps until the legs are separate
+SEARCH = np.arange(-4, 5) * 0.5  # cm: levels searched about the ring's mean height, as in GarmentCodeData
+LEG_STEP = 0.5  # cm: step by which the thigh's section is lowered until the legs are separate
 LEG_STEPS = 30
-LEG_LOWERED = 0.75  # cm; lower down, the girth may be more than half a centimetre too small
-MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm from the crotch: planes between the legs to try
-NECK_CLEARANCE = 1.4  # cm from the side of the neck out to the plane over the bust, as on GarmentCodeData's bodies
+LEG_LOWERED = 0.75  # cm: a girth lowered by more may be over half a centimetre too small
+MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm from the crotch: sagittal planes to try
+NECK_CLEARANCE = 1.4  # cm from the side of the neck outwards to the plane over the bust, as in GarmentCodeData
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def relative_height(vertices: Float[np.ndarray, "v 3"]) -> float:
 
 def _ends(heights: Float[np.ndarray, " v"]) -> list[np.intp]:
     """Numbers of the lowest and the highest vertex."""
-    heights = heights.copy()  # contiguous: a third of the time
+    heights = heights.copy()  # contiguous: argmin and argmax take a third of the time
     return [heights.argmin(), heights.argmax()]
 
 

@@ -17,8 +17,8 @@ from gcd_dataset.records import Record
 
 __all__ = ["SkinMesh"]
 
-ROUNDS = 20  # at most; one to five suffice
-PASSES = 4  # of smoothing in a round
+ROUNDS = 20  # most rounds of smoothing; one to five suffice
+PASSES = 4  # smoothing passes in a round
 RINGS = 2  # rings of neighbours that are smoothed with a folded face
 CREASED = -0.9  # cosine of the normals at an edge below which its faces are tested; intersecting ones are below -0.97
 TURNED = 0.7  # cosine to its reference normal below which a face is tested for a crease

@@ -18,7 +18,7 @@ __all__ = ["batch_capacity", "drape_all", "drape_batch"]
 
 DEFAULT = DrapeConfig()
 AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200
-GARMENT_BYTES = 100e6  # of GPU memory; measured: 60 MB at 1 cm, 12 000 vertices on average
+GARMENT_BYTES = 100e6  # GPU memory reserved per garment; measured: 60 MB at 1 cm, 12 000 vertices on average
 MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
 
 

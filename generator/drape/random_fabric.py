@@ -19,15 +19,15 @@ MEASURED = (
     "ponte_roma",
     "wool_light",
 )
-"""Fabrics between which ``draw_fabric`` draws. Another fabric here would change the samples of every seed."""
+"""Fabrics between which ``draw_fabric`` draws. Adding a fabric changes the samples of every seed."""
 
 
 def draw_fabric(rng: np.random.Generator) -> Fabric:
-    """A fabric between two of ``MEASURED``: all pairs are equally likely, and the place between the two is uniform.
+    """A fabric between two of ``MEASURED``: all pairs are equally likely, and the fraction between the two is uniform.
 
-    Density, thickness, bending, tensile and shear stiffness are interpolated together, in logarithms: each stays within
-    the range of the measurements, and stiff cloth stays stiff in all respects, which independent draws would not keep.
-    Friction is that of all named fabrics. ``source`` names the two and the place.
+    The logarithms of density, thickness, bending, tensile and shear stiffness are interpolated with the same fraction.
+    So each quantity stays within the range of the measurements, and stiffnesses stay correlated, unlike with
+    independent draws. Friction is the same as for all named fabrics. ``source`` names both fabrics and the fraction.
 
     >>> fabric = draw_fabric(np.random.default_rng(0))
     >>> 0.113 <= fabric.density <= 0.324

@@ -18,7 +18,7 @@ from gcd_dataset.generator.drape.state import NOT_COUNTED
 __all__ = ["untangle"]
 
 STEP = 1.0 / 120.0  # s
-ITERATIONS = 10  # of the conjugate gradient method in each step; 20 iterations untangle no more garments
+ITERATIONS = 10  # conjugate gradient iterations in each step; 20 iterations untangle no more garments
 POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
 
 # See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing

@@ -11,7 +11,7 @@ from gcd_dataset.records import Drape
 
 __all__ = ["PictureQueue"]
 
-PIXELS = 16 * 512**2  # in one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
+PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
 VIEWS: tuple[View, View] = ("front", "back")
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 

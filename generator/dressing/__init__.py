@@ -22,7 +22,7 @@ class Dressing:
 
 
 def dress(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
-    """The pattern ready for a drape on that body. Placements and labels in the file stay unless they cannot be draped.
+    """The pattern ready for a drape on that body. Existing placements and labels stay if a drape can start from them.
 
     Raises ``PatternError`` where the seams do not determine the placements of panels, ``BodyError`` for a body without
     a trunk or a missing measure.

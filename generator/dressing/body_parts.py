@@ -13,11 +13,11 @@ from gcd_dataset.spec import role_by_name
 
 __all__ = ["describe_labels", "label_panels", "trunk_part"]
 
-ASIDE = 0.1  # share of half the trunk's width: a panel nearer to the middle is on no arm
-BESIDE = 20.0  # cm from an arm's axis to the centroid of a panel on that arm, at most
-BEFORE = 28.0  # cm before or behind the arm's axis, at most: panels further out are on the trunk, such as lapels
-BEYOND = 25.0  # cm from the end of an arm to the centroid of its panel, at most: cuffs hang there before sewing
-ABOVE_WAIST = 15.0  # cm: a skirt's panel may reach this far above the waist
+ASIDE = 0.1  # share of the trunk's half width: a panel nearer to the middle is not on an arm
+BESIDE = 20.0  # cm, largest distance from an arm's axis, across it, to the centroid of a panel on the arm
+BEFORE = 28.0  # cm, largest distance before or behind the arm's axis: lapels, further out, are on the trunk
+BEYOND = 25.0  # cm, largest distance beyond the end of an arm: cuffs are placed there before sewing
+ABOVE_WAIST = 15.0  # cm: largest height of a skirt's panel above the waist
 ABOVE_CROTCH = 4.0  # cm above the crotch: a tall panel that ends higher covers the trunk
 BAND = 24.0  # cm: a panel above this height counts as tall
 UNDER_CROTCH = 2.0  # cm below the crotch: a short panel that ends higher is a band and covers the trunk
@@ -37,7 +37,7 @@ def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
 
 
 def _relabel_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
-    """The labels with arm panels sewn to leg panels relabelled as legs: a wide skirt hangs where the arms are."""
+    """The labels, with arm panels sewn to leg panels relabelled as legs: a wide skirt reaches beside the arms."""
     parts = {panel.name: found.get(panel.name, panel.label) for panel in pattern.panels}
     while True:
         sewn = [

@@ -14,7 +14,7 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["FlatCloth"]
 
-LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: with positive weights a harmonic function keeps its bounds
+LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +46,21 @@ class FlatCloth:
 
     @cached_property
     def edges(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
-        """The ends of each edge, and its flat length [cm]: the shorter one where two panels differ."""
+        """The ends of each edge, and its flat length [cm]; on a seam, the shorter of both lengths."""
         low, high, length = self._sides
         first = self._key_changes
         return np.stack([low[first], high[first]], axis=1), length[first]
 
     @cached_property
     def border(self) -> Int[np.ndarray, " b"]:
-        """The vertices of the edges with one face."""
+        """The vertices of the edges that belong to one face only."""
         low, high, _ = self._sides
         start = np.flatnonzero(self._key_changes)
         alone = start[np.diff(start, append=len(low)) == 1]
         return np.unique([low[alone], high[alone]])
 
     def distance_from(self, start: Int[np.ndarray, " s"]) -> Float[np.ndarray, " v"]:
-        """(v) distance of each vertex from the ``start`` vertices along edges [cm]; 0 where no edges lead there."""
+        """(v) shortest path along edges from the ``start`` vertices to each vertex [cm]; 0 without a path."""
         ends, length = self.edges
         graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(self.size, self.size))
         distance = dijkstra(graph, directed=False, indices=start, min_only=True)
@@ -69,8 +69,8 @@ class FlatCloth:
     def harmonic(self, fixed: Int[np.ndarray, " c"], values: Float[np.ndarray, " c"]) -> Float[np.ndarray, " v"]:
         """(v) the function that is harmonic in the flat cloth and has ``values`` at the ``fixed`` vertices.
 
-        Discretised with the cotangent weights of Pinkall and Polthier (Experimental Mathematics 2(1), 1993), which are
-        limited below. 0 in pieces without fixed vertices.
+        Discretised with the cotangent weights of Pinkall and Polthier (Experimental Mathematics 2(1), 1993), at least
+        ``LEAST_WEIGHT``. 0 in connected components without fixed vertices.
         """
         start, end, weight = [], [], []
         for k in range(3):

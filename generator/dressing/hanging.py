@@ -27,16 +27,16 @@ __all__ = ["hang_from_lay_plan", "height_for"]
 ON_SEAM = 9  # points of a seam, for aligning its two sides
 CLOSED = 12.0  # cm: a seam closes if the mean distance between its sides on the table is smaller
 UPRIGHT = 5.0  # cm: a panel stays upright if turning it would close its seams by less than this
-SURE = 0.9  # share of the seams' length that must close; otherwise the layout is refused
+SURE = 0.9  # least share of the seams' length that closes in an accepted layout
 GAP = 8.0  # cm between the body and the panels before and behind it
-OVER = 0.2  # overlap of two panels of a layer, as a share of the smaller, above which one hangs further out
-STEP = 5.0  # cm by which the overlapping panel hangs further out
+OVER = 0.2  # share of the smaller panel: two panels of a layer that overlap by more are hung one outside the other
+STEP = 5.0  # cm between panels hung one outside the other
 ARMHOLE = 4.0  # cm from the armpit down to the centre of an armhole, as GarmentCode hangs bodices
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
-PAIRED = 40  # openings that are compared in pairs, the longest first; a garment has up to ten
+PAIRED = 40  # largest number of openings compared in pairs, the longest; garments have up to ten
 UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
-SLEEVE_REACH = 0.8  # share of half the trunk's width: a sleeve's centroid lies further out
-SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest centroid
+SLEEVE_REACH = 0.8  # share of the trunk's half width: a sleeve's centroid lies further from the middle
+SLEEVE_DROP = 60.0  # cm, largest distance of a sleeve's centroid below the highest centroid
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def _flat_panel(panel: Panel) -> _FlatPanel:
 
 
 def _join_on_table(table: Sequence[_FlatPanel], pattern: Pattern) -> dict[str, _FlatPanel]:
-    """The panels joined along their seams: the largest first, then in turn the one with the longest seams to these."""
+    """The panels joined along their seams: the largest, then always the one with the longest seams to one of these."""
     waiting = {flat_panel.panel.name: flat_panel for flat_panel in table}
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
     first = max(
@@ -137,7 +137,7 @@ def _align(flat_panel: _FlatPanel, beside: _FlatPanel, seams: Sequence[Seam]) ->
     correlation = np.vdot(ours - ours.mean(), theirs - theirs.mean())
     turn = complex(correlation / abs(correlation)) if abs(correlation) > 0 else 1.0 + 0.0j
     gaps = [np.abs(t * (ours - ours.mean()) - theirs + theirs.mean()).mean() for t in (1.0, turn)]
-    if gaps[0] < gaps[1] + UPRIGHT:  # panels are drawn as they are worn, except sleeves
+    if gaps[0] < gaps[1] + UPRIGHT:  # panels other than sleeves are drawn upright
         turn = 1.0 + 0.0j
     return replace(
         flat_panel, turn=turn * flat_panel.turn, shift=complex(turn * (flat_panel.shift - ours.mean()) + theirs.mean())
@@ -216,7 +216,7 @@ def _is_bodice(top: Opening) -> bool:
 
 
 def _depths(table: Mapping[str, _FlatPanel]) -> dict[str, float]:
-    """Distance of each panel from the first layer [cm]: a panel hangs outside the panels of its side that it covers."""
+    """Distance of each panel from the innermost layer [cm]: a panel hangs outside those that it overlaps."""
     depths: dict[str, float] = {}
     for name, flat_panel in table.items():
         shape = flat_panel.polygon
@@ -243,7 +243,7 @@ def _with_placement(flat_panel: _FlatPanel, depth: float, wearer: Wearer) -> Pan
 
 
 def _middle(openings: Sequence[Opening]) -> float:
-    """The x [cm] of the plane about which the openings are most nearly mirror images of each other."""
+    """The x [cm] of the approximate symmetry plane of the openings."""
     if not openings:
         return 0.0
     if len(openings) > PAIRED:

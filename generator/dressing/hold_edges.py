@@ -15,17 +15,17 @@ __all__ = ["has_legs", "label_edges"]
 
 COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
 HOLDING = frozenset({*COLLARS, EdgeRole.STRAPLESS_TOP, EdgeRole.LOWER_INTERFACE})
-LEGS_WITHIN = 36.0  # cm from the middle to the centre of an opening, beyond which it belongs to a sleeve
+LEGS_WITHIN = 36.0  # cm from the middle to the centre of a leg opening, at most; openings further out belong to sleeves
 OVER_WAIST = 12.0  # cm above the waist: a higher top edge belongs to a bodice
 BELOW_WAIST = 35.0  # cm below the waist: the lowest top edge of a bottom
-ONE_SIDE = 0.2  # share of the width of an edge or panel: if its mean is further off the middle, it belongs to one side
+ONE_SIDE = 0.2  # share of its width: an edge or panel with its mean further off the middle belongs to one side
 
 
 def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern with labels on the edges that hold it up, and a sentence for each added label.
 
-    A garment that hangs from the shoulders gets collars; on others the highest opening round the trunk is a strapless
-    top or a waist. Existing labels stay; a garment that has a holding label already gets no other.
+    A garment that hangs from the shoulders gets collar labels; on other garments the highest opening round the trunk is
+    labelled as a strapless top or a waist. Existing labels stay; a garment with such a label gets no further one.
     """
     labels = {edge.label for panel in pattern.panels for edge in panel.edges}
     openings = openings_of(pattern)

@@ -11,8 +11,8 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern
 
 __all__ = ["ASIDE", "Opening", "edge_points", "openings_of", "panel_outline"]
 
-ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
-POINTS = 9  # on an edge
+ASIDE = 8.0  # cm from the middle to the centre of an opening: openings further out belong to an arm or a leg
+POINTS = 9  # sample points of an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def _chains(pattern: Pattern) -> Iterable[tuple[EdgeRef, ...]]:
             seen.add(at)
             chain.append(at)
             at = _next(at, direction, sizes)
-            # Cross a seam to the next edge on its other side; a seam of right to wrong side reverses the direction.
+            # Continue on the other panel of a seam; a seam of right to wrong side reverses the direction.
             while at in partner:
                 at, sign = partner[at]
                 direction *= sign

@@ -17,8 +17,8 @@ __all__ = ["place_panels"]
 LEVEL = 1.0  # cm: largest distance of panels from the plane in which they lie
 LATTICE = 4.0  # cm between the sample points of a panel
 INSIDE = 0.15  # share of a panel's points inside the body, above which the panel is moved out
-FURTHER = 3.0  # cm that a panel is moved beyond the first position clear of the body
-FURTHEST = 80.0  # cm: search range for that first position
+FURTHER = 3.0  # cm by which a panel is moved beyond the nearest position outside the body
+FURTHEST = 80.0  # cm: search range for this position
 
 
 def place_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:

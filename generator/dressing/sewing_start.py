@@ -6,8 +6,9 @@ A pattern places panels flat before and behind the wearer. Closing seams from th
 - A bodice wider than the room between the arms is sewn round the arms.
 - A sleeve placed beside its arm, or a trouser leg beside its leg, is not sewn round it.
 
-Here such skirts and bodices start compressed where they belong, and such tubes start round their limbs. While the seams
-close, the rest lengths of the springs change from the start lengths to the flat lengths, which spreads the cloth.
+Such skirts start on a cone and such bodices between the arms, both compressed; such tubes start round their limbs.
+While the seams close, the rest lengths of the springs change from the start lengths to the flat lengths, which spreads
+the cloth.
 """
 
 import numpy as np

@@ -14,14 +14,14 @@ from gcd_dataset.records import BoxMesh, EdgeRole
 
 __all__ = ["Skirt"]
 
-RISE = 5.0  # cm above its top: a skirt that reaches higher starts on a cone
-HALF_WIDTH = 60.0  # cm from the middle: a skirt that reaches further to a side starts on a cone
-SLOPE = 0.5  # least descent of a flat panel per distance from its top: 60° from the vertical
+RISE = 5.0  # cm: a skirt that reaches further above its top starts on a cone
+HALF_WIDTH = 60.0  # cm: a skirt that reaches further to a side of the middle starts on a cone
+SLOPE = 0.5  # cm of descent per cm of distance from a flat panel's top, at least: 60° from the vertical
 TOP_BAND = 2.0  # cm, distance from the nearest vertex of a panel within which vertices count as its top
 CLEARANCE = 2.0  # cm from the ellipse round the trunk to the top of the cone
-HIPS = 30.0  # cm below the skirt's top: the ellipse contains the trunk down to here, the waves reach full amplitude
+HIPS = 30.0  # cm below the skirt's top: down to here the ellipse contains the trunk, and the waves grow
 SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
-WAVE, WAVES = 0.4, 17.0  # cm, amplitude; periods round the cone: small waves that determine where folds form
+WAVE, WAVES = 0.4, 17.0  # amplitude of small waves that start the folds [cm], and their number round the cone
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +63,10 @@ class Skirt:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the skirt reaches far above its top or to a side, or a panel of it far above the panel's top.
+        """Whether the skirt or one of its panels reaches ``RISE`` above its top, or the skirt ``HALF_WIDTH`` to a side.
 
-        Far is ``RISE`` and ``HALF_WIDTH``. A panel's height above its top is compared with that of cloth that hangs at
-        ``SLOPE``: the ends of a ring sewn to a hem point up.
+        The height of a panel is taken relative to cloth that descends from the panel's top at ``SLOPE``. This detects
+        rings sewn to a hem: their ends point up.
         """
         points = self.mesh.vertices[self.cloth.vertices]
         if points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH:
@@ -133,8 +133,8 @@ class Skirt:
     def _sine(self, length: float) -> float:
         """Sine of the angle between cone and axis, for a skirt of the given length [cm].
 
-        The mean girth of the skirt is its area over its length. The girth grows twice as much from top to hem as from
-        top to mean.
+        The mean girth of a skirt is its area over its length; from top to hem the girth grows by twice the difference
+        of mean girth and top girth.
         """
         ends, flat = self.cloth.edges
         on_top = np.isin(ends, self.top).all(axis=1)

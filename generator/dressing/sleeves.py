@@ -1,4 +1,4 @@
-"""Turn the panels of sleeves to arms that point elsewhere: other poses than the pattern was placed for."""
+"""Turn the panels of sleeves to the arms of a body in another pose than the pattern was placed for."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement
 
 __all__ = ["turn_sleeves"]
 
-MISAIMED = np.radians(25.0)  # angle between sleeve and arm above which the sleeve is turned; drawn arms vary by 15°
+MISAIMED = np.radians(25.0)  # a sleeve further off its arm is turned; arm angles are sampled up to 15°
 SHORTEST = 6.0  # cm from the armhole to the centroid of a sleeve: the direction of a shorter one is uncertain
 
 

@@ -12,8 +12,8 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["put_on_limb"]
 
-SECTION = 2.0  # cm of distance from the root that make a cross section of a tube
-ROOT = 10.0  # cm from the root, within which a tube may lie beside the limb's axis
+SECTION = 2.0  # cm, length of a cross section along the tube
+ROOT = 10.0  # cm: nearer to its root a tube may lie beside the limb's axis
 GAP = 1.0  # cm that a cross section must reach beyond the limb on either side
 BEFORE_END = 1.0  # cm between the end of a tube and that of the limb
 LEAST_LENGTH = 0.4  # share of its length to which a tube may be compressed
@@ -24,10 +24,10 @@ def put_on_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed:
     """Move the cross sections of a tube of cloth, in ``placed``, so that each surrounds a limb.
 
     ``tube`` marks the faces of a sleeve or a trouser leg; ``limb``: the arm without the hand, or the leg without the
-    foot. The tube is turned to the direction of the limb. Its cross sections are centred on the limb's axis, at their
-    distance from the tube's root, where other cloth is sewn to it, and widened where the limb is wider. A tube that is
-    longer than the limb is compressed to its length: sewn round a hand or foot it would be too narrow to slip off. A
-    tube that surrounds the limb as it is placed, and is no longer, keeps its positions.
+    foot. The root of a tube is its seam with other cloth. The tube is turned to the direction of the limb. Each cross
+    section is centred on the limb's axis, at its distance from the root, and widened where the limb is wider. A tube
+    longer than the limb is compressed to the limb's length: sewn round a hand or foot, the cloth would be too narrow to
+    slip off. A tube keeps its positions if it is placed round the limb and is not longer than the limb.
     """
     cloth = _Tube.of(mesh, tube)
     if cloth is not None and not (cloth.surrounds(limb.skin) and cloth.ends_on(limb)):
@@ -36,13 +36,13 @@ def put_on_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed:
 
 @dataclass(frozen=True, eq=False)
 class _Tube:
-    """The vertices of a sleeve or trouser leg, as placed."""
+    """The vertices of a sleeve or trouser leg, at the positions in the box mesh."""
 
     rows: Int[np.ndarray, " n"]
     points: Float[np.ndarray, "n 3"]
     """Positions [cm]."""
     distance: Float[np.ndarray, " n"]
-    """Distance from the root [cm]: equal along a cross section, at the end of the tube above all."""
+    """Distance from the root [cm], averaged over each level set of a harmonic function, such as the open end."""
     frame: Float[np.ndarray, "3 3"]
     """Unit vectors across the tube, along it away from the root, and to the front."""
 
@@ -63,7 +63,7 @@ class _Tube:
         return _Tube(rows, points, distance, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
 
     def surrounds(self, skin: Float[np.ndarray, "s 3"]) -> bool:
-        """Whether every cross section beyond ``ROOT`` reaches beyond the skin beside it, across and in depth."""
+        """Whether every cross section beyond ``ROOT`` surrounds the limb's skin at the same height, ``GAP`` apart."""
         across, along, depth = (self.points @ self.frame.T).T
         skin_across, skin_along, skin_depth = (skin @ self.frame.T).T
         for here in self._sections():
@@ -80,7 +80,7 @@ class _Tube:
         return bool(((self.points - limb.origin) @ limb.axis).max() <= _end_of(limb))
 
     def moved_to(self, limb: Limb) -> Float[np.ndarray, "n 3"]:
-        """The positions round a limb [cm]; the root stays where it is."""
+        """The positions round a limb [cm]; the root does not move."""
         frame = self.frame @ Rotation.align_vectors(limb.axis[None], self.frame[1:2])[0].as_matrix().T
         skin_across, skin_along, _ = ((limb.skin - limb.origin) @ frame.T).T
         at_root = self.distance < SECTION
@@ -109,12 +109,12 @@ class _Tube:
 
 
 def _end_of(limb: Limb) -> float:
-    """Position along the limb's axis, from its origin, before which a tube ends [cm]."""
+    """Farthest position of a tube's end along the limb's axis, from the limb's origin [cm]."""
     return float(((limb.skin - limb.origin) @ limb.axis).max()) - BEFORE_END
 
 
 def _averaged(level: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """The mean distance on the level set of each vertex: increases with ``level``, which is within 0 and 1."""
+    """The mean ``distance`` over the level set of each vertex; increases with ``level``, which is from 0 to 1."""
     ring = np.round(level * RINGS).astype(int)
     count = np.bincount(ring, minlength=RINGS + 1)
     mean = np.bincount(ring, distance, minlength=RINGS + 1)[count > 0] / count[count > 0]

@@ -1,4 +1,4 @@
-"""The wearer as dressing needs it: heights on the trunk, and axes of trunk and arms."""
+"""The body data that dressing uses: levels of the trunk, and axes of trunk and limbs."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ __all__ = ["Wearer", "wearer_of"]
 
 @dataclass(frozen=True, eq=False)
 class Wearer:
-    """Levels over the floor [cm] and limbs of a body."""
+    """A body with levels above the floor [cm] and limbs."""
 
     nape: float
     armpit: float

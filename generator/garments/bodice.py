@@ -10,14 +10,14 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["fitted_back", "fitted_front"]
 
-WAIST_DART_SHARE = 2 / 3  # of the front's waist excess; the side takes in the rest, GarmentCode
-WAIST_DART_LEG = 0.9  # of waist to bust, GarmentCode
-SIDE_DART_LEG = 0.75  # of side to bust point, GarmentCode
-OUTER_DART_LEG = 0.9  # of the inner dart's leg, GarmentCode
-DARTS_APART = 0.25  # offset of the back's darts from the bum points, of half their distance, GarmentCode
-SIDE_SHARE = 1 / 6  # of the back's waist excess: taken in at the side seam, GarmentCode
+WAIST_DART_SHARE = 2 / 3  # share of the front's waist excess in the dart; the rest at the side, GarmentCode
+WAIST_DART_LEG = 0.9  # dart leg over waist to bust, GarmentCode
+SIDE_DART_LEG = 0.75  # dart leg over side to bust point, GarmentCode
+OUTER_DART_LEG = 0.9  # outer over inner dart leg of the back, GarmentCode
+DARTS_APART = 0.25  # offset of the back's darts from the bum points over half the distance of these, GarmentCode
+SIDE_SHARE = 1 / 6  # share of the back's waist excess at the side seam, GarmentCode
 SIDE_STRAIGHT = 4.0  # cm of waist excess below which the side stays straight, GarmentCode
-WAIST_RISE = 0.25  # of the back's shoulder rise: rise of its waist at the centre, GarmentCode
+WAIST_RISE = 0.25  # rise of the back's waist at the centre over its shoulder rise, GarmentCode
 LEFTWARDS = pi  # heading of the hem [rad]
 UPWARDS = pi / 2  # heading of the side [rad]
 

@@ -16,7 +16,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
-LEAST_HEM = 0.01  # of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
+LEAST_HEM = 0.01  # share of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
 CUT_REMEDIES = ("cut.depth-", "cut.width-", "cut.place")
 FRONT, BACK = 15.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 

@@ -31,11 +31,11 @@ __all__ = [
     "with_sleeve_cuff",
 ]
 
-LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
+LONGEST_ON_SLEEVE = 0.7  # longest cuff, as a share of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: the shortest cuff
-ON_SHOULDER = 0.12  # of shoulder to wrist, approximately: the part above the armhole, not part of a sleeve's length
-ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # of shoulder to wrist
-ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means over this package's bodies, ± 0.05
+ON_SHOULDER = 0.12  # approximate share of shoulder to wrist above the armhole, which no sleeve length includes
+ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # positions as fractions of shoulder to wrist
+ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # over the wrist's: means of this package's bodies, ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
 GAP = 2.0  # cm between sleeve, band and skirt before sewing, GarmentCode
 

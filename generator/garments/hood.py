@@ -10,8 +10,8 @@ __all__ = ["hood_outline", "with_hood"]
 
 # GarmentCode draws at 10 and 0 cm; its files truncate the pivot, which moves the hood up to 1 cm down and back.
 RAISED, SET_BACK = 9.6, 0.4  # cm above and behind the shoulder
-FORWARD = 1.2  # of half the neckline's width: from the shoulder forward to the hood's opening, GarmentCode
-OVER_CROWN = 0.5  # of half the neckline's width: height of the hood above ``height``, GarmentCode
+FORWARD = 1.2  # shoulder to the hood's opening, forward, over half the neckline's width, GarmentCode
+OVER_CROWN = 0.5  # height of the hood above ``height`` over half the neckline's width, GarmentCode
 BACK_OF_HEAD = Quadratic((0.2, -0.5))  # edge frame, from crown to nape, GarmentCode
 LEVEL: Point = (1.0, 0.0)
 

@@ -24,19 +24,19 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["PANTS", "PantsDesign", "cuff_and_leg_girth", "pants"]
 
-CROTCH_EASE = 5.0  # cm added to the difference of a thigh and half the hips, GarmentCode
-FRONT_CROTCH = 0.25  # of the front's hip: extent of the crotch beyond the centre, GarmentCode
-BACK_RAISE = 1.1  # height from hips to waist behind, over the seat, as a fraction of that in front, GarmentCode
-CENTRE_STRAIGHT = 0.45  # of hips to waist: the centre seam curves into the crotch below this height, GarmentCode
-INSIDE_DROP = 1.5  # crotch heights below the hips: the highest position of the hem's inner end, GarmentCode
-INSIDE_SHIFT = 2.0  # cm by which the inside leg leans in from the crotch, GarmentCode
-HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # of the chord: position of the bend of side seam and inside leg, GarmentCode
-DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg, of hips to waist; outer dart of the back, of its inner dart, GarmentCode
-SHORTEST_LEG = 0.2  # of hips to floor: least length of the leg without its cuff, GarmentCode
-CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the crotch to the axis; before and behind it, GarmentCode
+CROTCH_EASE = 5.0  # cm added to thigh girth minus half the hips, GarmentCode
+FRONT_CROTCH = 0.25  # extent of the front's crotch beyond the centre, as a fraction of the front's hip, GarmentCode
+BACK_RAISE = 1.1  # height from hips to waist at the back over the height at the front, GarmentCode
+CENTRE_STRAIGHT = 0.45  # of hips to waist: height at which the centre seam begins to curve into the crotch, GarmentCode
+INSIDE_DROP = 1.5  # highest position of the hem's inner end, in crotch heights below the hips, GarmentCode
+INSIDE_SHIFT = 2.0  # cm across from the crotch to the inner end of a straight leg's hem, GarmentCode
+HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # bend of side seam and inside leg, of their chords, GarmentCode
+DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg over hips to waist; outer over inner dart leg of the back, GarmentCode
+SHORTEST_LEG = 0.2  # least length of the leg without its cuff, as a fraction of hips to floor, GarmentCode
+CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the axis: crotch, front panel, back panel; GarmentCode
 CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
-LEG_LEVELS = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the crotch's height
-LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # of leg_circ: means over this package's bodies, ± 0.05
+LEG_LEVELS = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of the crotch's height
+LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # over leg_circ: means of this package's bodies, ± 0.05
 UP: Point = (0.0, 1.0)
 DOWN: Point = (0.0, -1.0)
 INWARDS: Point = (1.0, 0.0)

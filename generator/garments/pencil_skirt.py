@@ -36,7 +36,7 @@ FRONT_DART = 0.8  # dart leg, of the height from hips to top in front, GarmentCo
 BACK_DART = 0.85  # the same behind, to which the back's extra height over the front is added, GarmentCode
 OUTER_DART = 0.9  # leg of the back's outer dart, of its inner dart's leg, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
-SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
+SIDE_BEND = 0.75  # position of a flared side's control point along its chord, GarmentCode
 RINGS = 9  # levels below the hips at which the skirt's girth is compared with the legs
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
 

@@ -1,7 +1,7 @@
 """Redraws: parts of a design drawn again because they break a rule, each counted with the rule and the parameter.
 
-A limit redraws one parameter within it. A fault that no limit describes is removed by remedies, tried in order: each
-names a parameter to draw again while all others stay.
+A parameter outside a limit is drawn again within the limit. For a fault that no limit describes, remedies are tried in
+order: each draws one parameter, or some parts of the design, again and leaves the others as they are.
 """
 
 from collections import Counter
@@ -19,11 +19,11 @@ from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, v
 
 __all__ = ["DrawnDesign", "FindFault", "Redraw", "Redrawing", "Remedy"]
 
-TRIES = 4  # of one remedy
-MOST_REPAIRS = 10  # a remedy may remove one fault and cause another
+TRIES = 4  # redraws by one remedy
+MOST_REPAIRS = 10  # removed faults of a design: removing one may cause another
 
 FindFault: TypeAlias = Callable[[OutfitDesign], Fault | None]
-"""The first fault of a design."""
+"""Returns the first fault of a design, or ``None``."""
 
 
 class Redraw(NamedTuple):
@@ -38,20 +38,20 @@ class Remedy(NamedTuple):
 
     paths: tuple[str, ...]
     low: bool = False
-    """Whether each number that is drawn must be below the one before."""
+    """Whether each redraw must give a lower number than the last."""
     high: bool = False
-    """Whether each number that is drawn must be above the one before."""
+    """Whether each redraw must give a higher number than the last."""
 
 
 @dataclass(frozen=True)
 class DrawnDesign:
-    """A random design and the redraws that it took."""
+    """A random design, and the number of each of its redraws."""
 
     design: OutfitDesign
     redraws: Mapping[Redraw, int]
 
     def by_rule(self) -> Counter[str]:
-        """Rule to its number of redraws."""
+        """Rule to the number of redraws that it caused."""
         total: Counter[str] = Counter()
         for redraw, count in self.redraws.items():
             total[redraw.rule] += count
@@ -71,7 +71,7 @@ class Redrawing:
     ) -> OutfitDesign:
         """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``.
 
-        A part keeps the garments that it consists of, such as the base of a skirt: others have other sections.
+        A part keeps its choices of garments, such as the base of a levels skirt: another garment has another section.
         """
         for path in paths:
             garments = _garments(value_at(self.space, design, path))
@@ -82,13 +82,13 @@ class Redrawing:
         return design
 
     def within(self, design: OutfitDesign, rule: str, path: str, low: float, high: float) -> OutfitDesign:
-        """The design with a number outside its limits drawn again within them."""
+        """The design; if the number at ``path`` is outside its limits, with this number drawn again within them."""
         if low <= value_at(self.space, design, path) <= high:
             return design
         return self.again(design, rule, path, low=low, high=high)
 
     def tried(self, design: OutfitDesign, rule: str, remedy: Remedy) -> Iterator[OutfitDesign]:
-        """The design with a remedy applied, ``TRIES`` times; without trials that change nothing."""
+        """Up to ``TRIES`` designs, each the last one with the remedy applied again; unchanged designs are left out."""
         trial = design
         for _ in range(TRIES):
             low, high = -np.inf, np.inf
@@ -107,7 +107,7 @@ class Redrawing:
         *,
         limited: Callable[[OutfitDesign], OutfitDesign] = lambda design: design,
     ) -> OutfitDesign:
-        """The design without faults, or, if no remedy helps, with the last one left.
+        """The design without faults; if no remedy helps, with the fault that no remedy could remove.
 
         ``limited`` puts a design with new parameters back within its limits.
         """
@@ -125,7 +125,7 @@ class Redrawing:
 
 
 def _garments(part: object) -> dict[str, GarmentChoice]:
-    """The garments among the parameters of a part, by name; empty for a parameter."""
+    """Parameter name to garment, for the parameters of a part that choose a garment; empty for a single parameter."""
     values = vars(part) if isinstance(part, Design) else {}
     return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
 

@@ -50,8 +50,8 @@ __all__ = [
     "try_on",
 ]
 
-LIGHT_LENGTH = 0.5  # the largest length of a flared skirt that needs no firm band, GarmentCode
-LIGHT_SUNS = 0.75  # the largest flare-skirt.suns of such a skirt, GarmentCode
+LIGHT_LENGTH = 0.5  # largest length of a flared skirt without a firm band, GarmentCode
+LIGHT_SUNS = 0.75  # largest flare-skirt.suns of a flared skirt without a firm band, GarmentCode
 FIRM_BAND = 0.25  # waistband.width above which a snug band is firm, GarmentCode
 
 
@@ -105,7 +105,7 @@ def check_outfit(outfit: DrawnOutfit) -> tuple[Reject, ...]:
 
 
 def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
-    """The summed length of the parts reaches past the floor, from the nape or, for a bottom alone, from the waist."""
+    """The parts together are longer than the body from nape to floor, or for a bottom alone from waist to floor."""
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
         return None
@@ -250,7 +250,7 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
 
 
 def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
-    """From the nape, or for a bottom alone from the waist, to the floor [cm]."""
+    """Height of the nape above the floor, or for a bottom alone of the waist [cm]."""
     return size.waist_level if design.meta.upper is None else size.height - size.head_l
 
 
@@ -298,7 +298,7 @@ def is_flared(design: OutfitDesign) -> bool:
 
 
 def top_parameter(design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
-    """The value of the parameter for the gathers or the width of the bottom's top; 0 without such a parameter."""
+    """The value of the parameter for gathers or fullness of the bottom's top; 0 without such a parameter."""
     top = top_of_bottom(design)
     name = "" if top is None else getattr(top, role)
     return float(getattr(top.section_design(design), name)) if top is not None and name else 0.0

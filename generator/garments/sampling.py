@@ -2,7 +2,7 @@
 
 Each parameter keeps its default with its ``keep`` probability, and is uniform over its range otherwise: the draft. A
 value outside the limits set by the rest of the design and by the wearers' measures is drawn again within them
-(``wearable.py``); ``rules.py`` catches the rest. Unlike GarmentCode's sampler, this one
+(``wearable.py``); ``rules.py`` rejects remaining faults. Unlike GarmentCode's sampler, this one
 
 - draws the kind of garment first: upper, lower or full-body, with equal probability (GarmentCode redraws a rejected
   design completely, which favours kinds that are rarely rejected);
@@ -44,11 +44,11 @@ __all__ = [
     "sample_kind",
 ]
 
-# Drapes of 1,200 garments at 1 cm: of the skirts alone with less, 7 of 19 and 5 of 15 slid off; with more, 1 of 143, 1
-# of 195.
+# Drapes of 1,200 garments at 1 cm: of the skirts alone with less, 7 of 19 and 5 of 15 slid off; with more, 1 of 143 and
+# 1 of 213.
 HIPS_UNDER_SKIRT = 10.0  # cm, least difference of hips and waist that holds a skirt without a band
 HIPS_UNDER_BAND = 4.0  # cm, the same with a band
-SAME_CHOICES = 5  # attempts; then other choices are drawn: no wearer may be able to wear these
+SAME_CHOICES = 5  # attempts with the same choices; then others are drawn, since these may suit no wearer
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
@@ -58,7 +58,7 @@ def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind
 
 
 def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
-    """A random outfit by the declared distributions alone: nobody may be able to sew or wear it."""
+    """A random outfit by the declared distributions alone, which may be impossible to sew or wear."""
     design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"]))
     design = _with_sections(design, _own_sections(design), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
@@ -92,7 +92,7 @@ def attempted_design(
     """Design ``number`` of a seed in its ``attempt``, counted from 0, with its redraws.
 
     All attempts have the same kind; ``SAME_CHOICES`` attempts have the same choices, such as upper and bottom, and
-    other numbers. Otherwise designs that are often rejected would become rare.
+    different numbers. Otherwise designs that are often rejected would become rare.
     """
     draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
@@ -158,7 +158,7 @@ def _held_up(
 
 
 def _own_sections(design: OutfitDesign) -> set[str]:
-    """The fields of the garments of a design, without those of the parts of a combined bottom."""
+    """The fields of the garments of a design, except the parts of a combined bottom."""
     meta = design.meta
     sections = {"waistband"} if meta.wb else set()
     if meta.upper:

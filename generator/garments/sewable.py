@@ -63,7 +63,7 @@ class Fault(NamedTuple):
 
 
 def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fault | None:
-    """Why one half cannot be sewn: armhole or neckline do not fit front or back, or a flared cuff its sleeve."""
+    """Why one half cannot be sewn: a misfit of armhole, neckline or flared cuff, for example; ``None`` if it can."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
     faults = (_sewing_fault(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
@@ -71,7 +71,7 @@ def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fau
 
 
 def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
-    """Girth of the arm over the largest girth of the band at the end of a half's sleeve: over 1, it is too tight.
+    """Girth of the arm over the stretched girth of the band at the end of a half's sleeve; above 1 it is too tight.
 
     0 without a band, and for a half that cannot be drawn.
     """
@@ -98,8 +98,9 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
 def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
     """The largest ``width`` of a half's neckline that leaves shoulder seams of ``shortest_shoulder``.
 
-    Infinite for a half whose shoulder seams are long enough, that has none, or that cannot be drawn. The shoulder lies
-    at ``shoulder_incl``: each centimetre of shoulder takes its cosine from half the neckline.
+    Infinite if the shoulder seams are long enough, for a half without shoulder seams, and for a half that cannot be
+    drawn. A shoulder seam has the slope ``shoulder_incl``: for 1 cm more of it, half the neckline becomes narrower by
+    the cosine of this angle.
     """
     try:
         drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
@@ -139,7 +140,7 @@ def _is_fitted(design: OutfitDesign) -> bool:
 
 
 def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
-    """Why a part of an outfit cannot be drawn, its panels be sewn, or its seams match."""
+    """The first fault of a part of an outfit: in drawing, in the match of its seams, or in a panel."""
     try:
         drawn = draw()
         panels = [panel_of(piece) for piece in drawn.pieces]
@@ -151,7 +152,7 @@ def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
 
 
 def panel_fault(panels: Sequence[Panel]) -> Fault | None:
-    """The first panel with an edge of invalid length, a sharp corner, a narrow strap, or a crossing."""
+    """The first panel with an edge of invalid length or a narrow strap, else with a sharp corner, else a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
     for panel, edges in zip(panels, lengths, strict=True):
@@ -180,7 +181,7 @@ def strap_width(panel: Panel) -> float:
 
 
 def _drawn(panel: Panel, name: str) -> shapely.MultiLineString | None:
-    """The edges of that name as lines; ``None`` without any."""
+    """The edges called ``name`` as lines; ``None`` without any."""
     lines = [
         sample_curve(*panel.edge_ends(index), edge.curve, STRAP_POINTS)
         for index, edge in enumerate(panel.edges)
@@ -196,7 +197,7 @@ def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarr
     before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
     before[first], after[first + sizes - 1] = first + sizes - 1, first
     leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
-    # Through the hulls' inner points: the corners alone of more than half a circle run the other way round.
+    # With the hulls' inner points: for arcs over half a circle, the corners alone give the wrong orientation.
     areas = (edges.conj() * np.concatenate([edges[:, 1:], edges[after, :1]], axis=1)).imag.sum(axis=1)
     around = np.sign(np.add.reduceat(areas, first))
     return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))

@@ -21,7 +21,7 @@ EVEN = 0.2  # cm along the front opening: a crease closer than this to either en
 SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
-ELBOW = 0.5  # of armhole to wrist
+ELBOW = 0.5  # position of the elbow, as a fraction of armhole to wrist
 DOWN: Point = (0.0, -1.0)
 
 

@@ -36,7 +36,7 @@ def _hem(size: Measurements, design: OutfitDesign) -> Tag:
 
 
 def hem_depth(size: Measurements, design: OutfitDesign) -> float:
-    """Depth of a bottom's hem below the hips, as a fraction of hips to floor; the parts hang one under the other."""
+    """Depth of a bottom's hem below the hips, as a fraction of hips to floor, with each part hung below the last."""
     upper, bottom = design.meta.upper, design.meta.bottom
     assert bottom is not None
     rise = bottom_rise(design)

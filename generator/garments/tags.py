@@ -8,8 +8,8 @@ from enum import Enum
 
 __all__ = ["HEMS", "RUFFLES", "TAGS", "Tag"]
 
-RUFFLES = 1.2  # cloth over its gathered length, from which gathers count as ruffles
-HEMS = (0.35, 0.55, 0.8)  # of hips to floor: the largest hem depths of mini, knee length and midi
+RUFFLES = 1.2  # least ratio of cloth to its gathered length in a ruffle
+HEMS = (0.35, 0.55, 0.8)  # largest hem depths of mini, knee length and midi, as fractions of hips to floor
 
 
 class Tag(Enum):

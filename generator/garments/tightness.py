@@ -1,8 +1,8 @@
-"""Rings of cloth that must stretch to go round the body inside them.
+"""Rings of cloth round the body, and how far each must stretch.
 
 A ring is a closed line of cloth: a seam or hem round the trunk, a skirt's cloth round both legs, the end of a sleeve or
-of a trouser leg. The parts of an outfit hang one under the other, so a band under a long shirt is worn at the hips
-although it was drawn for the waist.
+of a trouser leg. The parts of an outfit hang one under the other: a band under a long shirt is worn at the hips,
+although it is drawn for the waist.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ def tightest_ring(size: Measurements, design: OutfitDesign) -> Ring | None:
 
 
 def rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
-    """The rings round the trunk, and those that the record of the bottom names."""
+    """The rings round the trunk, and the rings of the bottom: see ``BottomGarment.rings``."""
     hung, bottom = _hung(size, design), design.meta.bottom
     for above, below in pairwise(hung):
         cloth = min(above.part.length("bottom"), below.part.length("top"))
@@ -51,9 +51,9 @@ def rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
 
 
 def _hung(size: Measurements, design: OutfitDesign) -> tuple[_Hung, ...]:
-    """The parts from the top down; without an upper the first hangs where it was drawn, else under the upper.
+    """The parts from the top down, each hung under the part above it; the first hangs where it is drawn.
 
-    The depth of a bottom's hem is left out: no ring ends there.
+    A bottom has depth NaN: no ring depends on the depth of its hem.
     """
     meta, rise = design.meta, bottom_rise(design)
     if meta.upper:

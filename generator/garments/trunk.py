@@ -6,7 +6,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "girth_below_waist", "waist_back", "waist_front"]
 
-LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of floor to hips
+LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of floor to hips
 LEGS_GIRTHS = (0.80, 0.79, 0.85, 0.89, 0.87, 0.83, 0.88, 0.94, 0.96, 1.0)
 """Tape round both legs as they stand, over the hips: means over 12 of this package's bodies, ± 0.05."""
 

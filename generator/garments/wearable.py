@@ -1,6 +1,6 @@
-"""Drafts made wearable: limits first, then remedies for what cannot be sewn or worn.
+"""Make drafts wearable: apply limits first, then remedies for faults in sewing or fit.
 
-Each step changes as few parameters as it can and counts what it draws again; ``rules.py`` catches the rest.
+Each step redraws as few parameters as it can, and counts them; ``rules.py`` rejects designs with remaining faults.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -46,14 +46,14 @@ from gcd_dataset.records import Measurements
 __all__ = ["wearable"]
 
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
-JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
+JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length for such a shirt
 WIDEST_END = 2.0  # largest sleeve.end_width
 LEFT = "left."
 FLARED_CUFF = "sl_right_cuff_skirt_f"
 
 
 def _remedy(path: str) -> Remedy:
-    """The remedy for one path; ``-`` or ``+`` at its end: see ``BottomGarment.remedies``."""
+    """The remedy for a path, which may end in ``-`` or ``+``: see ``BottomGarment.remedies``."""
     return Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+"))
 
 
@@ -67,14 +67,14 @@ SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
     FLARED_CUFF: _remedies("sleeve.cuff.skirt_flare-", "sleeve.cuff.cuff_len+"),
     "": _remedies("shirt.flare-", "collar.width", "shirt.width"),
 }
-"""The panel of a shirt's right half at fault to its remedies; without a panel, a seam or a drawing is at fault."""
+"""Panel at fault of a shirt's right half to the remedies; the empty name: a seam does not match or drawing fails."""
 LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
     "right_ftorso": _remedies("collar.fc_depth-", "left.collar.f_collar", "left.collar.width"),
     "right_btorso": _remedies("collar.bc_depth-", "left.collar.b_collar", "left.collar.width"),
     FLARED_CUFF: _remedies("left.sleeve.cuff.skirt_flare-", "left.sleeve.cuff.cuff_len+"),
     "": _remedies("left.shirt.flare-", "left.collar.width", "left.shirt.width"),
 }
-"""The same of a left half that differs."""
+"""The same for the left half of an asymmetric shirt."""
 WHOLE_SHIRT = tuple(map(Remedy, (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))))
 WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", "left.collar"))))
 
@@ -82,7 +82,7 @@ WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", 
 def wearable(
     draft: OutfitDesign, wearers: Sequence[Measurements], rng: np.random.Generator, space: DesignSpace[OutfitDesign]
 ) -> DrawnDesign:
-    """The draft with what the ``wearers`` cannot sew or wear drawn again, as far as remedies help."""
+    """The draft with parameters redrawn until all ``wearers`` can wear it, as far as remedies help."""
     redrawing = Redrawing(rng, space)
     fitting = _Fitting(redrawing, tuple(wearers))
     design = fitting.with_band(draft)
@@ -102,7 +102,7 @@ class _Fitting:
     sizes: tuple[Measurements, ...]
 
     def with_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a waistband that, without an upper, is no wider than the trunk."""
+        """The design; a waistband without an upper is at most as wide as the trunk."""
         if not design.meta.wb or design.meta.upper:
             return design
         snug = replace(design, waistband=replace(design.waistband, waist=1.0))
@@ -112,7 +112,7 @@ class _Fitting:
     # ---------------------------------------------------------------------------------------------------------- uppers
 
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
-        """With an upper that can be sewn and worn."""
+        """The design with an upper that can be sewn and worn."""
         assert design.meta.upper is not None
         garment = design.meta.upper.garment
         if isinstance(garment, Shirt):
@@ -123,7 +123,7 @@ class _Fitting:
         return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
 
     def _with_wide_cuffs(self, design: OutfitDesign) -> OutfitDesign:
-        """With bands at the ends of the sleeves that the arms fit through."""
+        """The design with bands at the ends of the sleeves that are wide enough for the arms."""
         for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
             for _ in range(TRIES):
                 tightness = max(sleeve_tightness(size, design, design.halves()[number]) for size in self.sizes)
@@ -133,7 +133,7 @@ class _Fitting:
         return design
 
     def _with_wider_cuff(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
-        """With fewer gathers over the cuff; if it needs more, with a wider or, last, a shorter sleeve end or cuff."""
+        """The design with fewer gathers over the cuff; if they do not suffice, a wider end; else a longer sleeve."""
         sleeve = value_at(self.redrawing.space, design, path)
         ruffle, end = sleeve.cuff.top_ruffle / tightness, sleeve.end_width * tightness / sleeve.cuff.top_ruffle
         if ruffle >= 1:
@@ -143,7 +143,7 @@ class _Fitting:
         return self.redrawing.again(design, "tight_cuff", f"{path}.length", low=sleeve.length)
 
     def _shirt_fault(self, design: OutfitDesign) -> Fault | None:
-        """The first fault of the halves; the part of the left half begins with ``LEFT``."""
+        """The first fault of a half; for the left half ``part`` begins with ``LEFT``."""
         for prefix, half in zip(("", LEFT), design.halves(), strict=False):
             fault = _first(half_fault(size, design, half) for size in self.sizes)
             if fault is not None:
@@ -154,7 +154,7 @@ class _Fitting:
         return _first(upper_fault(size, design) for size in self.sizes)
 
     def _with_shoulders(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shirt that ends in place, and necklines that leave shoulder seams."""
+        """The design with an allowed shirt length, and with necklines that leave room for shoulder seams."""
         design = self._ending_in_place(design)
         for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
             widest = min(widest_neckline(size, design, design.halves()[number]) for size in self.sizes)
@@ -163,7 +163,7 @@ class _Fitting:
         return design
 
     def _ending_in_place(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shirt that ends near the waist if a part is sewn to its hem, and above the floor otherwise."""
+        """The design with a shirt that ends near the waist if a part is sewn to its hem, else above the floor."""
         assert design.meta.upper is not None
         if design.meta.upper.garment.at_waist:
             return design
@@ -173,7 +173,7 @@ class _Fitting:
         return self.redrawing.within(design, "reaches_floor", "shirt.length", -np.inf, longest)
 
     def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a lower waistband while a ring is too tight; a firm band stays firm."""
+        """The design with the waistband lowered while a ring is too tight; a firm band stays firm."""
         for _ in range(TRIES if design.meta.wb else 0):
             if not any(is_too_tight(size, design) for size in self.sizes):
                 break
@@ -185,7 +185,7 @@ class _Fitting:
     # --------------------------------------------------------------------------------------------------------- bottoms
 
     def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
-        """With a bottom that can be sewn and worn, within limits set by the floor and by the waistband."""
+        """The design with a bottom that can be sewn and worn, ends above the floor and suits the waistband."""
         limited = self._hanging_in_place
         return self.redrawing.repaired(
             limited(design), self._bottom_fault, partial(_bottom_remedies, design), limited=limited
@@ -200,7 +200,7 @@ class _Fitting:
         return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
 
     def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
-        """With the bottom short enough to end above the floor; lengths are fractions of hips to floor."""
+        """The design with a bottom that ends above the floor; lengths are fractions of hips to floor."""
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
             return design
@@ -208,7 +208,7 @@ class _Fitting:
         return self.redrawing.within(design, "reaches_floor", _length_path(design), -np.inf, longest)
 
     def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
+        """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
         if top_parameter(design, "gather_parameter") <= 1:
@@ -224,7 +224,7 @@ class _Fitting:
         return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
 
     def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
+        """The design with a shorter and narrower bottom, if it is flared and has neither an upper nor a firm band."""
         if design.meta.upper or not is_flared(design) or has_firm_band(design):
             return design
         design = self.redrawing.within(design, "too_heavy", _length_path(design), -np.inf, LIGHT_LENGTH)
@@ -239,7 +239,7 @@ class _Fitting:
         *,
         rule: str,
     ) -> OutfitDesign:
-        """With the parameter that gathers the bottom's top, or makes it wide, within limits."""
+        """The design with the parameter for gathers or fullness of the bottom's top within limits."""
         top = top_of_bottom(design)
         name = "" if top is None else getattr(top, role)
         if top is None or not name:
@@ -258,7 +258,7 @@ def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
 
 
 def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
-    """The parameters that its record and those of its parts name, then whole sections."""
+    """Redraws of the parameters named in the records of the bottom and its parts, then of their whole sections."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
     parts = (garment, *garment.parts(design))

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 __all__ = ["Lattice", "build_lattice", "lattice_size"]
 
-PITCH = 0.97  # of the border's spacing: the median edge of GarmentCode's meshes
+PITCH = 0.97  # lattice spacing over border spacing: the median edge of GarmentCode's meshes
 CLEAR_OF_POINT = 0.60  # pitches: least distance of a seed from the border's points
 CLEAR_OF_MIDDLE = 0.60  # pitches: least distance of a seed from the midpoints of the border's segments
 FAR = 1.27  # pitches from the border beyond which all six triangles are Delaunay: see _certain

@@ -17,7 +17,7 @@ from gcd_dataset.generator.pattern.stroke import Stroke, chain_from
 __all__ = ["cut_corner", "cut_end", "cut_into", "dart", "notch"]
 
 MOUTH_TOLERANCE = 1e-9  # cm², of Newton's method
-MOUTH_STEPS = 20  # of Newton's method, at most
+MOUTH_STEPS = 20  # most steps of Newton's method
 
 
 def dart(width: float, leg: float, *, name: str = "dart") -> tuple[Stroke, Stroke]:

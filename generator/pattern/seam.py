@@ -14,7 +14,7 @@ __all__ = ["Interface", "Join", "Section", "backwards", "shared_breaks"]
 
 EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
 SAME_BREAK = 0.01  # share of a seam: breaks that differ by less count as one, GarmentCode
-UNDER_HALF = 0.49  # of the shortest edge: limit of SAME_BREAK, so that no break matches both ends of an edge
+UNDER_HALF = 0.49  # fraction of the shortest edge: limit of SAME_BREAK, so that no break matches both ends of an edge
 
 
 @dataclass(frozen=True, slots=True)

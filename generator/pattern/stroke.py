@@ -45,8 +45,8 @@ SWEPT_AREA = {
     3: ((0, 1, 3 / 10), (0, 2, 3 / 20), (0, 3, 1 / 20), (1, 2, 3 / 20), (1, 3, 3 / 20), (2, 3, 3 / 10)),
 }
 """Bézier degree to (i, j, weight): ½ ∫ (x dy - y dx) as a sum of cross products of control points i and j."""
-ARC_LENGTH_TOLERANCE = 1e-9  # of the stroke's length
-ARC_LENGTH_STEPS = 20  # of Newton's method, at most
+ARC_LENGTH_TOLERANCE = 1e-9  # as a fraction of the stroke's length
+ARC_LENGTH_STEPS = 20  # most steps of Newton's method
 
 
 @dataclass(frozen=True, slots=True)

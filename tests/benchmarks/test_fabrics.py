@@ -1,4 +1,4 @@
-"""The fabrics' tests: Cusick's drapemeter, and the targets with their citations."""
+"""Cusick's drapemeter, and the published targets of the fabric tests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +53,7 @@ def test_a_heavier_disc_has_a_smaller_coefficient() -> None:
 
 
 def test_a_drape_coefficient_hardly_depends_on_the_spacing() -> None:
-    """With the vertices within 9 cm held, 2 cm came out 6.6 points below 1 cm: the clamp lay half a row further in."""
+    """With held vertices up to 9 cm only, the result at 2 cm was 6.6 points lower: the clamp lay half a row inside."""
     coarse, fine = (drape_coefficient(FABRICS["default"], spacing=spacing) for spacing in (2.0, 1.0))
     assert coarse == pytest.approx(fine, abs=3.0)
 
@@ -74,7 +74,7 @@ def test_every_named_fabric_has_cited_targets_for_every_test() -> None:
 
 
 def test_the_fabrics_have_the_measured_figures_of_their_targets() -> None:
-    """Tensile stiffness within the rounding of ``FABRICS``."""
+    """Tensile stiffness equals the target up to the rounding in ``FABRICS``."""
     for target in read_targets():
         if target.test == "tensile_stiffness":
             found = getattr(FABRICS[target.fabric].pull, target.direction)

@@ -1,4 +1,4 @@
-"""The shift of a distribution is the share of values that moved; chance alone moves as much as its noise says."""
+"""``Shift``: ``moved`` is the share of values that moved; for random changes ``noise`` is its expected value."""
 
 import numpy as np
 import pytest

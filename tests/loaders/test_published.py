@@ -309,7 +309,7 @@ def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
 
 def test_a_broken_split_file_is_named(own: Path) -> None:
     next(own.glob("*split*.json")).write_text('{"training": ["rand_AAAAAAAAA0"]}')
-    with pytest.raises(ShardError, match="without a list named training"):
+    with pytest.raises(ShardError, match="lacks a list named training"):
         PublishedGarmentCodeData(own)
 
 

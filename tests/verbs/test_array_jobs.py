@@ -307,7 +307,7 @@ def test_a_damaged_part_is_named_and_made_again(tmp_path: Path, whole: dict[str,
     shard = part_folder(out, 1, 3) / "train-00003.tar"
     os.truncate(shard, 5000)
     with pytest.raises(
-        ShardError, match=r"00001-of-00003/train-00003\.tar: 5000 of .* delete it and run .*--shard 1/3"
+        ShardError, match=r"00001-of-00003/train-00003\.tar: only 5000 of .* delete it and run .*--shard 1/3"
     ):
         merge(out)
     shard.unlink()

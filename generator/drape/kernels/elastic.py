@@ -3,8 +3,8 @@
 Stretch: a spring along every mesh edge. In a fabric with a grain the springs of a face are coupled, which makes the
 face an orthotropic sheet. Bending: the quadratic model of Bergou et al. (2006), a constant matrix. The thread of a
 vertex reads its springs, then the vertices on which only its bending force depends, then its coupled faces. On a GPU
-the rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity
-172 µs; row after row 188 µs); on a CPU each row is contiguous.
+the rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; with one array per quantity
+172 µs; with contiguous rows 188 µs); on a CPU each row is contiguous.
 
 Forces are evaluated at ``x + theta h v``, which damps in proportion to stiffness and hardly damps slow motions. With
 this damping symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
@@ -81,7 +81,7 @@ def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(d
     rest = spring.length
     if sewn < 1.0:
         start = rows.start_length[at]
-        if start < rest:  # compressed cloth spreads once the seams are nearly closed
+        if start < rest:  # compressed cloth spreads from SPREAD_FROM on, when the seams are nearly closed
             rest = wp.lerp(start, rest, wp.max(sewn - SPREAD_FROM, 0.0) / (1.0 - SPREAD_FROM))
         else:
             rest = wp.lerp(start, rest, sewn)
@@ -124,7 +124,7 @@ def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3
     for k in range(USUAL, count[1]):
         bend = rows.bends[first + k * rows.lanes]
         force -= bend.weight * ahead[bend.vertex]
-    # During sewing, seam edges are far longer than flat; the coupling is meant for small strains.
+    # Not during sewing: the coupling is linear in the strain, and seam edges are far longer than flat.
     if rows.coupled != 0 and sewn >= 1.0:
         for k in range(rows.corner_count[i]):
             force += coupled_force(first + k * rows.lanes, x, rows, ahead)

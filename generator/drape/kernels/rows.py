@@ -8,7 +8,7 @@ from gcd_dataset.generator.drape.kernels.topology import Hinges, Surface, flat_a
 
 wp.set_module_options({"enable_backward": False})
 
-TAPE = 10.0  # stiffness factor of mesh edges between keepers: tailors tape or face these borders
+TAPE = 10.0  # stiffness factor of edges between keepers (``find_keepers``): tailors tape or face such borders
 
 
 @wp.func
@@ -26,9 +26,9 @@ def corner_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> f
 
 @wp.func
 def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, springs: wp.mat33d) -> float:
-    """``corner_stiffness`` for a fabric with a grain: the larger bound of coupled and uncoupled springs.
+    """``corner_stiffness`` for a fabric with a grain: the larger of the bounds for coupled and uncoupled springs.
 
-    The factor 3/2 bounds the coupled case, where three corners move together instead of two spring ends.
+    The factor 3/2 is for the coupled case: three corners move together, instead of two ends of a spring.
     """
     area = flat_area(flat, f)
     last = (corner + 2) % 3
@@ -81,7 +81,7 @@ def corner_at(face: wp.vec3i, i: int) -> int:
 
 @wp.func
 def side_across(opposite: wp.vec2i, i: int) -> int:
-    """0 or 1: the face of a hinge in which vertex ``i`` is opposite; -1 for an edge without a hinge."""
+    """The face of a hinge, 0 or 1, with vertex ``i`` opposite the edge; -1 if neither, or for an edge of one face."""
     if opposite[1] >= 0:
         if opposite[0] == i:
             return 0
@@ -110,7 +110,7 @@ def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
 
 @wp.func
 def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows):
-    """Write the springs of a vertex without bending; returns the stiffness that tapes add, in membrane stiffnesses."""
+    """Write the springs of a vertex, without bending; returns the stiffness added by ``TAPE`` over the membrane's."""
     stiffer = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
         e = surface.vertex_edges[surface.first_edge[i] + row]
@@ -126,7 +126,7 @@ def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper:
 
 @wp.func
 def add_end_bending(i: int, surface: Surface, hinges: Hinges, rows: Rows):
-    """Add the bending weights of hinges that end in a vertex to its springs; returns their part of the diagonal."""
+    """Add the bending weights of the hinges at a vertex to its springs; returns their sum for the diagonal."""
     diagonal = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
         e = surface.vertex_edges[surface.first_edge[i] + row]

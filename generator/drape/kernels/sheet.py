@@ -6,11 +6,11 @@ from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, F
 
 wp.set_module_options({"enable_backward": False})
 
-# Bergou et al. (2006) take the jump of the slope over each edge for the curvature there. With positions at vertices
-# only, the jumps alternate: on equilateral triangles the sum of their squares is three times that of the smooth sheet.
+# Bergou et al. (2006) estimate the curvature at each edge by the jump of the slope. The jump depends on the direction
+# of the edge: on equilateral triangles the sum of their squares is three times that of the smooth sheet.
 EXCESS = 3.0
-SLIVER = 0.12  # product of the sines of a face's angles below which it is a sliver: 7° and two of 86°
-LEAST_BEND = 0.5  # lower limit of a hinge's rigidity, as a share of the softer direction's
+SLIVER = 0.12  # a face is a sliver if the product of its angles' sines is smaller: angles of 7°, 86° and 87°
+LEAST_BEND = 0.5  # lower limit of a hinge's rigidity, as a share of the rigidity along the softer direction
 
 
 @wp.struct

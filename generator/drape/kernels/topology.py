@@ -11,7 +11,7 @@ from gcd_dataset.generator.drape.kernels.sheet import Sheet, bend_share, hinge_r
 
 wp.set_module_options({"enable_backward": False})
 
-LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers are softened, for stability
+LARGEST_BEND_WEIGHT = 8.0  # of a hinge with two corners of about 14°; hinges of sharper slivers are softened
 
 
 @wp.struct
@@ -126,7 +126,7 @@ def describe_edges(
     """Fill the edges, opposite vertices and side edges of ``surface``, and the springs and hinges.
 
     Spring stiffness: the sum over the faces of area / length², times the face's spring factor (``springs_of``). Flat
-    length: the shorter of both where a gathered seam joins edges of different length. Hinges: Bergou et al. (A
+    length: where a gathered seam joins edges of different length, the shorter length. Hinges: Bergou et al. (A
     Quadratic Bending Model for Inextensible Surfaces, 2006).
     """
     s = wp.tid()

@@ -24,7 +24,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, en
 
 wp.set_module_options({"enable_backward": False})
 
-PARTIAL_SUMS = wp.constant(256)  # of a dot product over a garment; the same number on every device
+PARTIAL_SUMS = wp.constant(256)  # partial sums of a dot product over a garment, equally many on every device
 
 
 @wp.struct

@@ -88,8 +88,8 @@ def test_arms_are_level_in_the_t_pose() -> None:
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value]
     standing, level = build_body(BodyShape(weights)), build_body(BodyShape(weights, T_POSE))
     outer = np.isin(level.parts, arms) & (np.abs(level.vertices[:, 0]) > 25.0)
-    assert np.ptp(level.vertices[outer, 1]) < 15.0  # the girth of an arm, and its bend
-    assert np.ptp(level.vertices[:, 0]) == pytest.approx(level.vertices[:, 1].max(), rel=0.08)  # span and height
+    assert np.ptp(level.vertices[outer, 1]) < 15.0  # the thickness of an arm, plus its bend
+    assert np.ptp(level.vertices[:, 0]) == pytest.approx(level.vertices[:, 1].max(), rel=0.08)  # span, height
     assert abs(np.degrees(measure(level).arm_pose_angle)) < 6.0
     assert measure(level).waist == pytest.approx(measure(standing).waist, abs=0.01)
 

@@ -1,4 +1,4 @@
-"""Random fabrics: within the measurements, by seed and index alone, recorded, and independent of the batch."""
+"""Random fabrics lie between measured ones, depend on seed and index alone, are recorded, and drape in any batch."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -75,7 +75,7 @@ def as_fabric(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def test_a_batch_of_random_fabrics_drapes_like_each_alone() -> None:
-    """One batch of several worlds, isotropic fabrics among them."""
+    """The batch mixes orthotropic and isotropic fabrics."""
     fabrics = [FABRICS["default"], *(sample_fabric(1, index, "random") for index in range(3)), FABRICS["cotton"]]
     jobs = [replace(on_a_ball(6), fabric=fabric) for fabric in fabrics]
     config = DrapeConfig(max_frames=30)

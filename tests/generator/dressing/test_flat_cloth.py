@@ -15,7 +15,7 @@ def strip() -> tuple[BoxMesh, FlatCloth]:
 
 
 def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear() -> None:
-    """Nearly: the weights of right angles, which are 0, are raised to the lower limit."""
+    """Up to 0.003: the cotangent weights of right angles are 0, and are raised to ``LEAST_WEIGHT``."""
     mesh, cloth = strip()
     along = mesh.uv[:, 0]
     ends = np.flatnonzero((along == along.min()) | (along == along.max()))

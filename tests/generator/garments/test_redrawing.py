@@ -1,4 +1,4 @@
-"""A redraw changes what the rule concerns, is counted, and leaves the rest of the design as it was."""
+"""A redraw changes the parameters named by its rule and no others, and is counted."""
 
 from collections.abc import Callable
 
@@ -113,7 +113,7 @@ def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -
 
 
 def test_accepted_designs_have_the_declared_shares(woman: Measurements) -> None:
-    """No rule concerns whether a shirt has sleeves, or is asymmetric: 0.3 and 0.2 stay, to the design."""
+    """No rule redraws ``sleeveless``, ``enable_asym``, upper or bottom: each design has those of its draft."""
     for number in range(120):
         draft, design = drafted_design(5, number, 0), attempted_design(5, number, 0, [woman]).design
         assert (draft.sleeve.sleeveless, draft.left.enable_asym) == (design.sleeve.sleeveless, design.left.enable_asym)
