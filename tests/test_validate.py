@@ -202,7 +202,7 @@ def scaled(pattern: Pattern, factor: float) -> Pattern:
 @pytest.fixture(scope="module")
 def drawn() -> list[Pattern]:
     """Sampled garments."""
-    return [make(11, index, MakeConfig(stage="pattern")).pattern for index in (19, 71, 144, 147, 217, 252, 285, 287)]
+    return [make(11, index, MakeConfig(stage="pattern")).pattern for index in (19, 71, 107, 144, 217, 285, 288, 326)]
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(10.0, "to 1000"), (0.01, "to 1")])
@@ -233,7 +233,7 @@ def test_a_garment_that_was_never_placed_is_identified_by_its_edges() -> None:
 
 
 def test_wide_skirts_and_narrow_belts_have_a_likely_size_and_are_sewn_straight(drawn: list[Pattern]) -> None:
-    """The samples include a ruffle of 8 m, a belt of 16 cm panels, and nearly crosswise stitches."""
+    """The samples include a ruffle of 7 m, a belt of 25 cm panels, and nearly crosswise stitches."""
     for pattern in drawn:
         assert not {fault.rule for fault in check_pattern(pattern)} & {Rule.UNLIKELY_SIZE, Rule.SEWN_CROSSWISE}
     assert max(float(np.ptp(panel.vertices, axis=0).max()) for p in drawn for panel in p.panels) > 700.0

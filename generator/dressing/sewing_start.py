@@ -12,7 +12,7 @@ the cloth.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
@@ -26,6 +26,9 @@ __all__ = ["sewing_start"]
 ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
 ARMPIT = 22.0  # cm below the top of the arm's skin: the armhole surrounds the arm above this height
 UNDER_CROTCH = 2.0  # cm below the crotch seam, where a trouser leg is a tube
+LOOSE_HEM = 60.0  # cm, girth of a hem that does not catch on the foot
+LEG_GAP = -1.5  # cm by which a trouser leg must reach beyond the leg: thighs touch each other
+MIDDLE_GAP = 0.5  # cm between a trouser leg and the plane between the legs
 SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
 
 
@@ -85,7 +88,21 @@ def _put_on_leg(
     if len(joined):
         crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
         below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        put_on_limb(mesh, below, leg, placed)
+        if put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM):
+            _keep_off_the_other_leg(np.unique(mesh.faces[below]), leg, side, placed)
+
+
+def _keep_off_the_other_leg(
+    rows: Int[np.ndarray, " n"], leg: Limb, side: float, placed: Float[np.ndarray, "v 3"]
+) -> None:
+    """Compress a trouser leg, between the leg's axis and the body's middle, where it reaches past the middle."""
+    height, x = placed[rows, 1], side * placed[rows, 0]
+    axis = side * (leg.origin[0] + leg.axis[0] / leg.axis[1] * (height - leg.origin[1]))
+    slices = np.floor(height / SLICE).astype(int)
+    numbers = np.unique(slices)
+    inmost = np.interp(height / SLICE, numbers + 0.5, [x[slices == number].min() for number in numbers])
+    scale = np.minimum((axis - MIDDLE_GAP) / np.maximum(axis - inmost, MIDDLE_GAP), 1.0)
+    placed[rows, 0] = side * np.where(x < axis, np.maximum(axis - scale * (axis - x), MIDDLE_GAP), x)
 
 
 def _fit_between_arms(

@@ -12,7 +12,7 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["put_on_limb"]
 
-SECTION = 2.0  # cm, length of a cross section along the tube
+SECTION = 2.0  # median edges: length of a cross section along the tube; shorter ones would miss a side of it
 ROOT = 10.0  # cm: nearer to its root a tube may lie beside the limb's axis
 GAP = 1.0  # cm that a cross section must reach beyond the limb on either side
 BEFORE_END = 1.0  # cm between the end of a tube and that of the limb
@@ -20,18 +20,31 @@ LEAST_LENGTH = 0.4  # share of its length to which a tube may be compressed
 RINGS = 40  # level sets on which the distance from the root is averaged
 
 
-def put_on_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+def put_on_limb(
+    mesh: BoxMesh,
+    tube: Bool[np.ndarray, " f"],
+    limb: Limb,
+    placed: Float[np.ndarray, "v 3"],
+    *,
+    gap: float = GAP,
+    loose: float = np.inf,
+) -> bool:
     """Move the cross sections of a tube of cloth, in ``placed``, so that each surrounds a limb.
 
     ``tube`` marks the faces of a sleeve or a trouser leg; ``limb``: the arm without the hand, or the leg without the
     foot. The root of a tube is its seam with other cloth. The tube is turned to the direction of the limb. Each cross
     section is centred on the limb's axis, at its distance from the root, and widened where the limb is wider. A tube
     longer than the limb is compressed to the limb's length: sewn round a hand or foot, the cloth would be too narrow to
-    slip off. A tube keeps its positions if it is placed round the limb and is not longer than the limb.
+    slip off. A tube keeps its positions if it is placed round the limb and is not longer than the limb, or if its end
+    has at least the girth ``loose`` [cm]. ``gap``: cm by which each cross section must reach beyond the limb.
+
+    Returns whether the tube was moved.
     """
     cloth = _Tube.of(mesh, tube)
-    if cloth is not None and not (cloth.surrounds(limb.skin) and cloth.ends_on(limb)):
-        placed[cloth.rows] = cloth.moved_to(limb)
+    if cloth is None or (cloth.surrounds(limb.skin, gap) and (cloth.end_girth >= loose or cloth.ends_on(limb))):
+        return False
+    placed[cloth.rows] = cloth.moved_to(limb)
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +56,10 @@ class _Tube:
     """Positions [cm]."""
     distance: Float[np.ndarray, " n"]
     """Distance from the root [cm], averaged over each level set of a harmonic function, such as the open end."""
+    section: float
+    """Length of a cross section along the tube [cm]."""
+    end_girth: float
+    """Flat length of the open end [cm]."""
     frame: Float[np.ndarray, "3 3"]
     """Unit vectors across the tube, along it away from the root, and to the front."""
 
@@ -60,18 +77,21 @@ class _Tube:
         points = np.array(mesh.vertices[rows], float)
         along = mesh.vertices[end, :2].mean(axis=0) - mesh.vertices[root, :2].mean(axis=0)
         x, y = along / np.linalg.norm(along)
-        return _Tube(rows, points, distance, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
+        ends, lengths = cloth.edges
+        girth = float(lengths[np.isin(ends, end).all(axis=1)].sum())
+        section = SECTION * float(np.median(lengths))
+        return _Tube(rows, points, distance, section, girth, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
 
-    def surrounds(self, skin: Float[np.ndarray, "s 3"]) -> bool:
+    def surrounds(self, skin: Float[np.ndarray, "s 3"], gap: float) -> bool:
         """Whether every cross section beyond ``ROOT`` surrounds the limb's skin at the same height, ``GAP`` apart."""
         across, along, depth = (self.points @ self.frame.T).T
         skin_across, skin_along, skin_depth = (skin @ self.frame.T).T
         for here in self._sections():
-            low, high = along[here].min() - SECTION, along[here].max() + SECTION
+            low, high = along[here].min() - self.section, along[here].max() + self.section
             beside = (skin_along > low) & (skin_along < high)
             if self.distance[here].mean() > ROOT and beside.any():
                 for cloth, body in ((across[here], skin_across[beside]), (depth[here], skin_depth[beside])):
-                    if cloth.min() > body.min() - GAP or cloth.max() < body.max() + GAP:
+                    if cloth.min() > body.min() - gap or cloth.max() < body.max() + gap:
                         return False
         return True
 
@@ -83,7 +103,7 @@ class _Tube:
         """The positions round a limb [cm]; the root does not move."""
         frame = self.frame @ Rotation.align_vectors(limb.axis[None], self.frame[1:2])[0].as_matrix().T
         skin_across, skin_along, _ = ((limb.skin - limb.origin) @ frame.T).T
-        at_root = self.distance < SECTION
+        at_root = self.distance < self.section
         root = float(((self.points[at_root] - limb.origin) @ limb.axis).mean())
         across, _, depth = (self.points @ self.frame.T).T
         longest = float(self.distance.max())
@@ -91,12 +111,12 @@ class _Tube:
         distances, middles, factors = [], [], []
         for here in self._sections():
             distance = float(self.distance[here].mean())
-            beside = np.abs(skin_along - root - shrink * distance) < SECTION
+            beside = np.abs(skin_along - root - shrink * distance) < self.section
             low, high = float(across[here].min()), float(across[here].max())
             need = float(np.abs(skin_across[beside]).max(initial=0.0)) + GAP if beside.any() else 0.0
             distances.append(distance)
             middles.append(0.5 * (low + high))
-            factors.append(max(1.0, 2.0 * need / max(high - low, SECTION)))
+            factors.append(max(1.0, 2.0 * need / max(high - low, self.section)))
         middle, factor = (np.interp(self.distance, distances, values) for values in (middles, factors))
         local = np.stack([factor * (across - middle), root + shrink * self.distance, depth], axis=1)
         share = np.minimum(self.distance / ROOT, 1.0)[:, None]
@@ -104,7 +124,7 @@ class _Tube:
 
     def _sections(self) -> list[Int[np.ndarray, " k"]]:
         """The vertices of each cross section, from the root to the end."""
-        numbers = np.floor(self.distance / SECTION).astype(int)
+        numbers = np.floor(self.distance / self.section).astype(int)
         return [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
 
 

@@ -166,7 +166,7 @@ def test_the_end_of_a_moved_sleeve_is_straight() -> None:
 
 
 def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
-    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9))
+    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
     body = build_body(replace(neutral_shape(), legs_apart=True))
     mesh = build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
     start = sewing_start(mesh, body)
