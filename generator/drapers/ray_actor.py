@@ -33,7 +33,7 @@ def start_actor(device: str, *, gpus: float) -> Any:
 class RayDraper:
     """Sends requests to the first of several actors; requests lost with an actor go to the next live one.
 
-    Raises ``DrapeError`` if ``MAX_LOSSES`` actors died while draping one garment, or if no actor replies for two minutes.
+    Raises ``DrapeError`` if ``MAX_LOSSES`` actors died while draping one garment, or none replies for two minutes.
     """
 
     def __init__(self, actors: Sequence[Any], *, at_once: int = AT_ONCE) -> None:

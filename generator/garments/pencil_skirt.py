@@ -53,21 +53,21 @@ class PencilSkirtDesign(Design):
     """A narrow skirt."""
 
     length: float = real(0.4, 0.2, 0.95)
-    """Below the hips, as a fraction of hips to floor."""
+    """Length below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     flare: float = real(1.0, 0.6, 1.5, keep=0.3)
-    """Hem, as a fraction of the hips."""
+    """Girth of the hem, as a fraction of the hips."""
     low_angle: int = integer(0, -30, 30, keep=0.7)
     """Tilt of the hem [degrees]."""
     front_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
-    """Notch in the middle of the front hem, as a fraction of the length."""
+    """Height of the notch in the middle of the front hem, as a fraction of the length."""
     back_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
-    """Notch in the middle of the back hem, as a fraction of the length."""
+    """Height of the notch in the middle of the back hem, as a fraction of the length."""
     left_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
-    """Lower part of the left side seam left open, as a fraction of the seam below the hips."""
+    """Height of the slit in the left side seam, as a fraction of the seam below the hips."""
     right_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
-    """Lower part of the right side seam left open, as a fraction of the seam below the hips."""
+    """Height of the slit in the right side seam, as a fraction of the seam below the hips."""
     style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
 
 
@@ -89,7 +89,7 @@ class _Shape:
     hips: float
     """Half of the panel's width at the hips."""
     height: float
-    """From the hips to the top."""
+    """Height from the hips to the top."""
     lean: float
     """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
     darts: tuple[_Dart, ...]
