@@ -214,7 +214,7 @@ def _run(
 ) -> Bool[np.ndarray, " w"]:
     """Step until no world runs, or until enough worlds are idle (``IDLE``); returns the worlds that still run.
 
-    Counted as idle: each ended world that a pending job or the fine pass of its garment could use, and each unused place
+    Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused place
     in the batch for which a job has arrived.
     """
     refining = np.array([each.coarse is not None for each in passes])
