@@ -19,12 +19,12 @@ SMOOTHING = 10 * (0.5, -0.53)
 
 @dataclass(frozen=True)
 class BrokenBody:
-    """The content of a damaged file, and its true measures."""
+    """A damaged OBJ file, and the true measures of the body in it."""
 
     kind: str
     content: bytes
     truth: Measurements | None
-    """``None`` if the damage leaves no true measures."""
+    """``None`` if the damaged mesh has no defined measures."""
 
     def write(self, folder: Path) -> Path:
         """Write the OBJ file. Returns its path."""
@@ -38,7 +38,7 @@ _Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
 
 
 def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
-    """A drawn body with one kind of damage of ``KINDS``."""
+    """Draw a body and damage it; ``kind``: a key of ``KINDS``."""
     body = build_body(draw_shape(rng, group="pooled"))
     # With faces in another order the mesh is not recognised as ours, so landmarks must be found.
     body = replace(body, faces=np.roll(body.faces, 1, axis=0))
@@ -53,7 +53,7 @@ def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
 
 
 def obj_bytes(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """The content of an OBJ file of a mesh."""
+    """Encode a mesh as an OBJ file; row numbers in ``faces`` start at 0."""
     lines = ["v %.9g %.9g %.9g" % tuple(v) for v in vertices] + ["f %d %d %d" % tuple(f) for f in faces + 1]  # noqa: UP031
     return ("\n".join(lines) + "\n").encode()
 

@@ -20,7 +20,7 @@ __all__ = ["gpu_idle", "own_rate"]
 
 SAMPLE_EVERY = 200  # ms between samples of nvidia-smi
 SHIFT = 1e-6  # cm, change of a body that makes the draper treat it as another body
-QUEUED = 256  # requests, more than a GPU drapes at a time
+QUEUED = 256  # requests in the queue: more than a GPU drapes at a time
 
 
 def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pictured: bool = False) -> float:

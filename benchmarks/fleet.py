@@ -80,7 +80,7 @@ class Bill:
     garments: int
     gpus: int
     seconds: float
-    """From the first garment to the last."""
+    """Time from the first garment to the last."""
     bottleneck: str
     gpu_hours: float
     cpu_hours: float
@@ -89,7 +89,7 @@ class Bill:
     requests: int
     compute_usd: float
     store_usd: float
-    """Price of the write requests and of the first month of storage."""
+    """Price of the write requests and of one month of storage."""
     index: int
     """Bytes of ``index-train.npz``."""
     manifest: int

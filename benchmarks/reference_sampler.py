@@ -19,7 +19,7 @@ from gcd_dataset.validate import Rule, check_pattern
 __all__ = ["reference_design", "reject_reason"]
 
 SPACE = DesignSpace.declared(OutfitDesign)
-FLOOR_SLACK = 1.0  # cm
+FLOOR_SLACK = 1.0  # cm by which a garment may be longer than from the neck to the floor
 THIN_BAND = 0.25
 
 

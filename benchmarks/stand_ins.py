@@ -22,7 +22,7 @@ SMPL_VERTICES = 6890
 SMPLX_VERTICES = 10475
 EYE = 642  # vertices of an eyeball; SMPL-X has 546
 BIN = 0.25  # cm: edges within a bin collapse in random order, so that many collapse per round
-PELVIS = 0.53  # share of the height
+PELVIS = 0.53  # height of the pelvis over the height of the body
 
 _Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
 

@@ -39,7 +39,7 @@ LEVEL = 80.0  # cm, height of the strip
 CLAMPED = 2.0  # cm, length of the clamped end
 WIDTH = 6.0  # cm
 PEIRCE = 8.0  # c³ = l³ cos(angle / 2) / (8 tan(angle))
-HEAVY = 1e12  # g
+HEAVY = 1e12  # g: inertia of a held vertex
 # The hinges at the outermost held vertices bend the cloth over half a row of faces to either side. Cloth is therefore
 # clamped half a row behind these vertices. Without this, the bending length at 2 cm came out 20 to 30 % short.
 HALF_ROW = 0.25 * np.sqrt(3)  # along the warp, across the rows [edges]

@@ -41,7 +41,7 @@ __all__ = [
 Point: TypeAlias = tuple[float, float]
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(24)
-ARC_TOLERANCE = 1e-6  # a radius may be shorter than half the chord by this share: rounding
+ARC_TOLERANCE = 1e-6  # relative rounding error by which a radius may be under half the chord
 
 
 @dataclass(frozen=True, slots=True)

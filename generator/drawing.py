@@ -25,7 +25,7 @@ __all__ = [
 
 JPEG_QUALITY = 92
 SUPERSAMPLING = 3  # flat drawings are drawn at this multiple of their size, then scaled down
-CAPTION = 16  # height of a caption [pixels]
+CAPTION = 16  # height of the strip for a caption [pixels]
 
 
 def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w 3"]:

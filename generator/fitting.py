@@ -88,7 +88,7 @@ def drape_patterns(
     resolution: float = 1.0,
     device: str = "auto",
 ) -> Iterator[Fitting]:
-    """Drape each pattern on a body; fittings in order, in batches of the device's size.
+    """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.

@@ -19,7 +19,7 @@ __all__ = [
     "render_view",
 ]
 
-SKIN = (0.80, 0.76, 0.72)  # sRGB
+SKIN = (0.80, 0.76, 0.72)  # sRGB colour of bodies, 0 to 1
 
 
 @dataclass(frozen=True)

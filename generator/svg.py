@@ -18,14 +18,14 @@ from gcd_dataset.records import Panel, Pattern
 
 __all__ = ["pattern_svg"]
 
-MARGIN = 1.0  # cm
+MARGIN = 1.0  # cm of empty border round the drawing
 LINE_WIDTH = 0.12  # cm
 LARGEST_NAME, SMALLEST_NAME = 2.0, 0.3  # cm, height of letters
 LETTER_WIDTH = 0.6  # mean, as a share of the height, in the usual sans serif
 NAME_SHARE = 0.45  # share of the room that a name may take; the grain line needs the rest
 GRAIN_SHARE, ARROW = 0.6, 0.8  # share of the room along the grain; length of an arrow head [cm]
 SEAM_NUMBER, SEAM_SHARE = 0.9, 0.3  # height of a seam number [cm], at most this share of its edge's length
-TINY = 1e-9  # cm
+TINY = 1e-9  # cm: least divisor, for edges without length
 
 Node = ElementTree.Element
 

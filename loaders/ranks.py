@@ -75,7 +75,7 @@ def gpu_of_rank(count: int) -> int | None:
 
 
 def gpus_of_rank(devices: Sequence[str]) -> Sequence[str]:
-    """This rank's share of several GPUs; all of them for a process that is not a rank; a single GPU is shared.
+    """This rank's share of several GPUs. All ranks share a single GPU; a process that is not a rank gets all GPUs.
 
     Raises ``ConfigError`` for more ranks than GPUs.
     """
@@ -105,8 +105,8 @@ def _local_rank() -> tuple[int, int | None] | None:
 
 def sharding_library() -> str | None:
     """The library that is iterating in this thread and splits the items over ranks itself, or ``None``."""
-    # accelerate iterates over all items on every rank and keeps this rank's. It neither recognises a sampler that has
-    # split them already, nor marks a sampler that it wraps: only the call stack shows it.
+    # On every rank accelerate iterates over all items and keeps the items of this rank, even if the sampler has split
+    # them already. It does not mark the samplers that it wraps: only the call stack shows that it iterates.
     module, classes = ACCELERATE
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:

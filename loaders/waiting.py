@@ -24,11 +24,11 @@ def seconds_each(config: MakeConfig) -> float:
 
 
 def tell_wait(config: MakeConfig) -> None:
-    """Log the expected time per garment from 2 s on."""
+    """Log the expected time per garment if it is ``LOGGED_FROM`` seconds or longer."""
     each = seconds_each(config)
     if each >= LOGGED_FROM:
         logger.warning(
-            "waiting for the first garment: about %.0f s each on %s, longer for the first where kernels are compiled",
+            "waiting for the first garment: about %.0f s each on %s, longer for the first if kernels must be compiled",
             each,
             config.device,
         )

@@ -49,7 +49,7 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["add_arguments", "run"]
 
 GROUPS = ("random", "random", "random", POOLED)
-"""Groups of the bodies, in turn."""
+"""Groups from which the bodies are drawn, in turn."""
 LEAST = 4 * len(GROUPS)
 MIXED = "random"
 MEAN_WITHIN, SD_WITHIN = 0.02, 0.10
@@ -58,7 +58,7 @@ FOLLOW_HEIGHT = {"weight": "weight", "navel_girth": "waist", "hips": "hips"}
 
 @dataclass(frozen=True)
 class DrawnBody:
-    """One body in both poses."""
+    """A drawn body: its CPU times and measures, and its faults in both poses."""
 
     kind: str
     """``female``, ``male`` or ``pooled``."""
@@ -71,7 +71,7 @@ class DrawnBody:
     failed: bool
     crossings: int
     clearance: float
-    """[cm]"""
+    """Least gap between arm and trunk over both poses [cm]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def draw(seed: int, number: int) -> DrawnBody:
-    """Body ``number``, from ``GROUPS`` in turn."""
+    """Draw, build and measure body ``number``, in both poses."""
     kind, shape = draw_from(GROUPS[number % len(GROUPS)], rng(seed, number, Stage.BODY))
     begun = time.process_time()
     body = build_body(shape)

@@ -42,8 +42,8 @@ from gcd_dataset.records import Body, Drape, Outcome
 __all__ = ["add_arguments", "run"]
 
 EXAMPLES = Path("/work/shared/examples/bodies")
-TILE = 320  # pixels of a garment on a sheet
-SHOWN = 16  # garments of a body on its sheet
+TILE = 320  # side of a garment's picture on a sheet [pixels]
+SHOWN = 16  # most garments on the sheet of a body
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -61,20 +61,20 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["add_arguments", "run"]
 
-LARGE = 0.05  # total variation
+LARGE = 0.05  # least total variation of a parameter that counts as moved
 Values = Mapping[str, list[Any]]
 """The values of each parameter, one for each design; ``UNUSED`` in designs without the parameter."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What a sampler proposes and what it accepts."""
+    """The values that a sampler proposes, the values that it accepts, and its redraws."""
 
     proposed: Values
     accepted: Values
     redraws: Mapping[Redraw, int]
     paired: bool
-    """Whether entry k of ``accepted`` came of entry k of ``proposed``; otherwise it is a subset."""
+    """Whether accepted value k replaces proposed value k; if not, the accepted values are some of the proposed ones."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -169,7 +169,7 @@ def _values(designs: Iterable[OutfitDesign]) -> Values:
 
 
 def _section(path: str) -> str:
-    """The field of the section that a design must use to use the parameter."""
+    """Field of the section that holds the parameter at ``path``; designs without this section do not use it."""
     return "shirt" if path == "left.enable_asym" else path.split(".")[0].replace("-", "_")
 
 

@@ -45,8 +45,8 @@ from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern
 
 __all__ = ["add_arguments", "run"]
 
-TILE = 256  # pixels of a garment on a sheet
-TIMED_MESHES = 16  # garments for the timing of coarse meshes
+TILE = 256  # side of a garment's picture on a sheet [pixels]
+TIMED_MESHES = 16  # garments whose coarse meshes are timed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

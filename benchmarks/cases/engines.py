@@ -24,7 +24,7 @@ from gcd_dataset.verbs.ray_engine import ray_cluster
 __all__ = ["add_arguments", "run"]
 
 TICKS = os.sysconf("SC_CLK_TCK")
-SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU seconds per garment, which set the size of a range
+SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU time per garment by stage [s]; sets the number of garments per Ray task
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> Measured:
         with _engine(engine, config, options.workers) as make:
             start = _spent(make(few), few, begun)
             whole = _spent(make(options.count), options.count, (_cpu_seconds(), time.perf_counter()))
-        if engine == "local":  # starts its processes for each run
+        if engine == "local":  # the second run started new processes too: subtract their start
             whole = whole[0] - start[0], whole[1] - start[1]
         each[engine] = [seconds / options.count for seconds in whole]
         for name, unit, first, seconds in zip(("cpu", "wall"), ("CPU-s", "s"), start, each[engine], strict=True):
@@ -63,7 +63,7 @@ def _spent(made: Iterator[Any], count: int, begun: tuple[float, float]) -> tuple
 
 @contextmanager
 def _engine(engine: str, config: MakeConfig, workers: int) -> Iterator[Callable[[int], Iterator[Any]]]:
-    """A function that makes a number of garments with an engine."""
+    """For the block, a function that makes a given number of garments with the engine, one by one."""
     if engine == "local":
         yield lambda count: produce(0, range(count), config, workers=workers, finished=encode_sample)
         return

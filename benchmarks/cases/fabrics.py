@@ -53,8 +53,8 @@ SKIRT = Overlay.from_dict(
         "flare-skirt": {"length": 0.5, "suns": 1.2, "cut": {"add": False}},
     }
 )
-TILE = 1024  # pixels of a picture
-CROP = np.s_[340:840, 262:762]  # waist to knees
+TILE = 1024  # side of a picture before it is cropped [pixels]
+CROP = np.s_[340:840, 262:762]  # rows and columns that show the skirt from waist to knees
 COTTON = 68.4  # %, drape coefficient of plain-woven cotton: Gan, Ly and Steven, J. Textile Inst. 82(1), 1991
 
 

@@ -18,7 +18,7 @@ from gcd_dataset.shards.writer import SHARD_SIZE
 
 __all__ = ["add_arguments", "run"]
 
-PARTS = (10, 40, 100, 400, 1_000, 4_000)  # shards
+PARTS = (10, 40, 100, 400, 1_000, 4_000)  # part sizes that are simulated by default [shards]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

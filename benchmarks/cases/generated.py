@@ -94,7 +94,7 @@ def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[flo
 
 
 def _batches(garments: GeneratedGarments, options: argparse.Namespace, *, replay: float) -> Iterator[Any]:
-    """Batches; with ``replay`` the buffer is full after ``--warm`` garments."""
+    """Batches of the loop; if garments are replayed, from a buffer of ``--warm`` garments."""
     room = options.batch if replay == 1 else max(options.warm, 1)
     fresh = FreshGarments(garments, replay=replay, room=room, workers=options.workers)
     return iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))

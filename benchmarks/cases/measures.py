@@ -30,10 +30,10 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["add_arguments", "run", "tolerance"]
 
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
-CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # cm, cm, degrees
-STATED = "doubtful"  # first word of a remark of doubt
+CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # tolerances: heights and girths [cm], other lengths [cm], angles [degrees]
+STATED = "doubtful"  # first word of a remark on a doubtful measure
 LOOSE = {"fused": 2.5}
-"""Factor on the tolerances, for damage that leaves bumps of millimetres under the tape."""
+"""Kind of damage to a factor on the tolerances: fused surfaces have bumps of millimetres under the tape."""
 SPEED_BODIES = 100
 
 LEVEL = "height at which it is measured"

@@ -29,14 +29,14 @@ from gcd_dataset.tomlfile import read_toml
 
 __all__ = ["add_arguments", "run"]
 
-OUTLINE, FRONT_OUTLINE, SLEEVE_OUTLINE = 0.2, 0.5, 1.0  # cm
-CAP_LENGTH = 0.1  # cm
-PLACEMENT = 1.0  # cm
+OUTLINE, FRONT_OUTLINE, SLEEVE_OUTLINE = 0.2, 0.5, 1.0  # tolerances of outlines [cm]
+CAP_LENGTH = 0.1  # cm: tolerance between the lengths of a cap and its armhole
+PLACEMENT = 1.0  # cm: tolerance of a panel's position
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result for one design."""
+    """The differences between our pattern and the reference for one design."""
 
     name: str
     structure: tuple[str, ...]
@@ -54,7 +54,7 @@ class Verdict:
 
     @property
     def faults(self) -> int:
-        """In how many of the three criteria the patterns differ."""
+        """Number of the three criteria by which the patterns differ."""
         return sum(map(bool, (self.structure, self.outline, self.placement)))
 
 

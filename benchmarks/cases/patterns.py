@@ -30,7 +30,7 @@ from gcd_dataset.validate import Rule, Severity, check_pattern
 __all__ = ["add_arguments", "run"]
 
 MOST_ATTEMPTS = 30
-ON_SHEET = 64  # designs
+ON_SHEET = 64  # most designs on the sheet
 
 
 @dataclass(frozen=True)

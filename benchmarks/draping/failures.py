@@ -21,8 +21,8 @@ from gcd_dataset.records import BoxMesh, Drape, Outcome
 
 __all__ = ["picture_failure", "write_failures"]
 
-TILE = 320  # pixels of a view
-TITLE = 28  # pixels
+TILE = 320  # side of a view [pixels]
+TITLE = 28  # height of a line of the title [pixels]
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

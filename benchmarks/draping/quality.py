@@ -38,7 +38,7 @@ def quality(drapes: Sequence[Drape]) -> list[Figure]:
 
 
 def is_clean(drape: Drape) -> bool:
-    """Whether the drape settled without an edge of cloth or skin through the other, or of cloth through cloth."""
+    """Whether the drape settled and no edge crosses: cloth through cloth, cloth through body, or body through cloth."""
     return drape.outcome is Outcome.SETTLED and drape.self_crossings + drape.body_crossings + drape.body_through == 0
 
 

@@ -20,23 +20,23 @@ from gcd_dataset.shards.store import MemberLocation
 __all__ = ["CACHES", "COLUMNS", "SAMPLES", "SHARDS", "MemberCache", "Server", "disk_use", "expected", "write_shards"]
 
 SIZES = (300, 2_000, 3_000, 8_000, 1_000, 60_000, 30_000, 90_000, 40_000, 700)
-"""Bytes of the members of a sample."""
+"""Size of each member of a sample [bytes]."""
 COLUMNS = (1, 2, 5)
-"""The members that are read."""
+"""Numbers of the members that a training reads."""
 SHARDS, SAMPLES = 6, 64
 STARTS = np.cumsum([0, *SIZES]).tolist()
 SHARD_BYTES = SAMPLES * STARTS[-1]
 
 
 def write_shards(folder: Path) -> Path:
-    """The shards of the server, of random bytes."""
+    """Write the server's shards, filled with random bytes, to ``folder``."""
     for shard in range(SHARDS):
         (folder / f"{shard}.tar").write_bytes(np.random.default_rng(shard).bytes(SHARD_BYTES))
     return folder
 
 
 def expected(folder: Path, shard: int, sample: int) -> list[bytes]:
-    """The members of a sample, as the server has them."""
+    """The ``COLUMNS`` members of a sample, read from the server without a cache."""
     server = Server(folder)
     return [server.get(shard, *_span(sample, column)) for column in COLUMNS]
 

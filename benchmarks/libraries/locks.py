@@ -21,7 +21,7 @@ __all__ = ["LOCKS", "LockCost", "lock_cost"]
 ROUNDS = 5
 USES = 1000
 TURNS = 100
-HELD = 0.002  # s
+HELD = 0.002  # s for which a process holds the lock in its turn
 FORK = multiprocessing.get_context("fork")
 
 Lock = Callable[[Path], AbstractContextManager[Any]]
@@ -35,7 +35,7 @@ class LockCost(NamedTuple):
     """The figures of one kind of lock."""
 
     alone: float
-    """CPU time of acquiring and releasing it, uncontended [µs]."""
+    """CPU time to acquire and release the lock without contention [µs]."""
     wait: float
     """The longest wait while two processes take turns, each holding it for 2 ms [ms]."""
     freed: float

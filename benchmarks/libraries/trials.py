@@ -26,9 +26,9 @@ class Cost(NamedTuple):
     """Figures of one process without a size limit."""
 
     hit: float
-    """CPU time of a member that is in the cache [µs]."""
+    """CPU time to read a cached member [µs]."""
     miss: float
-    """CPU time of a member that is fetched from a local folder [µs]."""
+    """CPU time to read a member that is fetched from a local folder [µs]."""
     sent: float
     """Ratio of bytes fetched to bytes requested."""
 
@@ -63,7 +63,7 @@ def _asked(served: Path) -> int:
 
 
 def cost(make: Make, served: Path) -> Cost:
-    """An epoch of misses, then epochs of hits."""
+    """Time one epoch of misses, then several epochs of hits."""
     reads = SHARDS * SAMPLES * len(COLUMNS)
     with tempfile.TemporaryDirectory() as folder:
         server = Server(served)

@@ -19,7 +19,7 @@ class Cost(NamedTuple):
 def cost_of(batches: Iterable[Any], count: int, *, seconds: float) -> Cost:
     """The cheapest epoch of ``count`` items within about ``seconds``, after one warm-up epoch.
 
-    The cheapest, since other programs on the machine slow the others.
+    Other programs on the machine slow some epochs; the cheapest epoch is disturbed least.
     """
     for _ in batches:  # warm-up: starts workers, checks hashes, fills the page cache
         pass
@@ -36,7 +36,7 @@ def cost_of(batches: Iterable[Any], count: int, *, seconds: float) -> Cost:
 
 
 def _cpu_seconds() -> dict[int, float]:
-    """CPU seconds by process: this one with its threads as 0, and each living child."""
+    """Process number to CPU time [s], all threads included: 0 for this process, and each living child."""
     spent = {0: time.process_time()}
     for child in multiprocessing.active_children():
         threads = Path(f"/proc/{child.pid}/task").iterdir()

@@ -27,7 +27,7 @@ def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device:
     """Drape batches of each size with every solver, cycling through the garments; one row per solver and size.
 
     ``ours`` starts from coarse meshes, made in ``setup_s``; ``ours_direct`` has no coarse start. For ``newton``,
-    ``setup_s`` is from the meshes through the first frame; our model is built in ``solve_s``. Seconds are per garment.
+    ``setup_s`` covers the model and the first frame; ``ours`` builds its model in ``solve_s``. Seconds are per garment.
     """
     jobs = [replace(job, coarse=None) for job in jobs]
     drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
@@ -58,7 +58,7 @@ def _ours_direct(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
 
 
 def _at_once(jobs: Sequence[DrapeJob], device: str) -> int:
-    """Garments per batch: all on a GPU; one on a CPU, where Newton has one thread too."""
+    """Garments per batch: all on a GPU; one on a CPU, so that both solvers use one thread."""
     return 1 if device == "cpu" else len(jobs)
 
 

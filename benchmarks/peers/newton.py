@@ -48,7 +48,7 @@ class PeerDrapes:
     frames: Int[np.ndarray, " w"]
     """Frames until rest, or all frames."""
     setup_seconds: float
-    """From the meshes through the first frame, for the whole batch."""
+    """Time to build the model and run the first frame, for the whole batch [s]."""
     solve_seconds: float
 
 
@@ -143,7 +143,7 @@ class _Scene:
             self.graph = capture.graph
 
     def frame(self) -> None:
-        """Two steps, then the count of moving vertices."""
+        """Run two steps, then count the moving vertices."""
         self.moving.zero_()
         for step in range(SUBSTEPS):
             before, after = self.states[step % 2], self.states[1 - step % 2]

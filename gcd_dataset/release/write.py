@@ -27,7 +27,7 @@ __all__ = ["FAIL_CLASSES", "PatternDrawing", "garment_files", "yaml_bytes"]
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 PICTURE = 800  # width and height of a render [pixels]
-PICKLE = 4  # protocol
+PICKLE = 4  # pickle protocol
 DEGREE_DIGITS = 10
 
 FAIL_CLASSES: Mapping[Outcome, str] = {
@@ -40,7 +40,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.OVERFULL: "crashes",
     Outcome.DIVERGED: "crashes",
 }
-"""Outcome to the failure class in the properties of a batch; ``crashes`` where the layout has no class."""
+"""Outcome to the failure class in the properties of a batch; ``crashes`` if no class of the layout fits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def yaml_bytes(tree: Mapping[str, Any]) -> bytes:
 
 
 def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, float | str]:
-    """The measures; angles are rounded to remove the rounding errors of radians."""
+    """The measures; angles are rounded to remove the errors of the conversion from radians."""
     tree: dict[str, float | str] = {
         key: round(value, DEGREE_DIGITS) if key.removeprefix("_") in ANGLES else value
         for key, value in measurements_tree(measurements).items()
@@ -134,7 +134,7 @@ def _segments(mesh: BoxMesh) -> list[str]:
 
 
 def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
-    """Flat length [cm] of every edge of the triangles at seams; on a seam, of the shorter side."""
+    """Flat length [cm] of every edge of the triangles at seams; for an edge on a seam, the shorter of both sides."""
     faces, corners = _seam_faces(mesh)
     lengths: dict[tuple[int, int], float] = {}
     for face, corner in zip(faces.tolist(), corners.tolist(), strict=True):

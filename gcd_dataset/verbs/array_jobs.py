@@ -34,7 +34,7 @@ from gcd_dataset.verbs.storing import SplitRule, is_begun
 
 __all__ = ["JobPart", "PartFolder", "begin_part", "command_of"]
 
-MOST = 100_000  # parts: folder names have five digits
+MOST = 100_000  # largest number of parts: folder names have five digits
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ class ConvertedGarment:
 def plan_conversion(
     root: Path | str, out: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None
 ) -> tuple[ConversionPlan, ...]:
-    """Plans to convert the published garments under ``root`` to shards in ``out``, one for each split with garments.
+    """Plan the conversion of the published garments under ``root`` to shards in ``out``, one plan for each split.
 
     A garment's number does not depend on the other garments on disk, so a later call adds batches downloaded since, or
     garments on the other bodies, to the same shards. Raises ``ShardError`` for a folder that is not in the published

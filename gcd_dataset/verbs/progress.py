@@ -10,7 +10,7 @@ from gcd_dataset.waits import Wait, Waits, sum_waits, wait_shares
 
 __all__ = ["SETTLED", "Pace", "Progress", "ProgressCallback", "ignore_progress"]
 
-SETTLED = "SETTLED"  # the name of the outcome
+SETTLED = "SETTLED"  # name of ``Outcome.SETTLED``
 WINDOW = 60.0  # s: rates and waits are averages over the last minute
 
 
@@ -70,7 +70,7 @@ class _Mark(NamedTuple):
     time: float
     made: int
     waits: Waits
-    """Sum since the start of the run."""
+    """Sum of the waits since the start of the run."""
 
 
 class Pace:

@@ -102,7 +102,7 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             continue
         record = manifest.splits.get(split)
         if record is None or record.seed != recipe.seed:
-            yield f"{folder / MANIFEST}: split {split} is not of seed {recipe.seed}"
+            yield f"{folder / MANIFEST}: split {split} was not made with seed {recipe.seed}"
         elif other := [
             name
             for name in sorted((asked.keys() | record.recipe.keys()) - {"device"})

@@ -99,7 +99,7 @@ def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Gen
 
 
 def _fingerprint(readers: Mapping[str, ShardReader]) -> str:
-    """Identifies the exported garments and the version that writes them, so that only the same export is resumed."""
+    """A hash of the exported garments and of the writing version: only an export with an equal hash is resumed."""
     contents = {}
     for split, reader in readers.items():
         table = reader.index.table

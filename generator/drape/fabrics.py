@@ -19,9 +19,10 @@ GARMENTCODE = (
     "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
     "weight of 0.2 kg/m²; hinge stiffness {}"
 )
-# Warp direction: their v axis, along which their denim is stiffer. Tensile stiffness: their matrix at small strain
-# without the cross term; shear stiffness is half of their c33, which multiplies the tensor shear strain. Bending
-# rigidity: at small curvature, a quarter of the hinge value that they fitted to strips, as of a mesh of such hinges.
+# Conversion of the figures of Wang et al. Warp: their v axis, along which their denim is stiffer. Tensile stiffness:
+# their matrix at small strain without the cross term; shear stiffness is half of their c33, which multiplies the tensor
+# shear strain. Bending rigidity, at small curvature: a mesh of hinges has a quarter of the hinge stiffness, which they
+# fitted to strips.
 WANG = (
     "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
     "thickness: {}"

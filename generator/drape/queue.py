@@ -64,8 +64,8 @@ def drape_unordered(
 ) -> Iterator[tuple[int, Drape]]:
     """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` share a batch.
 
-    ``jobs`` may receive jobs while others drape. It yields ``None`` whenever it has no job; ``None`` gets no
-    number. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
+    ``jobs`` may receive jobs while others drape; it yields ``None`` whenever it has no job, and numbers count jobs
+    only. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
     and ``jobs`` has none. ``between`` is called between substeps; an exception that it raises ends the drapes.
     """
     pending = _Pending(jobs, config)
@@ -125,7 +125,7 @@ class _Pass:
         return _job(self.fine, self.coarse)
 
     def continued(self, world: int) -> Self:
-        """The same pass in the next batch; ``world``: its index in this one."""
+        """The same pass in the next batch; ``world``: the world of the garment in the present batch."""
         return replace(self, previous_world=world, refined_from=None)
 
     def refined(self, world: int, frames: int) -> Self:
@@ -214,8 +214,8 @@ def _run(
 ) -> Bool[np.ndarray, " w"]:
     """Step until no world runs, or until enough worlds are idle (``IDLE``); returns the worlds that still run.
 
-    Idle: an ended world that a pending job or its own garment's fine pass could use, and a free world for each job that
-    has arrived.
+    Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused place
+    in the batch for which a job has arrived.
     """
     refining = np.array([each.coarse is not None for each in passes])
     while True:

@@ -16,7 +16,7 @@ from gcd_dataset.generator.drapers.shared import AT_ONCE
 
 __all__ = ["DrapingActor", "RayDraper", "start_actor"]
 
-MAX_LOSSES = 4  # actors that die with the same garment: then the client gives up
+MAX_LOSSES = 4  # deaths of actors while draping the same garment, after which the client gives up
 RESTART_TIME = 120.0  # s within which an actor must reply again
 EXIT_DELAY = 1.0  # s for the last replies of an actor to be sent
 
@@ -33,7 +33,7 @@ def start_actor(device: str, *, gpus: float) -> Any:
 class RayDraper:
     """Sends requests to the first of several actors; requests lost with an actor go to the next live one.
 
-    Raises ``DrapeError`` if ``MAX_LOSSES`` actors died with a garment, or if no actor replies for two minutes.
+    Raises ``DrapeError`` if ``MAX_LOSSES`` actors died while draping one garment, or none replies for two minutes.
     """
 
     def __init__(self, actors: Sequence[Any], *, at_once: int = AT_ONCE) -> None:
@@ -112,8 +112,8 @@ class ActorLost:
 class DrapingActor:
     """Drapes the requests of any number of tasks on one device; ``start_actor`` makes it a Ray actor.
 
-    Replies with the message of a ``GcdError``. Any other error, such as a lost GPU, ends the process. Raises
-    ``ConfigError`` for an unknown device.
+    After a ``GcdError`` every waiting request gets its message as the reply. Any other error, such as a lost GPU, ends
+    the process. Raises ``ConfigError`` for an unknown device.
     """
 
     def __init__(self, device: str) -> None:

@@ -31,11 +31,11 @@ class CapeDesign(Design):
     """A cape."""
 
     length: float = real(1.1, 0.7, 2.2)
-    """From the nape to the hem, as a fraction of nape to waist."""
+    """Length from the nape to the hem, as a fraction of nape to waist."""
     circle: float = real(0.75, 0.5, 1.0)
-    """Front and back together, as a fraction of a full circle."""
+    """Angle of front and back together, as a fraction of a full circle."""
     neck: float = real(1.15, 1.05, 1.5)
-    """Opening for the neck, as a fraction of the base of the neck."""
+    """Girth of the neck opening, as a fraction of the base of the neck."""
     closed: float = real(0.2, 0.1, 1.0)
     """Sewn length of the front opening from the neck down, as a fraction of the whole."""
 

@@ -40,7 +40,7 @@ class CollarDesign(Design):
     lapel_standing: bool = flag(False)
     """Whether a lapel stands up at the nape; otherwise it lies round the neck."""
     hood_depth: float = real(1.0, 1.0, 2.0, keep=0.6)
-    """Top edge of the hood, as a fraction of half the neckline's width."""
+    """Length of the hood's top edge, as a fraction of half the neckline's width."""
     hood_length: float = real(1.0, 1.0, 1.5, keep=0.6)
     """Height of the hood, as a fraction of nape to crown."""
 
@@ -131,7 +131,7 @@ def _round_back(torso: Piece, depth: float, position: Vector) -> tuple[Piece, In
 
 
 def _neck_lengths(half: Component) -> tuple[float, float]:
-    """Length of the half neckline in front and behind [cm]."""
+    """Lengths of half a neckline, in front and behind [cm]."""
     front, back = (half.piece(name).outline.length("neck") for name in ("right_ftorso", "right_btorso"))
     return front, back
 

@@ -94,7 +94,7 @@ def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
 
 
 def skirt_share(design: CuffDesign) -> float:
-    """The skirt's share of a cuff: its part that the limb does not fill."""
+    """The skirt's share of a cuff's length: the limb does not fill this part; 1 without a cuff."""
     return {Cuff.BAND: 0.0, Cuff.BAND_SKIRT: design.skirt_fraction, Cuff.SKIRT: 1.0, None: 1.0}[design.type]
 
 
@@ -110,7 +110,7 @@ def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
 
 
 class CuffedSleeve(Protocol):
-    """The part of a sleeve's design on which its cuff depends."""
+    """The fields of a sleeve's design that determine its cuff."""
 
     @property
     def length(self) -> float:

@@ -34,9 +34,9 @@ class HemCutDesign(Design):
 
     add: bool = flag(False, keep=0.6)
     depth: float = real(0.5, 0.05, 0.95, keep=0.6)
-    """As a fraction of the skirt's length."""
+    """Depth of the cut, as a fraction of the skirt's length."""
     width: float = real(0.1, 0.05, 0.4)
-    """At the hem, as a fraction of the skirt's length."""
+    """Width of the cut at the hem, as a fraction of the skirt's length."""
     place: float = real(-0.5, -1.0, 1.0)
     """Centre of the cut: if positive, in the front, as a fraction of its hem from the wearer's right; if negative, in
     the back, as a fraction of its hem from the wearer's left."""
@@ -55,7 +55,7 @@ class FlareSkirtDesign(Design):
     """A skirt cut from circles of cloth, or of panels that widen downwards."""
 
     length: float = real(0.2, -0.2, 0.95)
-    """Below the hips, as a fraction of hips to floor."""
+    """Length below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     suns: float = real(0.75, 0.1, 1.95)
@@ -71,5 +71,5 @@ def flare_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
 
 
 def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
-    """From the top to the hem along the cloth [cm]; along the back if the front is shorter."""
+    """Length from the top to the hem along the cloth [cm]; along the back if the front is shorter."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)

@@ -42,15 +42,15 @@ class Ring(NamedTuple):
 
     name: str
     cloth: float
-    """Its length [cm]."""
+    """Length of the ring [cm]."""
     body: float
-    """Girth of the body inside it [cm]."""
+    """Girth of the body inside the ring [cm]."""
     remedy: str
-    """The parameters that make it wider."""
+    """Advice for messages: the parameters that widen the ring."""
 
     @property
     def stretch(self) -> float:
-        """Factor by which it has to stretch."""
+        """Ratio of girth to length: the ring must stretch by this factor."""
         return self.body / self.cloth
 
 
@@ -63,13 +63,13 @@ class Garment(ABC, Generic[D]):
     section: str
     """Name in design files of the section of an outfit's design that the garment is drawn from."""
     design: type[D]
-    """Class of that section."""
+    """Design class of the section."""
     weight: int = 1
     """Sampling weight relative to the other garments; with 0, only overlays that name the garment sample it."""
     mends: frozenset[Mend] = frozenset()
     """Corrections of faults in GarmentCode's drawing of this garment."""
     tags_of: Callable[[D], Iterable[Tag]] = field(default=lambda design: ())
-    """The tags of its section."""
+    """Returns the tags for a design of the section."""
 
     @property
     def field(self) -> str:
@@ -118,7 +118,7 @@ class UpperGarment(Garment[D]):
     carries: bool = True
     """Whether a waistband or a bottom can be sewn to its hem."""
     at_waist: bool = False
-    """Whether it always ends at the waist, so that the part sewn to its hem begins there."""
+    """Whether the garment always ends at the waist; the part sewn to its hem then begins at the waist."""
 
     @abstractmethod
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
@@ -138,9 +138,9 @@ class SimpleUpper(UpperGarment[D]):
     """An upper that is drawn from one section: any upper but a shirt."""
 
     cut: Callable[[Measurements, D], Component]
-    """The component, from its section."""
+    """Draws the component from a design of the section."""
     length_of: Callable[[Measurements, D], float]
-    """Length from the nape to the hem behind, from its section [cm]."""
+    """Returns the length from the nape to the hem behind [cm], from a design of the section."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
         return self.cut(size, self.section_design(design)).labelled(PanelRole.BODY)
@@ -269,7 +269,7 @@ class DesignedBottom(Generic[D]):
         return self.garment.cut(size, self.garment.without_slits(self.design), cutting)
 
     def ungathered(self) -> "DesignedBottom[D]":
-        """The same without gathers at its top."""
+        """The part without gathers at its top."""
         return DesignedBottom(self.garment, self.garment.ungathered(self.design))
 
     @property

@@ -23,13 +23,13 @@ class GatheredSkirtDesign(Design):
     """A skirt of trapezoids, gathered at the top."""
 
     length: float = real(0.2, -0.2, 0.95)
-    """Below the hips, as a fraction of hips to floor."""
+    """Length below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     ruffle: float = real(1.3, 1.0, 2.0, keep=0.3)
     """Gathers at the top: ratio of the skirt's top to the body's girth."""
     bottom_cut: float = real(0.0, 0.0, 0.9, keep=0.3)
-    """Slits at both sides, as a fraction of the part below the hips."""
+    """Height of the slits at both sides, as a fraction of the part below the hips."""
     flare: int = integer(0, 0, 20, keep=0.5)
     """Width added to each side of the hem [cm]."""
 

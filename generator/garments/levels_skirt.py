@@ -94,7 +94,7 @@ def with_levels(
 
 
 def _hems(skirt: Component) -> tuple[float, float]:
-    """Lengths of the hem in front and behind [cm]."""
+    """Lengths of a hem, in front and behind [cm]."""
     front, back = (skirt.piece(section.panel).outline.length(section.edge) for section in skirt.interface("bottom"))
     return front, back
 

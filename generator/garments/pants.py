@@ -47,11 +47,11 @@ class PantsDesign(Design):
     """Trousers from the hips or the waist."""
 
     length: float = real(0.3, 0.2, 0.9)
-    """Below the hips, as a fraction of hips to floor; cuffs included."""
+    """Length below the hips, as a fraction of hips to floor; cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
     """Width of the crotch, as a fraction of the smallest possible width."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
-    """Hem, as a fraction of a straight leg's hem; each of its four ends moves by a quarter of the change."""
+    """Girth of the hem over a straight leg's; each of the four hem ends moves by a quarter of the change."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     cuff: PantsCuffDesign = part(PantsCuffDesign)
@@ -74,7 +74,7 @@ class _Quarter:
     waist: float
     hips: float
     depth: float
-    """From the waist to the hips."""
+    """Height from the hips to the waist."""
     lean: float
     """Horizontal distance by which the side leans in from hips to waist."""
     crotch: float
@@ -247,7 +247,7 @@ def _hem(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float)
 
 
 def _rings(size: Measurements, design: PantsDesign, rise: float) -> Iterator[Ring]:
-    """A leg's hem where it is not gathered to a cuff."""
+    """The ring of a leg's hem; none for a leg with a cuff."""
     if design.cuff.type is not None:
         return
     front = _front_quarter(size, rise)

@@ -32,9 +32,9 @@ __all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 BACK_EASE = 1.05  # height from hips to top behind, over the height in front, GarmentCode
-FRONT_DART = 0.8  # dart leg, of the height from hips to top in front, GarmentCode
-BACK_DART = 0.85  # the same behind, to which the back's extra height over the front is added, GarmentCode
-OUTER_DART = 0.9  # leg of the back's outer dart, of its inner dart's leg, GarmentCode
+FRONT_DART = 0.8  # dart leg over the height from hips to top, in front, GarmentCode
+BACK_DART = 0.85  # dart leg of the back over the height in front, before ``BACK_EASE - 1`` is added, GarmentCode
+OUTER_DART = 0.9  # outer over inner dart leg of the back, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # position of a flared side's control point along its chord, GarmentCode
 RINGS = 9  # levels below the hips at which the skirt's girth is compared with the legs
@@ -53,21 +53,21 @@ class PencilSkirtDesign(Design):
     """A narrow skirt."""
 
     length: float = real(0.4, 0.2, 0.95)
-    """Below the hips, as a fraction of hips to floor."""
+    """Length below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     flare: float = real(1.0, 0.6, 1.5, keep=0.3)
-    """Hem, as a fraction of the hips."""
+    """Girth of the hem, as a fraction of the hips."""
     low_angle: int = integer(0, -30, 30, keep=0.7)
     """Tilt of the hem [degrees]."""
     front_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
-    """Notch in the middle of the front hem, as a fraction of the length."""
+    """Height of the notch in the middle of the front hem, as a fraction of the length."""
     back_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
-    """Notch in the middle of the back hem, as a fraction of the length."""
+    """Height of the notch in the middle of the back hem, as a fraction of the length."""
     left_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
-    """Lower part of the left side seam left open, as a fraction of the seam below the hips."""
+    """Height of the slit in the left side seam, as a fraction of the seam below the hips."""
     right_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
-    """Lower part of the right side seam left open, as a fraction of the seam below the hips."""
+    """Height of the slit in the right side seam, as a fraction of the seam below the hips."""
     style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
 
 
@@ -89,7 +89,7 @@ class _Shape:
     hips: float
     """Half of the panel's width at the hips."""
     height: float
-    """From the hips to the top."""
+    """Height from the hips to the top."""
     lean: float
     """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
     darts: tuple[_Dart, ...]

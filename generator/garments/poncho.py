@@ -33,11 +33,11 @@ class PonchoDesign(Design):
 
     shape: PonchoShape = choice(PonchoShape.RECTANGLE, *PonchoShape)
     length: float = real(1.2, 0.8, 2.0)
-    """From the nape to the hem, as a fraction of nape to waist."""
+    """Length from the nape to the hem, as a fraction of nape to waist."""
     width: float = real(0.65, 0.45, 0.9)
     """Width of a rectangle, as a fraction of the span from wrist to wrist."""
     neck: float = real(1.3, 1.1, 1.7)
-    """Opening for the neck, as a fraction of the base of the neck."""
+    """Girth of the neck opening, as a fraction of the base of the neck."""
     neckline: Neckline = choice(Neckline.CIRCLE, Neckline.CIRCLE, Neckline.V)
     """Shape of the opening in front; it is round behind."""
 

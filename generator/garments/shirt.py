@@ -19,11 +19,11 @@ class ShirtDesign(Design):
     strapless: bool = flag(False, keep=0.8)
     """Whether a fitted shirt ends above the bust."""
     length: float = real(1.2, 0.5, 3.5, keep=0.7)
-    """As a fraction of nape to waist."""
+    """Length, as a fraction of nape to waist."""
     width: float = real(1.05, 1.0, 1.3, keep=0.4)
-    """Chest, as a fraction of the bust."""
+    """Girth of the chest, as a fraction of the bust."""
     flare: float = real(1.0, 0.7, 1.6, keep=0.4)
-    """Hem, as a fraction of the chest."""
+    """Girth of the hem, as a fraction of the chest."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["SHORTEST", "across", "hem_ring", "length_below_waist", "waist_ring"]
 
-SHORTEST = 5.0  # cm, GarmentCode
+SHORTEST = 5.0  # cm: the shortest skirt, GarmentCode
 
 
 def length_below_waist(size: Measurements, below_hips: float, *, rise: float) -> float:

@@ -33,7 +33,7 @@ class SleeveDesign(Design):
     armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
     """Shape of an armhole without sleeve; sleeves are set into curved armholes."""
     length: float = real(0.3, 0.1, 1.15)
-    """As a fraction of armhole to wrist."""
+    """Length, as a fraction of armhole to wrist."""
     connecting_width: float = real(0.2, 0.0, 2.0, keep=0.6)
     """Extra depth of the armhole, as a fraction of the armscye with its ease."""
     end_width: float = real(1.0, 0.2, 2.0, keep=0.4)
@@ -184,7 +184,7 @@ def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[St
 
 
 def _with_standing_shoulder(outline: Outline, length: float, angle: float) -> Outline:
-    """With an edge from the shoulder towards the wrist that continues the shoulder's slope."""
+    """Add an edge from the shoulder towards the wrist that continues the shoulder's slope."""
     x, y = outline.pen
     return outline.line(x - length * cos(angle), y + length * sin(angle), name="upper")
 

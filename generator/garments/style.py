@@ -1,4 +1,4 @@
-"""The style of an outfit in words: the tags of its garments, and those of the outfit as a whole."""
+"""The style of an outfit in words: the tags of its garments and of the outfit as a whole."""
 
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.outfit import bottom_rise

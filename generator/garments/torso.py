@@ -13,15 +13,15 @@ class TorsoHalf:
     """Half a front or back: upright at the centre, sloping at the shoulder."""
 
     outline: Outline
-    """From the centre of the hem to the side, up to the shoulder and back: edges bottom, side, shoulder, centre."""
+    """Drawn from the centre of the hem to the side, up to the shoulder and back: bottom, side, shoulder, centre."""
     shoulder: float
-    """From the centre to the shoulder's outer end [cm]."""
+    """Distance from the centre to the shoulder's outer end [cm]."""
     level: float
     """Height of the shoulder's outer end over the origin of the drawing [cm]."""
     rise: float
     """Height of the base of the neck over the shoulder's outer end [cm]."""
     lean: float = 0.0
-    """Increase of its width per cm below the shoulder's outer end."""
+    """Increase of the half's width per cm below the shoulder's outer end."""
     gather: float = 1.0
     """Length of the hem over its projected length in the waist seam."""
     darts: tuple[str, ...] = ()

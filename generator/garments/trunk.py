@@ -8,7 +8,7 @@ __all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "girth_below_
 
 LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of floor to hips
 LEGS_GIRTHS = (0.80, 0.79, 0.85, 0.89, 0.87, 0.83, 0.88, 0.94, 0.96, 1.0)
-"""Tape round both legs as they stand, over the hips: means over 12 of this package's bodies, ± 0.05."""
+"""Girth of a tape round both standing legs over ``hips``: means of 12 of this package's bodies, ± 0.05."""
 
 
 def girth_at_rise(size: Measurements, rise: float) -> float:
@@ -17,7 +17,7 @@ def girth_at_rise(size: Measurements, rise: float) -> float:
 
 
 def girth_below_waist(size: Measurements, depth: float) -> float:
-    """Girth ``depth`` cm below the waist [cm]: of the trunk, and below the hips of a tape round both legs.
+    """Girth ``depth`` cm below the waist [cm]: of the trunk; below the hips, of a tape round both legs.
 
     Above the waist (``depth`` < 0) interpolated to the bust.
     """
@@ -40,7 +40,7 @@ def back_share(size: Measurements, rise: float) -> float:
 
 
 def waist_front(size: Measurements) -> float:
-    """The front's part of the waist [cm]: the projected length of the front of any ring in a waist seam."""
+    """The front's part of the waist [cm]; the front of every ring in a waist seam has this projected length."""
     return size.waist - size.waist_back_width
 
 

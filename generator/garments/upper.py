@@ -45,7 +45,7 @@ class Shirt(UpperGarment[ShirtDesign]):
     design: type[ShirtDesign] = ShirtDesign
     mends: frozenset[Mend] = frozenset({Mend.SLEEVE_START, Mend.ARMHOLE_ROOM, Mend.SLEEVE_SURPLUS})
     fitted: bool
-    """Whether darts fit it to bust and waist; it then ends at the waist."""
+    """Whether darts fit the shirt to bust and waist; a fitted shirt ends at the waist."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
         return shirt(size, design, fitted=self.fitted, mends=mends)

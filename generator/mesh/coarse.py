@@ -262,8 +262,8 @@ def _in_space(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarr
     free = free if len(free) > 2 else rows
     uv, vertices = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
     flat_centre, centre = uv.mean(axis=0), vertices.mean(axis=0)
-    # ``uv - flat_centre`` twice, not once in a variable: for A.T @ A of one array NumPy calls another BLAS routine,
-    # which rounds differently.
+    # Compute ``uv - flat_centre`` anew for each factor: if both factors of A.T @ A are one array, NumPy calls another
+    # BLAS routine, which rounds differently.
     gram = (uv - flat_centre).T @ (uv - flat_centre)
     linear = np.linalg.pinv(gram) @ (uv - flat_centre).T @ (vertices - centre)
     return centre + (points - flat_centre) @ linear

@@ -25,7 +25,7 @@ class World:
     held_time: float  # s after sewing, shortest hold of waist and collar
     longest_hold: float  # s after sewing
     gravity: float  # cm/s²
-    weight_from: float  # s, time at which gravity sets in
+    weight_from: float  # s, time at which gravity starts
     max_speed: float  # cm/s
     friction: float
     layer_friction: float
@@ -87,9 +87,9 @@ class Contacts:
     points: wp.array(dtype=wp.vec4i)  # point-triangle contacts: vertex, three vertices of the face
     sides: wp.array(dtype=float)  # side of the face on which the point belongs: 1 along its normal, -1 against it
     edges: wp.array(dtype=wp.vec4i)  # edge-edge contacts: two vertices, two vertices
-    normals: wp.array(dtype=wp.vec3)  # direction from the first edge to the second when found
+    normals: wp.array(dtype=wp.vec3)  # direction from the first edge to the second when the contact was found
     kept_points: wp.array(dtype=wp.vec4i)  # contacts whose elements have passed through each other
-    kept_sides: wp.array(dtype=float)  # their sides before that
+    kept_sides: wp.array(dtype=float)  # ``sides`` of these contacts before the elements passed through each other
     kept_edges: wp.array(dtype=wp.vec4i)
     kept_normals: wp.array(dtype=wp.vec3)
     long_edges: wp.array(dtype=wp.vec2i)  # edges whose inside may touch the body

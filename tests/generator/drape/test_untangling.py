@@ -84,7 +84,7 @@ def test_pushes_of_crossings_sum_to_zero() -> None:
     push = s.push.numpy()[:, :3].astype(np.int64)
     assert counts.numpy()[0] == solver.self_crossings()[0]
     assert np.abs(push).sum() > 0
-    assert np.abs(push.sum(axis=0)).max() <= 5 * len(push)  # a unit of 6e-8 cm for each rounded term
+    assert np.abs(push.sum(axis=0)).max() <= 5 * len(push)  # each term is rounded to units of 6e-8 cm
 
 
 @pytest.mark.parametrize("seed", range(3))
