@@ -10,7 +10,8 @@
 Kernels are loaded before the clock starts. The time is from box mesh to drape; the coarse meshes of sampled garments
 are made with their box meshes and timed separately. With ``--batch 1`` a garment's seconds are its own, otherwise its
 share of the batch. ``--count`` samples that many designs of a seed, each for the neutral body and a random one; the
-table lists the garments that did not settle. ``--ablation`` drapes them once per switched feature. ``--memory`` drapes
+table lists the garments that did not settle. ``clean``: the share that settled without a crossing edge of any kind;
+``grade_clean``: the share of those without a panel that is stretched too far (``generator.quality``). ``--ablation`` drapes them once per switched feature. ``--memory`` drapes
 them in turn in this process and records process and GPU memory after every 50. ``--peer newton`` also drapes the same
 meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
@@ -40,8 +41,9 @@ from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.dressing import has_legs
 from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
+from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.render import render_garment
-from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.records import Body, Drape, Grade, Measurements, Outcome, Pattern
 
 __all__ = ["add_arguments", "run"]
 
@@ -134,20 +136,26 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
     start = time.perf_counter()
     drapes = drape_batch([one.job for one in worn], device=device, at_once=options.batch)
     seconds = time.perf_counter() - start
+    rows = list(zip(worn, drapes, strict=True))
     figures = [
         Figure("garments", len(worn), ""),
         Figure("vertices_mean", float(np.mean([len(one.job.box_mesh.vertices) for one in worn])), ""),
         Figure("s_per_garment", seconds / len(worn), "s"),
         Figure("coarse_mesh_s_per_garment", _coarse_seconds(worn[:TIMED_MESHES]), "s"),
+        Figure("grade_clean", float(np.mean([_grade(one, drape) is Grade.CLEAN for one, drape in rows])), "share"),
         *_outcomes(drapes),
     ]
     if device != "cpu":
         figures.append(Figure("gpu_mb_per_garment", gpu_peak_mb(device) / min(options.batch, len(worn)), "MB"))
     if options.sheet:
-        _write_sheet(options.sheet, [(one.job, drape) for one, drape in zip(worn, drapes, strict=True)][:64])
+        _write_sheet(options.sheet, [(one.job, drape) for one, drape in rows[:64]])
     if options.failures:
         write_failures(options.failures, worn, drapes, device=device)
     return Measured(figures, _failed(worn, drapes))
+
+
+def _grade(worn: Worn, drape: Drape) -> Grade:
+    return grade_of(drape, strain_of(worn.job.box_mesh, drape.vertices))
 
 
 def _coarse_seconds(worn: Sequence[Worn]) -> float:
