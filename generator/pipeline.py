@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -180,9 +181,24 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
         shapes[f"{kind}:{seed}:{number}" + (f":{drawn}" if drawn else "")] = shape
     wearers = []
     for offset, (name, shape) in enumerate(shapes.items()):
-        body = build_body(shape)
-        wearers.append(_Wearer(number * config.wearers + offset, name, shape, body, measure(body)))
+        body, size = _measured_neutral() if name == "neutral" else _measured(shape)
+        wearers.append(_Wearer(number * config.wearers + offset, name, shape, body, size))
     return tuple(wearers)
+
+
+def _measured(shape: BodyShape) -> tuple[Body, Measurements]:
+    body = build_body(shape)
+    return body, measure(body)
+
+
+@cache  # every design of bodies="both" is fitted to it
+def _measured_neutral() -> tuple[Body, Measurements]:
+    return _measured(neutral_shape())
+
+
+@cache  # likewise, every design with trousers
+def _neutral_with_legs_apart() -> Body:
+    return build_body(neutral_shape(legs_apart=True))
 
 
 def _dress_all(
@@ -205,7 +221,10 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
     shape = _with_arm_turn(seed, wearer, config)
     if design.meta.bottom and design.meta.bottom.garment.legs:  # measures: legs together; drape: legs apart
         shape = replace(shape, legs_apart=True)
-    body = wearer.body if shape is wearer.shape else build_body(shape)
+    if shape is wearer.shape:
+        body = wearer.body
+    else:
+        body = _neutral_with_legs_apart() if wearer.name == "neutral" and not config.arms else build_body(shape)
     try:
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:

@@ -12,7 +12,7 @@ from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.body.clearance import arm_clearance
 from gcd_dataset.generator.body.population import FEMALE_SHARE, GROUPS, POOLED, adults_of, weights_of
 from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
-from gcd_dataset.generator.body.untangle import SkinMesh
+from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh
 from gcd_dataset.records import Body, BodyShape
 
 __all__ = [
@@ -111,12 +111,32 @@ def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
     model = body_model()
     if shape.weights.shape != (len(model.components),):
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
+    vertices, rounds = _unfolded(shape.weights.astype(float).tobytes(), shape.arm_angle, shape.legs_apart)
+    if resolve_creases:
+        vertices, _ = _skin().smoothed(vertices, rounds, resolve_creases=True)
+    return Body(stand(vertices), model.faces, model.parts, name)
+
+
+@functools.lru_cache(maxsize=2)  # a body whose arms have room is built as drawn
+def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> tuple[Float[np.ndarray, "v 3"], int]:
+    """The posed body without folds, its creases not yet resolved, and the rounds of smoothing left for them."""
+    vertices, joints = _unposed(weights)
+    posed = set_pose(vertices, joints, body_model().skin, arm=arm_angle, leg=LEGS_APART if legs_apart else 0.0)
+    vertices, rounds = _skin().smoothed(posed, ROUNDS, resolve_creases=False)
+    vertices.flags.writeable = False
+    return vertices, rounds
+
+
+@functools.lru_cache(maxsize=2)  # drawing raises the arms of one body step by step, then builds it to dress it
+def _unposed(weights: bytes) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "6 3"]]:
+    """Vertices and joints of the body with these weights, as float64, before its pose."""
+    model, values = body_model(), np.frombuffer(weights)
     # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
-    vertices = model.mean + np.einsum("k,kvi->vi", shape.weights, model.components)
+    vertices = model.mean + np.einsum("k,kvi->vi", values, model.components)
     vertices[:, 0] = _off_midplane(vertices[:, 0], model.mean[:, 0])
-    joints = model.joints + np.einsum("k,kni->ni", shape.weights, model.joint_components)
-    posed = set_pose(vertices, joints, model.skin, arm=shape.arm_angle, leg=LEGS_APART if shape.legs_apart else 0.0)
-    return Body(stand(_skin().flattened(posed, resolve_creases=resolve_creases)), model.faces, model.parts, name)
+    joints = model.joints + np.einsum("k,kni->ni", values, model.joint_components)
+    vertices.flags.writeable = joints.flags.writeable = False
+    return vertices, joints
 
 
 @functools.cache

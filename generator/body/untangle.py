@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix, diags_array
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Record
 
-__all__ = ["SkinMesh"]
+__all__ = ["ROUNDS", "SkinMesh"]
 
 ROUNDS = 20  # most rounds of smoothing; one to five suffice
 PASSES = 4  # smoothing passes in a round
@@ -52,8 +52,14 @@ class SkinMesh(Record):
         self, vertices: Float[np.ndarray, "v 3"], *, resolve_creases: bool = True
     ) -> Float[np.ndarray, "v 3"]:
         """The vertices with folded patches smoothed, and with ``resolve_creases`` self-intersecting creases too."""
+        return self.smoothed(vertices, ROUNDS, resolve_creases=resolve_creases)[0]
+
+    def smoothed(
+        self, vertices: Float[np.ndarray, "v 3"], rounds: int, *, resolve_creases: bool
+    ) -> tuple[Float[np.ndarray, "v 3"], int]:
+        """The vertices as ``flattened`` after at most ``rounds`` rounds of smoothing, and the number of rounds left."""
         normals = _normals(vertices, self.faces)
-        for _ in range(ROUNDS):
+        while rounds:
             wrong = np.flatnonzero(_dot(normals, self.normals) < 0.0)
             if resolve_creases and not len(wrong):
                 wrong = self._intersecting(vertices, normals)
@@ -65,7 +71,8 @@ class SkinMesh(Record):
                 vertices[patch] = means @ vertices
             moved = self._faces_at(patch, len(vertices))
             normals[:, moved] = _normals(vertices, self.faces[moved])
-        return vertices
+            rounds -= 1
+        return vertices, rounds
 
     def folded(self, vertices: Float[np.ndarray, "v 3"]) -> Bool[np.ndarray, " f"]:
         """Whether each face is inverted against the reference."""
@@ -102,7 +109,8 @@ class SkinMesh(Record):
 def _normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 f"]:
     """Face normals, not normalised. Written out by coordinates: a quarter of the time of ``np.cross``."""
     a, b, c = np.ascontiguousarray(faces.T)
-    (ux, uy, uz), (wx, wy, wz) = ([axis[end] - axis[a] for axis in np.ascontiguousarray(vertices.T)] for end in (b, c))
+    axes = [(axis[a], axis[b], axis[c]) for axis in np.ascontiguousarray(vertices.T)]
+    (ux, uy, uz), (wx, wy, wz) = ([ends[end] - ends[0] for ends in axes] for end in (1, 2))
     return np.stack([uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx])
 
 

@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.waistband import waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
-__all__ = ["bottom", "bottom_rise", "outfit", "parts", "pieces"]
+__all__ = ["bottom", "bottom_rise", "outfit", "parts", "pieces", "upper"]
 
 GAP = 5.0  # cm between the parts of an outfit before sewing, GarmentCode
 MEASURES_USED = (
@@ -55,19 +55,27 @@ def bottom_rise(design: OutfitDesign) -> float:
 
 
 @lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
+def upper(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
+    """The upper of a design with an upper; offers the ring ``bottom`` if it can carry a part."""
+    assert design.meta.upper is not None
+    return design.meta.upper.garment.draw(size, design, mends=mends)
+
+
+@lru_cache(maxsize=8)  # likewise
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
     """The bottom of a design with a bottom; offers the ring ``top``."""
     assert design.meta.bottom is not None
     return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
 
+@lru_cache(maxsize=8)  # sampling draws them to find tight rings, then the outfit and its rules draw them again
 def parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> tuple[Component, ...]:
     """The parts of the outfit, from the top down, not yet placed. Raises ``PatternError`` as ``outfit`` does."""
     meta, rise, found = design.meta, bottom_rise(design), []
     if meta.upper is None and meta.bottom is None:
         raise PatternError("an outfit without upper and bottom: choose meta.upper or meta.bottom")
     if meta.upper is not None:
-        found.append(meta.upper.garment.draw(size, design, mends=mends))
+        found.append(upper(size, design, mends))
         if not meta.upper.garment.carries and (meta.wb or meta.bottom):
             raise PatternError(
                 f"nothing can be sewn to the hem of a {meta.upper.value}: set meta.wb and meta.bottom to null"

@@ -5,7 +5,11 @@ Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, Self
+
+import numpy as np
+from jaxtyping import Complex
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
@@ -14,10 +18,10 @@ from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
-    NARROWEST_STRAP,
     SHARPEST_CORNER,
     corner_angles,
     cuff_and_arm_girth,
+    has_narrow_strap,
     is_mismatched,
     shortest_shoulder,
     strap_width,
@@ -79,6 +83,11 @@ class DrawnOutfit:
     joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
     """The faults that ``validate.check_pattern`` found."""
+
+    @cached_property
+    def hulls(self) -> tuple[Complex[np.ndarray, "e 4"], ...]:
+        """``edge_hulls`` of each panel."""
+        return tuple(map(edge_hulls, self.pattern.panels))
 
     @classmethod
     def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:
@@ -195,7 +204,7 @@ def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
 def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
     """A panel has a corner under ``SHARPEST_CORNER``."""
     panels = outfit.pattern.panels
-    angles = corner_angles([edge_hulls(panel) for panel in panels])
+    angles = corner_angles(outfit.hulls)
     if angles.min() >= SHARPEST_CORNER:
         return None
     corners = [(panel.name, edge) for panel in panels for edge in range(len(panel.edges))]
@@ -206,10 +215,15 @@ def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
 
 def narrow_strap(outfit: DrawnOutfit) -> Reject | None:
     """A neckline comes nearer to an armhole than ``NARROWEST_STRAP``."""
-    panel = min(outfit.pattern.panels, key=strap_width)
-    width = strap_width(panel)
-    if width >= NARROWEST_STRAP:
+    narrow = [
+        panel
+        for panel, hulls in zip(outfit.pattern.panels, outfit.hulls, strict=True)
+        if has_narrow_strap(panel, hulls)
+    ]
+    if not narrow:
         return None
+    panel = min(narrow, key=strap_width)
+    width = strap_width(panel)
     figures = f"panel {panel.name}: {width:.1f} cm of cloth between neckline and armhole: make the neckline shallower"
     return Reject("narrow_strap", figures, {"width_cm": width})
 
@@ -336,7 +350,8 @@ def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
         for name in ("shoulder", "left_shoulder"):
             parts = [edge for edge, drawn in enumerate(panel.edges) if drawn.name == name]
             if parts:
-                yield panel.name, float(sum(panel.edge_lengths()[edge] for edge in parts))
+                lengths = panel.edge_lengths()
+                yield panel.name, float(sum(lengths[edge] for edge in parts))
 
 
 def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:

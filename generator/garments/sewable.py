@@ -16,9 +16,10 @@ from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
-from gcd_dataset.generator.garments.outfit import bottom
+from gcd_dataset.generator.garments.outfit import bottom, upper
+from gcd_dataset.generator.garments.sleeve_start import sleeve_of
 from gcd_dataset.generator.garments.upper import Shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
+from gcd_dataset.generator.garments.upper_half import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
@@ -33,6 +34,7 @@ __all__ = [
     "corner_angles",
     "cuff_and_arm_girth",
     "half_fault",
+    "has_narrow_strap",
     "is_mismatched",
     "panel_fault",
     "shortest_shoulder",
@@ -45,10 +47,12 @@ __all__ = [
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
 NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
+DIRECTIONS = np.exp(1j * np.linspace(0.0, np.pi, 16, endpoint=False))[:, None]  # across strips that separate hulls
 STRAP_POINTS = 33  # points along an edge: a neckline of 80 cm lies within a millimetre or two of its chords
 SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
 SHOULDER_SHARE = 0.5  # share of the shoulder beside the neck: a doll's shoulder seam may be as short as this
-ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
+ROUNDING = 1e-6  # cm: margin of lengths against a limit, such as of the shoulder beside a neckline at its widest
+SHOULDER_TOLERANCE = 1e-3  # cm: margin of shoulder seams whose length is computed before they are drawn
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
@@ -91,7 +95,10 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
     arm = 0.0 if half[-1].sleeveless else arm_girth_in_cuff(size, half[-1])
     if arm == 0.0:
         return 0.0, 0.0
-    drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    torso = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    if _is_fitted(design) and half[0].strapless:
+        return 0.0, arm
+    drawn = sleeve_of(size, half[-1], torso, mends=ALL_MENDS)
     return drawn.length("band") if "band" in drawn.interfaces else 0.0, arm
 
 
@@ -102,14 +109,20 @@ def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -
     drawn. A shoulder seam has the slope ``shoulder_incl``: for 1 cm more of it, half the neckline becomes narrower by
     the cosine of this angle.
     """
+    (shirt, neck, arm), fitted = half, _is_fitted(design)
+    if fitted and shirt.strapless:
+        return inf
     try:
-        drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+        room = armhole_from_centre(size, shirt, arm, fitted=fitted) - 0.5 * neckline_width(size, neck)
+        if room / cos(size.shoulder_incl) > shortest_shoulder(size) + SHOULDER_TOLERANCE:
+            return inf
+        drawn = right_torso(size, *half, fitted=fitted, mends=ALL_MENDS)
     except PatternError:  # drawing the outfit reports it
         return inf
     missing = shortest_shoulder(size) + ROUNDING - min(map(_shoulder_length, drawn.pieces))
     if missing <= ROUNDING:
         return inf
-    return neckline_width_parameter(size, neckline_width(size, half[1]) - 2 * missing * cos(size.shoulder_incl))
+    return neckline_width_parameter(size, neckline_width(size, neck) - 2 * missing * cos(size.shoulder_incl))
 
 
 def shortest_shoulder(size: Measurements) -> float:
@@ -130,8 +143,7 @@ def bottom_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
 
 def upper_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
     """Why an upper other than a shirt cannot be drawn or sewn."""
-    assert design.meta.upper is not None
-    return _sewing_fault(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
+    return _sewing_fault(partial(upper, size, design, ALL_MENDS))
 
 
 def _is_fitted(design: OutfitDesign) -> bool:
@@ -155,10 +167,10 @@ def panel_fault(panels: Sequence[Panel]) -> Fault | None:
     """The first panel with an edge of invalid length or a narrow strap, else with a sharp corner, else a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
-    for panel, edges in zip(panels, lengths, strict=True):
+    for panel, edges, drawn in zip(panels, lengths, hulls, strict=True):
         if min(edges) < SHORTEST_EDGE or max(edges) > LARGEST:
             return Fault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
-        if strap_width(panel) < NARROWEST_STRAP:
+        if has_narrow_strap(panel, drawn):
             return Fault("narrow_strap", panel.name)
     angles = corner_angles(hulls)
     if angles.min() < SHARPEST_CORNER:
@@ -172,6 +184,22 @@ def is_mismatched(sewn: MeasuredJoin) -> bool:
     """Whether the sides of a join differ too much in length."""
     shorter, longer = sorted((sewn.left_length, sewn.right_length))
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
+
+
+def has_narrow_strap(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> bool:
+    """Whether neckline and armhole of a panel are nearer than ``NARROWEST_STRAP``; ``hulls``: its ``edge_hulls``."""
+    names = [edge.name for edge in panel.edges]
+    if "neck" not in names or "armhole" not in names:
+        return False
+    neck, armhole = (hulls[[name == wanted for name in names]].ravel() for wanted in ("neck", "armhole"))
+    # Each edge lies within its hull: hulls this far apart need no sampling.
+    return _gap(neck, armhole) <= NARROWEST_STRAP + ROUNDING and strap_width(panel) < NARROWEST_STRAP
+
+
+def _gap(one: Complex[np.ndarray, " n"], other: Complex[np.ndarray, " m"]) -> float:
+    """Lower bound of the distance between the convex hulls of two sets of points [cm]: the widest separating strip."""
+    a, b = ((DIRECTIONS * points).real for points in (one, other))
+    return float(np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1)).max())
 
 
 def strap_width(panel: Panel) -> float:

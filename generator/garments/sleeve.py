@@ -1,6 +1,7 @@
 """Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is a mirrored right sleeve."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
@@ -83,6 +84,7 @@ def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
     return (length, *cuff_tags(design.cuff), *ruffled)
 
 
+@lru_cache(maxsize=8)  # sampling draws it to measure its cuff, then the half draws it again
 def sleeve(
     size: Measurements,
     design: SleeveDesign,
@@ -114,6 +116,7 @@ def sleeve(
     return with_sleeve_cuff(size, design, plain).turned(size.arm_pose_angle).labelled(PanelRole.ARM)
 
 
+@lru_cache(maxsize=16)  # sleeves that differ in length or cuff have the same opening
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
     """The sleeve's edge for an armhole, from the underarm up to the shoulder, which is the origin.
 

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["with_sleeve"]
+__all__ = ["sleeve_of", "with_sleeve"]
 
 SLEEVE_GAP = 1.0  # cm by which a sleeve starts inside its armhole, GarmentCode
 SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre per degree, GarmentCode
@@ -24,13 +24,19 @@ def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, me
     front, back = half.piece("right_ftorso"), half.piece("right_btorso")
     half = half.offering(armhole=front.along("armhole") + back.against("armhole"))
     gap = SLEEVE_GAP + SLEEVE_GAP_BY_ANGLE * size.arm_pose_angle
-    arm = sleeve(size, design, front.outline.edge("armhole"), back.outline.edge("armhole"), mends=mends)
+    arm = sleeve_of(size, design, half, mends=mends)
     arm = arm.placed_by("opening", half, "armhole", gap=-gap, top=True)
     if Mend.SLEEVE_START in mends:
         arm = _clear_of(half, arm, size.arm_pose_angle)
     band = {name: ring for name, ring in arm.interfaces.items() if name == "band"}
     sewn = Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole"))
     return sewn.offering(**half.interfaces, **band)
+
+
+def sleeve_of(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
+    """The right sleeve for the armhole of a half, with its cuff, not yet placed: see ``sleeve``."""
+    front, back = (half.piece(name).outline.edge("armhole") for name in ("right_ftorso", "right_btorso"))
+    return sleeve(size, design, front, back, mends=mends)
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from enum import Enum
+from functools import cache
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -60,14 +61,20 @@ class Design:
     """A frozen set of parameters. Raises ``ConfigError`` for a value outside its parameter's range."""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            space, value = entry.metadata.get("space"), getattr(self, entry.name)
-            if space is not None and not space.accepts(value):
-                raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
+        for name, space in _parameters(type(self)):  # type: ignore[arg-type]
+            value = getattr(self, name)
+            if not space.accepts(value):
+                raise ConfigError(f"{type(self).__name__}: {name} is {plain(value)}, not {space}")
 
     def includes(self, name: str) -> bool:
         """Whether design files include the part of this name, which ``with_parts`` added."""
         return True
+
+
+@cache
+def _parameters(kind: type[Design]) -> tuple[tuple[str, Space], ...]:
+    """Names and spaces of the parameters of a design, without its parts."""
+    return tuple((entry.name, entry.metadata["space"]) for entry in fields(kind) if "space" in entry.metadata)
 
 
 def real(default: float, low: float, high: float, *, keep: float | None = None, key: str | None = None) -> Any:

@@ -1,6 +1,6 @@
 """The right half of a front or back before armhole and neckline are cut, for straight and fitted shirts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 from gcd_dataset.generator.pattern import Outline
@@ -58,4 +58,4 @@ class TorsoHalf:
 
     def cut_to(self, outline: Outline) -> Self:
         """The half with another outline, after cuts."""
-        return replace(self, outline=outline)
+        return type(self)(outline, self.shoulder, self.level, self.rise, self.lean, self.gather, self.darts)

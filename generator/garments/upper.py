@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from gcd_dataset.generator.garments.garment import UpperGarment
@@ -10,7 +11,7 @@ from gcd_dataset.generator.garments.neckline import neckline_tags
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import sleeve_tags
 from gcd_dataset.generator.garments.tags import Tag
-from gcd_dataset.generator.garments.upper_half import right_half
+from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half
 from gcd_dataset.generator.pattern import Component, backwards
 from gcd_dataset.records import Measurements
 
@@ -22,8 +23,15 @@ __all__ = ["FITTED_SHIRT", "STRAIGHT_SHIRT", "Shirt", "shirt"]
 
 def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
     """Two halves sewn at the centres; offers the ring ``bottom``."""
-    left_design = design.left_half()
-    right = right_half(size, *design.right_half(), fitted=fitted, mends=mends)
+    return _sewn_halves(size, design.right_half(), design.left_half(), fitted=fitted, mends=mends)
+
+
+@lru_cache(maxsize=8)  # designs that differ in waistband or bottom have the same shirt
+def _sewn_halves(
+    size: Measurements, right_design: UpperHalf, left_design: UpperHalf | None, *, fitted: bool, mends: frozenset[Mend]
+) -> Component:
+    """The shirt of two halves; ``left_design``: ``None`` for the mirror image of the right one."""
+    right = right_half(size, *right_design, fitted=fitted, mends=mends)
     other = right if left_design is None else right_half(size, *left_design, fitted=fitted, mends=mends)
     left = other.mirrored("right", "left")
     whole = Component.of(right, left)

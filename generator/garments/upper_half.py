@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.armhole import Armhole, armhole
@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments.torso import TorsoHalf
 from gcd_dataset.generator.pattern import Component, Piece, Stroke, cut_corner
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole
 
-__all__ = ["UpperHalf", "right_half", "right_torso"]
+__all__ = ["UpperHalf", "armhole_from_centre", "right_half", "right_torso"]
 
 SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
 FRONT, BACK = 30.0, -25.0  # cm: z of front and back before sewing, GarmentCode
@@ -66,11 +66,8 @@ def right_torso(
     if fitted and shirt.strapless:
         return _strapless(size, neck, arm, mends=mends)
     worn = worn_neckline(neck)
-    front = fitted_front(size) if fitted else straight_front(size, shirt)
-    back = fitted_back(size) if fitted else straight_back(size, shirt)
-    depth = _armhole_depth(size, arm, front, back, mends=mends)
-    front = _with_neckline(size, worn, _with_armhole(size, arm, front, depth), front=True)
-    back = _with_neckline(size, worn, _with_armhole(size, arm, back, depth), front=False)
+    front, back = _with_armholes(size, shirt, _Armholes.of(arm), fitted=fitted, mends=mends)
+    front, back = _with_neckline(size, worn, front, front=True), _with_neckline(size, worn, back, front=False)
     half = _with_sides_sewn(size, front, back)
     return half.sewn(half.piece(FRONT_NAME).along("shoulder"), half.piece(BACK_NAME).along("shoulder"))
 
@@ -94,18 +91,58 @@ def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
     return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
 
 
+def armhole_from_centre(
+    size: Measurements, shirt: ShirtDesign, arm: SleeveDesign, *, fitted: bool, mends: frozenset[Mend] = ALL_MENDS
+) -> float:
+    """Horizontal distance of the armhole from the centre, the smaller one of front and back [cm].
+
+    Raises ``PatternError`` for armholes that cannot be cut.
+    """
+    halves = _with_armholes(size, shirt, _Armholes.of(arm), fitted=fitted, mends=mends)
+    return min(_shoulder_end(half) for half in halves)
+
+
+def _shoulder_end(half: TorsoHalf) -> float:
+    """Horizontal distance of the shoulder's outer end from the centre [cm]."""
+    return -half.outline.edge("shoulder").start[0]
+
+
+class _Armholes(NamedTuple):
+    """The part of a sleeve's design on which the armholes depend."""
+
+    kind: Armhole
+    connecting_width: float
+    corner: float
+
+    @classmethod
+    def of(cls, arm: SleeveDesign) -> Self:
+        """Armholes of a sleeve are curved."""
+        return cls(arm.armhole_shape if arm.sleeveless else Armhole.CURVE, arm.connecting_width, arm.smoothing_coeff)
+
+
+@lru_cache(maxsize=8)  # necklines, collars and cuffs are drawn again and again on the same halves
+def _with_armholes(
+    size: Measurements, shirt: ShirtDesign, arm: _Armholes, *, fitted: bool, mends: frozenset[Mend]
+) -> tuple[TorsoHalf, TorsoHalf]:
+    """Front and back with their armholes, without necklines."""
+    front = fitted_front(size) if fitted else straight_front(size, shirt)
+    back = fitted_back(size) if fitted else straight_back(size, shirt)
+    depth = _armhole_depth(size, arm.connecting_width, front, back, mends=mends)
+    return _with_armhole(size, arm, front, depth), _with_armhole(size, arm, back, depth)
+
+
 def _armhole_depth(
-    size: Measurements, arm: SleeveDesign, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
+    size: Measurements, connecting_width: float, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
 ) -> float:
     """Depth of the armhole [cm], limited so that a centimetre of side seam is left."""
-    depth = min(size.eased_armscye_depth * (1 + arm.connecting_width), front.upper_side - SEAM_LEFT)
+    depth = min(size.eased_armscye_depth * (1 + connecting_width), front.upper_side - SEAM_LEFT)
     if Mend.ARMHOLE_ROOM not in mends:
         return depth
     return min(depth, *(half.armhole_room(0.5 * size.sleeve_balance) - SEAM_LEFT for half in (front, back)))
 
 
-def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth: float) -> TorsoHalf:
-    """The half with its armhole cut; the armhole is curved if a sleeve is set into it."""
+def _with_armhole(size: Measurements, arm: _Armholes, half: TorsoHalf, depth: float) -> TorsoHalf:
+    """The half with its armhole cut."""
     shoulder_end = 0.5 * size.sleeve_balance
     width, room = half.width_below_shoulder(depth) - shoulder_end, half.armhole_room(shoulder_end)
     if width <= 0.0:
@@ -117,15 +154,14 @@ def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth:
         raise PatternError(
             f"an armhole {depth:.1f} cm deep in a side with room for {room:.1f} cm: lower sleeve.connecting_width"
         )
-    kind = arm.armhole_shape if arm.sleeveless else Armhole.CURVE
-    shape = armhole(kind, width, depth, corner=arm.smoothing_coeff)
+    shape = armhole(arm.kind, width, depth, corner=arm.corner)
     return half.cut_to(cut_corner(half.outline, "side", "shoulder", shape))
 
 
 def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *, front: bool) -> TorsoHalf:
     """The half with its neckline cut into the shoulder beside the armhole."""
     shape = half_neckline(size, neck, front=front, shoulder=half.shoulder, room=half.room)
-    width, left = shape[-1].end[0] - shape[0].start[0], -half.outline.edge("shoulder").start[0]
+    width, left = shape[-1].end[0] - shape[0].start[0], _shoulder_end(half)
     if width >= left:
         raise PatternError(
             f"a neckline {width:.1f} cm from the centre leaves no shoulder beside an armhole at {left:.1f} cm: narrow "
@@ -137,7 +173,9 @@ def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *,
 def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, mends: frozenset[Mend]) -> Component:
     """Front and back of a fitted half that end in a line from the underarm to the lowest point of the neckline."""
     front, back = fitted_front(size), fitted_back(size)
-    side = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(size, arm, front, back, mends=mends)
+    side = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(
+        size, arm.connecting_width, front, back, mends=mends
+    )
     cropped_back = _cropped(size, neck, back, side, front=False)
     side = cropped_back.outline.length("side") - (front.outline.length("side") - front.upper_side)
     return _with_sides_sewn(size, _cropped(size, neck, front, side, front=True), cropped_back)

@@ -40,11 +40,11 @@ class Component:
 
     def sewn(self, left: Interface, right: Interface, *, gathered: bool = False) -> Self:
         """With one more join, of interfaces walked in the same direction; ``gathered``: see ``Join``."""
-        return replace(self, joins=(*self.joins, Join(left, right, gathered)))
+        return type(self)(self.pieces, (*self.joins, Join(left, right, gathered)), self.interfaces)
 
     def offering(self, **interfaces: Interface) -> Self:
         """With named interfaces to other components."""
-        return replace(self, interfaces={**self.interfaces, **interfaces})
+        return type(self)(self.pieces, self.joins, {**self.interfaces, **interfaces})
 
     def interface(self, name: str) -> Interface:
         """The interface of that name. Raises ``PatternError`` with the known names."""

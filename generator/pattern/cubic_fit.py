@@ -29,12 +29,15 @@ PROBE = 1e-3  # step of the finite differences, as a fraction of the chord
 
 SAMPLES = np.linspace(0.0, 1.0, 49)[:, None]
 LENGTH_NODES = 0.5 * (QUADRATURE_NODES[:, None] + 1)
+AT_SAMPLES, AT_LENGTH_NODES = (((1 - t) ** 2, 2 * t * (1 - t), t**2) for t in (SAMPLES, LENGTH_NODES))
 LENGTH_WEIGHTS = 0.5 * QUADRATURE_WEIGHTS
 PAIRS = ((0, 1), (0, 2), (1, 2))
 AXES = np.eye(3)
 STENCIL = np.array([0 * AXES[0], *AXES, *-AXES, *(AXES[i] + AXES[j] for i, j in PAIRS)])
 
 Batch: TypeAlias = Float[np.ndarray, "n 2"]
+Basis: TypeAlias = tuple[Float[np.ndarray, "k 1"], Float[np.ndarray, "k 1"], Float[np.ndarray, "k 1"]]
+"""The quadratic Bernstein polynomials at ``k`` curve parameters."""
 
 
 def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent: Point, length: float) -> Stroke:
@@ -108,10 +111,10 @@ class _CubicFit:
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Cost [chord⁻²] and excess length [chords]."""
         legs = [leg[:, None, :] for leg in self.controls(unknowns)]
-        speed = np.linalg.norm(_velocity(legs, LENGTH_NODES), axis=2)
-        velocity, change = _velocity(legs, SAMPLES), _acceleration(legs, SAMPLES)
+        speed = _norm(_velocity(legs, AT_LENGTH_NODES))
+        velocity, change = _velocity(legs, AT_SAMPLES), _acceleration(legs, SAMPLES)
         cross = velocity[..., 0] * change[..., 1] - velocity[..., 1] * change[..., 0]
-        curvature = np.abs(cross) / np.linalg.norm(velocity, axis=2) ** 3
+        curvature = np.abs(cross) / _norm(velocity) ** 3
         peak = np.mean(curvature**self.norm, axis=1) ** (1 / self.norm)
         slide = unknowns[:, 2]
         return peak**2 + self.slide_weight * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
@@ -166,8 +169,13 @@ class _SShapedFit(_CubicFit):
         return cost + 4 * self.chord**2 * (1 - 1 / np.sqrt(1 + unknowns[:, 1] ** 2)), excess
 
 
-def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:
-    return 3 * ((1 - t) ** 2 * legs[0] + 2 * t * (1 - t) * legs[1] + t**2 * legs[2])
+def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], basis: Basis) -> Float[np.ndarray, "n k 2"]:
+    return 3 * (basis[0] * legs[0] + basis[1] * legs[1] + basis[2] * legs[2])
+
+
+def _norm(vectors: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k"]:
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.sqrt(x * x + y * y)
 
 
 def _acceleration(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:

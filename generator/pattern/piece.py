@@ -45,12 +45,12 @@ class Piece:
 
     def at(self, x: float, y: float, z: float) -> Self:
         """Moved so that the origin of its drawing is at a point [cm]."""
-        return replace(self, translation=(x, y, z))
+        return type(self)(self.name, self.outline, (x, y, z), self.rotation, self.label)
 
     def moved(self, by: Vector) -> Self:
         """Shifted in space [cm]."""
         x, y, z = self.translation
-        return replace(self, translation=(x + by[0], y + by[1], z + by[2]))
+        return self.at(x + by[0], y + by[1], z + by[2])
 
     def turned(self, angle: float) -> Self:
         """Turned about the z axis through the world's origin [rad]."""

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from benchmarks.skin import skin_crossings
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.untangle import SkinMesh
+from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh
 from gcd_dataset.records import BodyPart
 from gcd_dataset.seeding import Stage, rng
 
@@ -39,6 +39,15 @@ def test_an_inverted_patch_is_flattened_and_the_rest_is_unchanged(ball: trimesh.
     far = np.linalg.norm(ball.vertices - ball.vertices[pole], axis=1) > 5.0
     assert np.array_equal(flat[far], dented[far])
     assert np.linalg.norm(flat, axis=1) == pytest.approx(np.full(len(flat), 10.0), abs=1.0)
+
+
+def test_folds_first_and_creases_later_give_the_same_skin(ball: trimesh.Trimesh) -> None:
+    skin = SkinMesh.of(ball.vertices, ball.faces)
+    dented = ball.vertices.copy()
+    dented[int(dented[:, 1].argmax())] += [4.0, 0.0, 0.0]
+    unfolded, left = skin.smoothed(dented, ROUNDS, resolve_creases=False)
+    assert 0 < left < ROUNDS
+    assert np.array_equal(skin.smoothed(unfolded, left, resolve_creases=True)[0], skin.flattened(dented))
 
 
 def test_vertices_off_the_skin_do_not_move(ball: trimesh.Trimesh) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,22 @@ import pytest
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
-from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments import (
+    DrawnOutfit,
+    OutfitDesign,
+    Reject,
+    check_outfit,
+    design_from_dict,
+    outfit,
+    try_on,
+)
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
 from gcd_dataset.generator.garments.sewable import (
     NARROWEST_STRAP,
     SHORTEST_SHOULDER,
     corner_angles,
+    has_narrow_strap,
     strap_width,
     widest_neckline,
 )
@@ -25,7 +36,11 @@ SHIRT = {"upper": "Shirt"}
 
 
 def reasons(size: Measurements, values: Mapping[str, Any]) -> list[str]:
-    return [reject.rule for reject in check_outfit(DrawnOutfit.of(size, design_from_dict(values)))]
+    return reasons_of(size, design_from_dict(values))
+
+
+def reasons_of(size: Measurements, design: OutfitDesign) -> list[str]:
+    return [reject.rule for reject in check_outfit(DrawnOutfit.of(size, design))]
 
 
 @pytest.mark.parametrize("wb", [None, "StraightWB"])
@@ -163,6 +178,18 @@ def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measure
     assert min(seams) >= SHORTEST_SHOULDER
 
 
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+@pytest.mark.parametrize("flare", [0.7, 1.0, 1.6])
+def test_a_neckline_is_narrowed_if_and_only_if_its_shoulder_seam_is_too_short(
+    woman: Measurements, upper: str, flare: float
+) -> None:
+    """The length computed before drawing agrees with the drawn one, on sides that lean either way."""
+    for width in np.linspace(0.3, 0.85, 12):
+        design = design_from_dict({"meta": {"upper": upper}, "collar": {"width": width}, "shirt": {"flare": flare}})
+        is_short = "narrow_shoulder" in reasons_of(woman, design)
+        assert (widest_neckline(woman, design, design.right_half()) < inf) == is_short
+
+
 def test_a_straight_band_from_waist_to_hips_is_too_tight_for_the_hips(woman: Measurements) -> None:
     """A rectangle as long as the waist, whose lower edge lies at the hips."""
     high = {"meta": {"bottom": "SkirtCircle", "wb": "StraightWB"}, "waistband": {"width": 1.0}}
@@ -218,6 +245,16 @@ def test_a_neckline_near_the_armhole_leaves_no_strap(woman: Measurements) -> Non
     assert all(rules for _, rules in found[first:])
     pattern = outfit(woman, design_from_dict(deep_back(found[first][0])))
     assert 0.0 < strap_width(pattern.panel("right_btorso")) < NARROWEST_STRAP
+
+
+def test_hulls_far_apart_leave_a_wide_strap(woman: Measurements) -> None:
+    for depth in np.linspace(0.0, 1.9, 20):
+        try:
+            pattern = outfit(woman, design_from_dict(deep_back(depth)))
+        except PatternError:
+            continue
+        for panel in pattern.panels:
+            assert has_narrow_strap(panel, edge_hulls(panel)) == (strap_width(panel) < NARROWEST_STRAP)
 
 
 def deep_back(depth: float) -> dict[str, Any]:
