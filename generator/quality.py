@@ -8,8 +8,8 @@ from gcd_dataset.records import BoxMesh, Drape, Grade, Outcome, Strain
 __all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
 
 # Largest stretch of a panel (``strain_of``) of a clean garment: stretched further it is too tight. Weight alone
-# stretches the default fabric by 1.41 where a dress of 2.5 m² hangs from shoulder seams of 3 cm, the sampler's shortest:
-# four layers of 3 cm carry 4.9 N, at 100 N/m.
+# stretches the default fabric by 1.41 where a dress of 2.5 m² hangs from shoulder seams of 3 cm, the shortest that are
+# sampled: four layers of 3 cm carry 4.9 N, at 100 N/m.
 MAX_STRETCH = 1.5
 OUTLIERS = 1.0  # percent of a garment's faces left out at either end
 PANEL_OUTLIERS = 5.0  # percent of a panel's faces; more, since a panel may have few faces

@@ -11,9 +11,10 @@ Kernels are loaded before the clock starts. The time is from box mesh to drape; 
 are made with their box meshes and timed separately. With ``--batch 1`` a garment's seconds are its own, otherwise its
 share of the batch. ``--count`` samples that many designs of a seed, each for the neutral body and a random one; the
 table lists the garments that did not settle. ``clean``: the share that settled without a crossing edge of any kind;
-``grade_clean``: the share of those without a panel that is stretched too far (``generator.quality``). ``--ablation`` drapes them once per switched feature. ``--memory`` drapes
-them in turn in this process and records process and GPU memory after every 50. ``--peer newton`` also drapes the same
-meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
+``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
+them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
+after every 50. ``--peer newton`` also drapes the same meshes with Newton's ``SolverStyle3D``, configured as described
+in ``benchmarks.peers.newton``.
 """
 
 import argparse

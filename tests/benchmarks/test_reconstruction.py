@@ -120,7 +120,7 @@ def test_targets_decode_to_nearly_the_same_pattern(four: tuple[GarmentBatch, lis
 
 def test_training_overfits_four_garments(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     losses: list[float] = []
-    args = options(steps=180)
+    args = options(steps=360)
     net = train(four[0], args, torch.device("cpu"), losses)
     assert np.mean(losses[-10:]) < 0.2 * np.mean(losses[:10])
     seen = replace(four[0], points=four[0].points[:, : args.points])
