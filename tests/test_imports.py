@@ -37,6 +37,11 @@ def test_patterns_are_drawn_meshed_and_dressed_without_the_simulator(module: str
     assert not loaded_by(f"gcd_dataset.generator.{module}") & {"warp", "torch"}
 
 
+def test_patterns_are_drawn_without_trimesh() -> None:
+    """It takes 0.4 s of CPU time to import, and only scans and posed arms need it."""
+    assert "trimesh" not in loaded_by("gcd_dataset.generator.pipeline")
+
+
 def test_the_generator_offers_its_steps() -> None:
     import gcd_dataset.generator as generator
 
