@@ -28,6 +28,7 @@ ARMPIT = 22.0  # cm below the top of the arm's skin: the armhole surrounds the a
 UNDER_CROTCH = 2.0  # cm below the crotch seam, where a trouser leg is a tube
 LOOSE_HEM = 60.0  # cm, girth of a hem that does not catch on the foot
 LEG_GAP = -1.5  # cm by which a trouser leg must reach beyond the leg: thighs touch each other
+UPRIGHT = 0.5  # least vertical part of a leg's direction at which the legs stand on either side of the middle
 MIDDLE_GAP = 0.5  # cm between a trouser leg and the plane between the legs
 SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
 
@@ -88,7 +89,8 @@ def _put_on_leg(
     if len(joined):
         crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
         below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        if put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM):
+        moved = put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
+        if moved and abs(leg.axis[1]) > UPRIGHT:
             _keep_off_the_other_leg(np.unique(mesh.faces[below]), leg, side, placed)
 
 

@@ -65,7 +65,7 @@ class _Tube:
 
     @staticmethod
     def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
-        """The tube of the marked faces; ``None`` without a root or an open end."""
+        """The tube of the marked faces; ``None`` without a root, an open end or a direction."""
         cloth = FlatCloth.of(mesh, own)
         root = np.intersect1d(cloth.vertices, mesh.faces[~own])
         end = np.setdiff1d(cloth.border, root)
@@ -76,7 +76,10 @@ class _Tube:
         distance = _averaged(level, cloth.distance_from(root)[rows])
         points = np.array(mesh.vertices[rows], float)
         along = mesh.vertices[end, :2].mean(axis=0) - mesh.vertices[root, :2].mean(axis=0)
-        x, y = along / np.linalg.norm(along)
+        length = float(np.linalg.norm(along))
+        if length < 1e-6:
+            return None
+        x, y = along / length
         ends, lengths = cloth.edges
         girth = float(lengths[np.isin(ends, end).all(axis=1)].sum())
         section = SECTION * float(np.median(lengths))

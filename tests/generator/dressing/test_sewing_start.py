@@ -196,3 +196,12 @@ def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
     inside = arm[np.abs(arm[:, 1] - mesh.vertices[lowest, 1]) < SLICE, 0].min()
     assert mesh.vertices[lowest, 0] > inside
     assert sewing_start(mesh, body)[lowest, 0] < inside
+
+
+def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
+    """The thighs point forward, so that the legs have no side-by-side heights."""
+    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
+    standing = build_body(replace(neutral_shape(), legs_apart=True))
+    forward = standing.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+    start = sewing_start(mesh_of(design), replace(standing, vertices=forward))
+    assert np.isfinite(start).all()
