@@ -8,7 +8,7 @@ import warp as wp
 from jaxtyping import Bool, Float
 from scipy.spatial import Delaunay
 
-from benchmarks.strips import HALF_ROW, LEVEL, hold_fast, strip_job
+from benchmarks.strips import HALF_ROW, LEVEL, hold_fast, one_panel, strip_job
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeConfig, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY
@@ -49,18 +49,7 @@ def disc(spacing: float, *, specimen: int = 0) -> BoxMesh:
     inner = lattice[(radius < SPECIMEN - clear) & (np.abs(radius - _clamp(spacing)) > clear)]
     uv = np.concatenate([_ring(SPECIMEN, spacing), _ring(_clamp(spacing), spacing), inner])
     faces = np.asarray(Delaunay(uv).simplices, int)
-    return BoxMesh(
-        vertices=np.stack([uv[:, 0], np.full(len(uv), LEVEL), -uv[:, 1]], axis=1),
-        faces=faces,
-        uv=uv,
-        corners=faces,
-        uv_vertex=np.arange(len(uv)),
-        panel_id=np.zeros(len(faces), int),
-        panel_names=("disc",),
-        panel_labels=("body",),
-        seams=np.zeros((0, 2), int),
-        labels={},
-    )
+    return one_panel("disc", np.stack([uv[:, 0], np.full(len(uv), LEVEL), -uv[:, 1]], axis=1), faces, uv)
 
 
 def _clamp(spacing: float) -> float:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 import warp as wp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY
@@ -23,6 +23,7 @@ __all__ = [
     "bending_length",
     "cantilever",
     "hold_fast",
+    "one_panel",
     "strip",
     "strip_job",
     "tensile_stiffness",
@@ -77,14 +78,25 @@ def strip(
         faces += sides if up else [(i, k, j) for i, j, k in sides]
     uv, f = np.array(flat), np.array(faces)
     vertices = (uv - 0.5 * uv.max(axis=0)) @ orientation.T + np.array([0.0, LEVEL, 0.0])
+    return one_panel("strip", vertices, f, uv, labels)
+
+
+def one_panel(
+    name: str,
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    uv: Float[np.ndarray, "v 2"],
+    labels: Mapping[str, np.ndarray] | None = None,
+) -> BoxMesh:
+    """The box mesh of a single panel without seams; positions and flat positions ``uv`` in cm."""
     return BoxMesh(
         vertices=vertices,
-        faces=f,
+        faces=faces,
         uv=uv,
-        corners=f,
+        corners=faces,
         uv_vertex=np.arange(len(uv)),
-        panel_id=np.zeros(len(f), int),
-        panel_names=("strip",),
+        panel_id=np.zeros(len(faces), int),
+        panel_names=(name,),
         panel_labels=("body",),
         seams=np.zeros((0, 2), int),
         labels=labels or {},

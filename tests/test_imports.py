@@ -84,7 +84,7 @@ def test_the_folders_before_the_drape_do_not_import_it() -> None:
 def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "ray" for m in imports_of(p))}
     assert users == {"generator/drapers/ray_actor.py", "verbs/ray_engine.py"}
-    # Tasks import it on every node: those that make patterns start without Warp and torch. Ray is an extra.
+    # Every Ray task imports the engine; tasks that make patterns need neither Warp nor torch. Ray is optional.
     assert not loaded_by("gcd_dataset.verbs.ray_engine") & {"ray", "warp", "torch"}
 
 

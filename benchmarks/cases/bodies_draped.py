@@ -41,7 +41,7 @@ from gcd_dataset.records import Body, Drape, Outcome
 
 __all__ = ["add_arguments", "run"]
 
-EXAMPLES = Path("/work/shared/examples/bodies")
+EXAMPLES = Path("GarmentCode/assets/bodies")
 TILE = 320  # side of a garment's picture on a sheet [pixels]
 SHOWN = 16  # most garments on the sheet of a body
 
@@ -50,7 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=100, help="garments for each body")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bodies", nargs="+", choices=[*OTHER_BODIES], default=[*OTHER_BODIES], help="default: all")
-    parser.add_argument("--examples", type=Path, default=EXAMPLES, help="folder of GarmentCode's mean bodies")
+    parser.add_argument(
+        "--examples",
+        type=Path,
+        default=EXAMPLES,
+        help="folder of GarmentCode's mean bodies (default: %(default)s); without it they are left out",
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes that make patterns and meshes")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")

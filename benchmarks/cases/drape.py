@@ -49,7 +49,7 @@ from gcd_dataset.records import Body, Drape, Grade, Measurements, Outcome, Patte
 __all__ = ["add_arguments", "run"]
 
 TILE = 256  # side of a garment's picture on a sheet [pixels]
-TIMED_MESHES = 16  # garments whose coarse meshes are timed
+TIMED_MESHES = 16  # number of garments that are coarsened to time the making of a coarse mesh
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

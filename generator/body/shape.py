@@ -117,7 +117,7 @@ def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
     return Body(stand(vertices), model.faces, model.parts, name)
 
 
-@functools.lru_cache(maxsize=2)  # a body whose arms have room is built as drawn
+@functools.lru_cache(maxsize=2)  # ``build_body`` reuses the body posed by the check of the arms' clearance
 def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> tuple[Float[np.ndarray, "v 3"], int]:
     """The posed body without folds, its creases not yet resolved, and the rounds of smoothing left for them."""
     vertices, joints = _unposed(weights)

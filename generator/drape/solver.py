@@ -245,8 +245,8 @@ class Solver:
     def _find_contacts(self, listed: wp.array, exempt: wp.array, passed: wp.array) -> None:
         """Broad and narrow phase in the worlds marked in ``search.searching``.
 
-        Each argument marks vertices: ``listed`` those already in a contact list, ``exempt`` those where cloth may cross
-        cloth, ``passed`` those that have passed through cloth.
+        Each argument marks vertices. ``listed``: already in a contact list. ``exempt``: cloth may cross cloth there.
+        ``passed``: passed through cloth.
         """
         m, s = self.model, self.state
         threads = self._threads

@@ -84,5 +84,6 @@ seen += [
 every: list[Any] = [None] * 2
 dist.all_gather_object(every, seen)
 assert sorted(number for part in every for number in part) == list(range(N)), every
+print(f"rank {dist.get_rank()}: every loader yielded each garment once", flush=True)
 dist.barrier()
 dist.destroy_process_group()

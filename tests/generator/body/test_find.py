@@ -164,7 +164,7 @@ def test_given_landmarks_override_those_of_the_models_mesh(tmp_path: Path) -> No
 
 
 def test_landmarks_beside_given_measures_are_an_error(tmp_path: Path) -> None:
-    """They could only correct measures that nobody takes."""
+    """Given measures replace the measuring, which alone uses landmarks."""
     body = build_body(female_shape())
     trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "own.ply")
     write_measurements(measure(body), tmp_path / "own.yaml")
