@@ -22,6 +22,7 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
+from gcd_dataset.generator.drape.streams import settle_native_memory
 from gcd_dataset.records import Body, BodyPart
 
 __all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields"]
@@ -227,6 +228,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
     for host in hosts:
         points = wp.array(host.points, dtype=wp.vec3, device=device)
         mesh = wp.Mesh(points=points, indices=triangles[id(host.triangles)], support_winding_number=True)
+        settle_native_memory(device)
         entry = Voxels()
         entry.mesh, entry.low, entry.lids_above = mesh.id, wp.vec3(*host.low), host.lids_above
         entry.face_parts = wp.array(host.parts, dtype=wp.uint8, device=device)

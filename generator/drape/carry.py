@@ -5,6 +5,7 @@ from operator import attrgetter
 
 import warp as wp
 
+from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts
 from gcd_dataset.generator.drape.solver import Solver
 
@@ -59,7 +60,7 @@ def carry_over(old: Solver, new: Solver, worlds: Sequence[tuple[int, int]]) -> N
 
 
 def _copy_worlds(source: wp.array, target: wp.array, worlds: Sequence[tuple[int, int]]) -> None:
-    values, old_values = target.numpy().copy(), source.numpy()
+    values, old_values = to_host(target), to_host(source)
     for before, after in worlds:
         values[after] = old_values[before]
     target.assign(values)

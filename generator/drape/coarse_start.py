@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels.refine import refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
@@ -22,8 +23,8 @@ def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, 
     A garment whose coarse drape diverged starts from its placed panels. A garment whose coarse drape overfilled a
     contact list is marked as overfull in ``fine`` too, since the choice of dropped contacts is not deterministic.
     """
-    status, time, held = (array.numpy() for array in (coarse.state.status, coarse.state.time, coarse.state.held))
-    overfull, new_overfull = coarse.state.contacts.overfull.numpy(), fine.state.contacts.overfull.numpy().copy()
+    status, time, held = (to_host(array) for array in (coarse.state.status, coarse.state.time, coarse.state.held))
+    overfull, new_overfull = to_host(coarse.state.contacts.overfull), to_host(fine.state.contacts.overfull)
     worlds = [entry for entry in worlds if status[entry[0]] != DIVERGED]
     if not worlds:
         return
@@ -31,8 +32,8 @@ def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, 
     first, first_coarse = model.topology.vertex_offset, coarse.model.topology.vertex_offset
     corners = np.zeros((model.n_vertices, 3), np.int32)
     weights = np.zeros((model.n_vertices, 3), np.float32)
-    new_time, new_held, loose_after = (array.numpy().copy() for array in (state.time, state.held, state.loose_after))
-    frame = model.worlds.numpy()["frame"]
+    new_time, new_held, loose_after = (to_host(array) for array in (state.time, state.held, state.loose_after))
+    frame = to_host(model.worlds)["frame"]
     for old, new, mesh in worlds:
         span = slice(first[new], first[new + 1])
         corners[span], weights[span] = mesh.corners + first_coarse[old], mesh.weights

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import warp as wp
 
 from gcd_dataset.errors import ConfigError, OutputError
@@ -25,6 +26,7 @@ __all__ = [
     "launch_lock",
     "load_kernels",
     "resolve_device",
+    "to_host",
 ]
 
 logger = logging.getLogger("gcd_dataset")
@@ -118,6 +120,11 @@ def _private_folder() -> Path:
         raise OutputError(
             f"no folder for compiled kernels can be written ({error.strerror}): set WARP_CACHE_PATH to one"
         ) from error
+
+
+def to_host(array: wp.array) -> np.ndarray:
+    """A copy in host memory, in the order of the current stream: ``array.numpy()`` would wait for other streams."""
+    return wp.clone(array, device="cpu").numpy()
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
@@ -132,7 +133,7 @@ def _cloth(
 
 def _time_steps(topology: Topology) -> np.ndarray:
     """The time step of each garment [s], stable at ``INERTIA_GAIN`` times the median mass per stiffness."""
-    ratio = topology.mass.numpy() / np.maximum(topology.stiffness.numpy(), 1e-9)
+    ratio = to_host(topology.mass) / np.maximum(to_host(topology.stiffness), 1e-9)
     spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
     median = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
     return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * median)
@@ -140,7 +141,7 @@ def _time_steps(topology: Topology) -> np.ndarray:
 
 def _median_stiffness(topology: Topology) -> list[float]:
     """The median stiffness of each garment's vertices [g/s²]."""
-    stiffness = topology.stiffness.numpy()
+    stiffness = to_host(topology.stiffness)
     spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
     return [float(np.median(stiffness[a:b:SAMPLE])) for a, b in spans]
 
@@ -155,7 +156,7 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
 
 def _median_lengths(topology: Topology) -> list[float]:
     """The median flat length of each garment's edges [cm]."""
-    flat = topology.hinges.spring.numpy()[:, 1]
+    flat = to_host(topology.hinges.spring)[:, 1]
     spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
     return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 

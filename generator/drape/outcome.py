@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import Solver
@@ -22,11 +22,11 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     if not worlds:
         return []
     state, topology = solver.state, solver.model.topology
-    overfull = state.contacts.overfull.numpy()  # read now: the searches below may overflow their lists too
+    overfull = to_host(state.contacts.overfull)  # read now: the searches below may overflow their lists too
     chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
     if solver.config.untangling_steps:
         with launch_lock:
-            crossing = (solver.self_crossings(chosen) > 0) & (state.status.numpy() == DONE)
+            crossing = (solver.self_crossings(chosen) > 0) & (to_host(state.status) == DONE)
         if crossing.any():
             untangle(solver, crossing)
     with launch_lock:
@@ -35,7 +35,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
         body_through = solver.body_through(chosen)
         stretches = solver.stretches()
-    x, status, frames = (array.numpy() for array in (state.x, state.status, state.frames))
+    x, status, frames = (to_host(array) for array in (state.x, state.status, state.frames))
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[topology.vertex_offset[w] : topology.vertex_offset[w + 1]], np.float32)

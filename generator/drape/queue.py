@@ -1,51 +1,21 @@
-"""Continuous batching: a garment that has come to rest leaves its world in the batch to the next job.
+"""Continuous batching: a garment that has come to rest leaves its world in the batch to the next job."""
 
-A garment takes two passes: first its coarse mesh, then the fine mesh from the coarse drape's shape. The result of a
-pass depends neither on the time at which it begins nor on the other garments in the batch.
-"""
+import time
+from collections.abc import Callable, Iterable, Iterator
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Self
+import warp as wp
 
-import numpy as np
-from jaxtyping import Bool
-
-from gcd_dataset.generator.drape.body_field import HostField
-from gcd_dataset.generator.drape.carry import carry_over
-from gcd_dataset.generator.drape.coarse_start import start_from_coarse
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import launch_lock
-from gcd_dataset.generator.drape.holds import BodyConstraints
-from gcd_dataset.generator.drape.kernels.world import RUNNING
-from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import collect
-from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.dressing.sewing_start import sewing_start
-from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
+from gcd_dataset.generator.drape.lane import Lane
+from gcd_dataset.generator.drape.passes import PendingJobs, PreparedJob
+from gcd_dataset.generator.drape.solver import nothing
+from gcd_dataset.generator.drape.streams import work_streams
 from gcd_dataset.records import Drape
 
 __all__ = ["PreparedJob", "drape_unordered"]
 
-POLL_EVERY = 4  # frames between two reads of the status from the device, each of which waits for it
-IDLE = 0.5  # share of the worlds that may be idle while jobs wait: rebuilding a batch takes time
-
-
-@dataclass(frozen=True)
-class PreparedJob:
-    """A job with its precomputed host data, which any thread may prepare while other garments drape."""
-
-    job: DrapeJob
-    field: HostField
-    constraints: BodyConstraints
-    coarse_constraints: BodyConstraints | None
-    """The constraints of ``job.coarse``."""
-
-    @classmethod
-    def of(cls, job: DrapeJob) -> Self:
-        coarse = BodyConstraints.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
-        return cls(job, HostField.of(job.body), BodyConstraints.of(job), coarse)
+LANES = 2  # batches on a GPU: while the host replaces garments of one, the frames of the other keep the GPU busy
+POLL_SECONDS = 1e-4  # s
 
 
 def none_arrived() -> int:
@@ -59,169 +29,46 @@ def drape_unordered(
     *,
     device: str,
     at_once: int,
+    lanes: int | None = None,
     arrived: Callable[[], int] = none_arrived,
     between: Callable[[], None] = nothing,
 ) -> Iterator[tuple[int, Drape]]:
-    """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` share a batch.
+    """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` drape at once.
 
     ``jobs`` may receive jobs while others drape; it yields ``None`` whenever it has no job, and numbers count jobs
     only. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
-    and ``jobs`` has none. ``between`` is called between substeps; an exception that it raises ends the drapes.
+    and ``jobs`` has none. ``lanes``: batches that share the device (default: two on a GPU). ``between`` is called
+    between substeps on a CPU, while frames run on a GPU; an exception that it raises ends the drapes.
     """
-    pending = _Pending(jobs, config)
-    passes = pending.take(at_once)
-    previous = None
-    while passes:
-        between()
-        solver = _next_batch(passes, previous, config, device)
-        running = _run(solver, passes, not pending.ended, partial(_up_to, at_once - len(passes), arrived), between)
-        frames = solver.state.frames.numpy()
-        ended = [k for k in np.flatnonzero(~running).tolist() if passes[k].coarse is None]
-        for k, drape in zip(ended, collect(solver, [passes[k].fine for k in ended], ended), strict=True):
-            yield passes[k].number, replace(drape, frames=drape.frames + passes[k].coarse_frames)
-        continued = [passes[k].continued(k) for k in np.flatnonzero(running).tolist()]
-        refined = [each.refined(k, int(frames[k])) for k, each in enumerate(passes) if each.coarse and not running[k]]
-        passes = continued + refined
-        passes += pending.take(at_once - len(passes))
-        previous = solver
+    pending = PendingJobs(jobs, config)
+    count = min(lanes or (1 if device == "cpu" else LANES), at_once)
+    batches = _lanes(pending, config, device, at_once, count, between)
+    if device != "cpu":
+        wp.synchronize_device(device)  # work streams do not wait for body fields of other streams
+    while True:
+        if device != "cpu":
+            between()
+        ready = [lane for lane in batches if lane.ready(arrived)]
+        for lane in ready:
+            if lane.replaces(arrived):
+                for other in batches:
+                    other.queue_ahead()
+            yield from lane.advance(arrived)
+        if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
+            break
+        if not ready:
+            time.sleep(POLL_SECONDS)
     if pending.error is not None:
         raise pending.error
 
 
-@dataclass(frozen=True)
-class _Pass:
-    """A garment in a batch: in its coarse pass, if it has a coarse mesh, or in its fine pass."""
-
-    number: int
-    fine: DrapeJob
-    coarse: CoarseMesh | None
-    """The coarse mesh in the coarse pass; None in the fine pass."""
-    constraints: BodyConstraints
-    """The constraints of ``job``."""
-    prepared: PreparedJob | None = None
-    coarse_frames: int = 0
-    """In the fine pass: the frames that the coarse pass took."""
-    previous_world: int | None = None
-    """The garment's world in the previous batch."""
-    refined_from: CoarseMesh | None = None
-    """The coarse mesh in that world, if this is the first batch of the fine pass."""
-
-    @classmethod
-    def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
-        prepared = given if isinstance(given, PreparedJob) else None
-        job = given.job if isinstance(given, PreparedJob) else given
-        coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
-        constraints = _constraints(job, coarse, prepared)
-        if config.sewing_start:
-            mesh = coarse.mesh if coarse else job.box_mesh
-            known = job.start if (job.coarse is None) == (coarse is None) else None
-            mesh = replace(mesh, vertices=sewing_start(mesh, job.body) if known is None else known)
-            coarse, job = (replace(coarse, mesh=mesh), job) if coarse else (None, replace(job, box_mesh=mesh))
-        return cls(number, job, coarse, constraints, prepared)
-
-    @property
-    def job(self) -> DrapeJob:
-        """The job of this pass: with the coarse mesh, or with the fine mesh."""
-        return _job(self.fine, self.coarse)
-
-    def continued(self, world: int) -> Self:
-        """The same pass in the next batch; ``world``: the world of the garment in the present batch."""
-        return replace(self, previous_world=world, refined_from=None)
-
-    def refined(self, world: int, frames: int) -> Self:
-        """The fine pass after a coarse pass of ``frames`` frames in ``world``."""
-        return replace(
-            self,
-            coarse=None,
-            constraints=_constraints(self.fine, None, self.prepared),
-            coarse_frames=frames,
-            previous_world=world,
-            refined_from=self.coarse,
-        )
-
-
-def _job(fine: DrapeJob, coarse: CoarseMesh | None) -> DrapeJob:
-    return fine if coarse is None else replace(fine, box_mesh=coarse.mesh)
-
-
-def _constraints(fine: DrapeJob, coarse: CoarseMesh | None, prepared: PreparedJob | None) -> BodyConstraints:
-    """The constraints of the coarse mesh, or of the fine mesh without one; precomputed where possible."""
-    known = None
-    if prepared is not None:
-        known = prepared.constraints if coarse is None else prepared.coarse_constraints
-    return known or BodyConstraints.of(_job(fine, coarse))
-
-
-def _up_to(limit: int, arrived: Callable[[], int]) -> int:
-    return min(arrived(), limit)
-
-
-class _Pending:
-    """Jobs that are not in a batch yet."""
-
-    def __init__(self, jobs: Iterable[DrapeJob | PreparedJob | None], config: DrapeConfig) -> None:
-        self._jobs, self._config, self._count = iter(jobs), config, 0
-        self.ended = False
-        """Whether the jobs are exhausted, or have failed."""
-        self.error: Exception | None = None
-        """The error of the jobs' iterator; raised after the drapes of the jobs before it."""
-
-    def take(self, limit: int) -> list[_Pass]:
-        """The first passes of up to ``limit`` jobs that are present."""
-        passes: list[_Pass] = []
-        while len(passes) < limit and not self.ended:
-            try:
-                job = next(self._jobs)
-            except Exception as error:  # noqa: BLE001 - StopIteration, or an error of the jobs
-                self.ended = True
-                self.error = None if isinstance(error, StopIteration) else error
-                break
-            if job is None:
-                break
-            passes.append(_Pass.first(self._count, job, self._config))
-            self._count += 1
-        return passes
-
-
-def _next_batch(passes: Sequence[_Pass], previous: Solver | None, config: DrapeConfig, device: str) -> Solver:
-    """A solver for the passes, with the state that continues from the previous batch."""
-    with launch_lock:
-        coarse = [k for k, each in enumerate(passes) if each.coarse]
-        model = build_model(
-            [each.job for each in passes],
-            config,
-            device,
-            coarse=coarse,
-            constraints=[each.constraints for each in passes],
-            fields=[None if each.prepared is None else each.prepared.field for each in passes],
-        )
-        solver = Solver(model, config)
-        if previous is not None:
-            moves = [
-                (p.previous_world, k, p.refined_from) for k, p in enumerate(passes) if p.previous_world is not None
-            ]
-            carry_over(previous, solver, [(old, new) for old, new, mesh in moves if mesh is None])
-            start_from_coarse(previous, solver, [(old, new, mesh) for old, new, mesh in moves if mesh is not None])
-    return solver
-
-
-def _run(
-    solver: Solver,
-    passes: Sequence[_Pass],
-    any_pending: bool,
-    arrived: Callable[[], int],
-    between: Callable[[], None],
-) -> Bool[np.ndarray, " w"]:
-    """Step until no world runs, or until enough worlds are idle (``IDLE``); returns the worlds that still run.
-
-    Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused place
-    in the batch for which a job has arrived.
-    """
-    refining = np.array([each.coarse is not None for each in passes])
-    while True:
-        running = solver.state.status.numpy() == RUNNING
-        idle = ~running if any_pending else ~running & refining
-        if not running.any() or idle.sum() + arrived() >= max(1, IDLE * len(passes)):
-            return running
-        for _ in range(POLL_EVERY):
-            solver.frame(between)
+def _lanes(
+    pending: PendingJobs, config: DrapeConfig, device: str, at_once: int, count: int, between: Callable[[], None]
+) -> list[Lane]:
+    """``count`` lanes with room for ``at_once`` garments in total."""
+    sizes = [at_once // count + (number < at_once % count) for number in range(count)]
+    streams = work_streams(device, count)
+    return [
+        Lane(pending, config, device, size=size, stream=stream, between=between)
+        for size, stream in zip(sizes, streams, strict=True)
+    ]

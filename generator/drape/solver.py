@@ -9,12 +9,13 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
+from gcd_dataset.generator.drape.streams import settle_native_memory
 
 __all__ = ["Solver", "nothing"]
 
@@ -34,9 +35,10 @@ class Solver:
         load_drape(model.device)
         self.model, self.config = model, config
         self.state = new_state(model, config)
-        self.frames = 0
+        self.frames = self._rebuild_at = 0
         self._bound_faces()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
+        settle_native_memory(model.device)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
@@ -46,10 +48,21 @@ class Solver:
 
         ``between`` is called every few substeps; an exception that it raises ends the drape.
         """
-        if self.frames % REBUILD_EVERY == 0:
-            with launch_lock:
-                self._bound_faces()
-                self._bvh.rebuild()
+        self.refresh_bvh()
+        self.replay_frame(between)
+
+    def refresh_bvh(self) -> None:
+        """Build the BVH anew if due."""
+        if self._rebuild_at > self.frames:
+            return
+        with launch_lock:
+            self._bound_faces()
+            self._bvh.rebuild()
+            settle_native_memory(self.model.device)
+        self._rebuild_at = self.frames + REBUILD_EVERY
+
+    def replay_frame(self, between: Callable[[], None] = nothing) -> None:
+        """``frame`` with the present BVH."""
         if not self._graphs:
             with launch_lock:
                 steps = self.captured(self._search_and_step)
@@ -68,8 +81,8 @@ class Solver:
 
     def run_for(self, seconds: float) -> None:
         """Step until every garment has reached a simulated time [s]. Raises ``DrapeError`` if one ends earlier."""
-        while self.state.time.numpy().min() < seconds:
-            if (self.state.status.numpy() != RUNNING).any():
+        while to_host(self.state.time).min() < seconds:
+            if (to_host(self.state.status) != RUNNING).any():
                 raise DrapeError(f"a garment has ended before {seconds} s: raise max_frames and held_time")
             self.frame()
 
@@ -77,9 +90,12 @@ class Solver:
         """Move cloth of the chosen worlds off the skin's triangles, without new crossings of cloth with cloth."""
         m, s = self.model, self.state
         chosen, through = self._chosen(worlds), wp.zeros_like(s.search.listed)
-        pierced, height = self._chosen(self.body_through(worlds) > 0), wp.zeros_like(s.search.skin)
+        pierced, height = (
+            self._chosen(self.body_through(worlds) > 0),
+            wp.zeros(m.n_vertices, dtype=float, device=m.device),
+        )
         edges, most_edges = self._body_edges()
-        allowed, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
+        allowed, start, moved = wp.empty(m.n_vertices, dtype=float, device=m.device), wp.clone(s.x), wp.empty_like(s.x)
         self.launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
         wp.copy(s.search.searching, chosen)
         self._search()
@@ -107,7 +123,7 @@ class Solver:
             [m.cloth, self._bvh.id, self._roots, chosen, self.state.x],
             [counts],
         )
-        return counts.numpy()
+        return to_host(counts)
 
     def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the skin; 0 outside ``worlds``."""
@@ -115,7 +131,7 @@ class Solver:
         chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self.launch(crossing.count_body_crossings, m.n_edges, [m.cloth, chosen, self.state.x], [counts])
-        return counts.numpy()
+        return to_host(counts)
 
     def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's skin that cross the cloth; 0 outside ``worlds``."""
@@ -130,7 +146,7 @@ class Solver:
             [m.cloth, edges, self._bvh.id, self._roots, chosen, self.state.x],
             [counts],
         )
-        return counts.numpy()
+        return to_host(counts)
 
     def _body_edges(self) -> tuple[wp.array, int]:
         """(w) the edges of each world's skin, and the largest number of them."""
@@ -143,7 +159,7 @@ class Solver:
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
         self.launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
-        return ratio.numpy()
+        return to_host(ratio)
 
     def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
         """(w) 1 in the given worlds, 0 in others; None: 1 in all."""
@@ -152,10 +168,10 @@ class Solver:
 
     def _begin_frame(self) -> None:
         """Search for crossings in the worlds where a search is due."""
-        m, s, c = self.model, self.state, self.config
+        s, c = self.state, self.config
         if c.exempt_crossings or c.untangle or c.pull_to_parts:
             wp.capture_if(s.crossing.any_searched, self._find_crossings)
-        self.launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self._sum_work(contacts.count_work, s.status, s.contacts.work)
 
     def _search_and_step(self) -> None:
         """Search for contacts in the worlds where a search is due, then ``search_every`` substeps."""
@@ -232,10 +248,10 @@ class Solver:
         self.launch(
             search.find_long_edges,
             m.n_edges,
-            [m.worlds, m.cloth, s.search.searching, s.x],
+            [m.worlds, m.cloth, s.search.searching, s.search.skin, s.x],
             [s.search.listed, s.contacts],
         )
-        self.launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self._sum_work(contacts.count_work, s.status, s.contacts.work)
 
     def find_contacts_of(self, active: wp.array) -> None:
         """Find the contacts of the worlds marked in ``active`` (w), without contacts where cloth crosses cloth."""
@@ -265,10 +281,16 @@ class Solver:
             [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
             [s.search.x, s.search.skin, s.beside, s.contacts],
         )
-        self.launch(search.scan_near_work, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
+        self._sum_work(search.count_near_work, s.search.searching, s.contacts.near_work)
         if self.config.self_contact:
             inputs = [m.worlds, m.cloth, threads, exempt, passed, s.x]
             self.launch(search.find_contacts, threads, inputs, [s.search.listed, s.contacts])
+
+    def _sum_work(self, count: wp.Kernel, active: wp.array, sums: wp.array) -> None:
+        """Prefix sums of each world's work, which ``count`` counts in the worlds marked in ``active``."""
+        m, s = self.model, self.state
+        self.launch(count, m.n_worlds, [m.worlds, active], [s.contacts])
+        self.launch(contacts.scan_work, m.n_worlds + 1, [s.contacts.own_work], [sums])
 
     def _keep_passed_pairs(self) -> None:
         """Set aside the contacts that have passed through each other since the last search, with their old sides."""

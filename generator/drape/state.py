@@ -70,7 +70,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     start = model.topology.start
     ones = partial(wp.ones, dtype=int, device=model.device)
     search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
-    search.x, search.skin, search.listed = wp.clone(start), zeros(n, float), zeros(n, int)
+    search.x, search.skin, search.listed = wp.clone(start), zeros(n, wp.vec4), zeros(n, int)
     search.moved_far, search.searching, search.any_search = ones(worlds), zeros(worlds, int), zeros(1, int)
     counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
     counts.above_floor = zeros(worlds, int)
@@ -117,7 +117,7 @@ def _empty_contacts(model: ClothModel, capacity: int) -> Contacts:
     lists.kept_edges, lists.kept_normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
     lists.kept_point_count, lists.kept_edge_count = zeros(worlds, int), zeros(worlds, int)
     lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
-    lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
+    lists.own_work, lists.work, lists.near_work = zeros(worlds, int), zeros(worlds + 1, int), zeros(worlds + 1, int)
     lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
     return lists
 

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeJob
+from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
@@ -111,7 +112,7 @@ class _Batch:
         first_sides = wp.array(3 * self.faces.astype(np.int32), dtype=int, device=self.device)
         edge_offset = self.empty(len(self.faces), int)
         self.launch(kernels.count_edges, len(self.faces), [first_sides, number], [edge_offset])
-        offsets: np.ndarray = edge_offset.numpy()
+        offsets: np.ndarray = to_host(edge_offset)
         count = int(offsets[-1])
         surface.edges, surface.opposite = self.empty(count, wp.vec2i), self.empty(count, wp.vec2i)
         hinges = kernels.Hinges()
@@ -142,9 +143,9 @@ class _Batch:
     def rows(self, surface: kernels.Surface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
         n = int(self.vertices[-1])
-        widest = max(USUAL, int(np.diff(surface.first_edge.numpy()).max()))
+        widest = max(USUAL, int(np.diff(to_host(surface.first_edge)).max()))
         if coupled:
-            widest = max(widest, int(np.diff(surface.first_face.numpy()).max()))
+            widest = max(widest, int(np.diff(to_host(surface.first_face)).max()))
         rows = Rows()
         rows.count, rows.bend_diagonal = self.empty(n, wp.vec2i), self.empty(n, float)
         rows.lanes, rows.width = 1 if self.device == "cpu" else WARP, widest

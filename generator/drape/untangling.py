@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool
 
-from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.state import NOT_COUNTED
@@ -43,7 +43,7 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
         step = solver.captured(phase.step)
     for number in range(1, solver.config.untangling_steps + 1):
         wp.capture_launch(step)
-        if number % POLL_EVERY == 0 and not phase.active.numpy().any():
+        if number % POLL_EVERY == 0 and not to_host(phase.active).any():
             break
     with launch_lock:
         phase.end()

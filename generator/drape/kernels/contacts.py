@@ -137,24 +137,38 @@ def push_edge_edge(
 
 
 @wp.kernel
-def scan_work(
+def count_work(
     worlds: wp.array(dtype=World),
     # state in
     status: wp.array(dtype=int),
     # state in and out
     contacts: Contacts,
 ):
-    """Prefix sums of contact list entries over the running worlds, with the total in the last entry."""
+    """The contact list entries of each running world, 0 for others."""
+    w = wp.tid()
+    work = int(0)
+    if status[w] == RUNNING:
+        world = worlds[w]
+        work += entries(contacts.point_count, w, world, contacts)
+        work += entries(contacts.edge_count, w, world, contacts)
+        work += entries(contacts.long_count, w, world, contacts)
+        work += entries(contacts.crossing_count, w, world, contacts)
+    contacts.own_work[w] = work
+
+
+@wp.kernel
+def scan_work(
+    # state in
+    own: wp.array(dtype=int),
+    # state out
+    sums: wp.array(dtype=int),
+):
+    """(w + 1) prefix sums, with the total in the last entry."""
     w = wp.tid()
     before = int(0)
     for other in range(w):
-        if status[other] == RUNNING:
-            world = worlds[other]
-            before += entries(contacts.point_count, other, world, contacts)
-            before += entries(contacts.edge_count, other, world, contacts)
-            before += entries(contacts.long_count, other, world, contacts)
-            before += entries(contacts.crossing_count, other, world, contacts)
-    contacts.work[w] = before
+        before += own[other]
+    sums[w] = before
 
 
 @wp.kernel

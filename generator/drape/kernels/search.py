@@ -7,7 +7,7 @@ their nearest vertices lists the contact.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import sample_field
+from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, sample_field
 from gcd_dataset.generator.drape.kernels.geometry import (
     closest_on_edges,
     closest_on_triangle,
@@ -32,6 +32,7 @@ wp.set_module_options({"enable_backward": False})
 STRIDE = wp.constant(8)  # threads that share the faces and edges of a vertex, about six each
 THREADS_PER_PAIR = wp.constant(16)  # threads that share a pair of vertices: 2 STRIDE
 OWN_CELL = wp.constant(13)  # index of the centre among 27 cells
+FIELD_SLACK = wp.constant(0.25)  # cm: interpolated distances of two points differ by more than the points' distance
 SHORT_EDGE = 1.5  # cm: longer edges have body contacts along their inside too
 
 
@@ -116,11 +117,11 @@ def find_near_vertices(
     older: wp.array(dtype=int),
     # state out
     x_searched: wp.array(dtype=wp.vec3),
-    skin: wp.array(dtype=float),
+    skin: wp.array(dtype=wp.vec4),
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """Broad phase: list pairs of near vertices, and store the distance of every vertex from the skin.
+    """Broad phase: list pairs of near vertices, and store the skin near every vertex.
 
     A vertex visits its own cell and half of the neighbouring cells; vertices of the other half visit its cell.
     """
@@ -132,8 +133,7 @@ def find_near_vertices(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        nearest = sample_field(world, cloth.field, p)
-        skin[i] = nearest[3]
+        skin[i] = find_skin(i, p, world, cloth)
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
@@ -257,20 +257,19 @@ def list_edge_edge(
 
 
 @wp.kernel
-def scan_near_work(
+def count_near_work(
     worlds: wp.array(dtype=World),
     # state in
     searching: wp.array(dtype=int),
     # state in and out
     contacts: Contacts,
 ):
-    """Prefix sums of near pairs over the searching worlds, with the total in the last entry."""
+    """The near pairs of each searching world, 0 for others."""
     w = wp.tid()
-    before = int(0)
-    for other in range(w):
-        if searching[other] != 0:
-            before += entries(contacts.near_count, other, worlds[other], contacts)
-    contacts.near_work[w] = before
+    work = int(0)
+    if searching[w] != 0:
+        work = entries(contacts.near_count, w, worlds[w], contacts)
+    contacts.own_work[w] = work
 
 
 @wp.kernel
@@ -319,6 +318,7 @@ def find_long_edges(
     cloth: Cloth,
     # state in
     searching: wp.array(dtype=int),
+    skin: wp.array(dtype=wp.vec4),
     x: wp.array(dtype=wp.vec3),
     # state out
     listed: wp.array(dtype=int),
@@ -335,8 +335,12 @@ def find_long_edges(
     half = 0.5 * wp.length(x[j] - x[i])
     if half < 0.5 * SHORT_EDGE:
         return
+    limit = 0.5 * half + world.clear
+    from_skin = skin[i][3]
+    if from_skin > limit + half + FIELD_SLACK and from_skin < FAR:
+        return  # the midpoint is nearer to the skin by half an edge at most
     middle = sample_field(world, cloth.field, wp.lerp(x[i], x[j], 0.5))
-    if middle[3] > 0.5 * half + world.clear:
+    if middle[3] > limit:
         return
     slot = take_slot(contacts.long_count, w, world, contacts)
     if slot >= 0:

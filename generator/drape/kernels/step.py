@@ -86,8 +86,9 @@ def step(
     here = before + world.dt * velocity
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
-    if search.skin[i] < world.clear:
-        moved += keep_off_body(i, here + moved, before, world, cloth)
+    skin = search.skin[i]
+    if skin[3] < world.clear:
+        moved += keep_off_body(i, here + moved, before, world, cloth, skin, search.x[i])
     here += moved
     velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here

@@ -102,6 +102,7 @@ class Contacts:
     long_count: wp.array(dtype=int)
     crossing_count: wp.array(dtype=int)
     overfull: wp.array(dtype=int)  # (w) 1 where a list has run over its capacity
+    own_work: wp.array(dtype=int)  # (w) the summands of ``work`` or ``near_work``
     work: wp.array(dtype=int)  # (w + 1) prefix sums over running worlds: entries of all lists but ``near``
     near_work: wp.array(dtype=int)  # (w + 1) prefix sums over searching worlds: entries of ``near``
 
@@ -111,7 +112,7 @@ class SearchState:
     """State of the contact search."""
 
     x: wp.array(dtype=wp.vec3)  # (v) positions at the last search [cm]
-    skin: wp.array(dtype=float)  # (v) distance from the skin at the last search [cm]
+    skin: wp.array(dtype=wp.vec4)  # (v) the skin at the last search: normal, distance [cm], see ``find_skin``
     listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any contact list
     moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved more than ``World.travel`` since the last search
     searching: wp.array(dtype=int)  # (w) 1 in the worlds of the present search

@@ -88,7 +88,9 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
     config = DrapeConfig(max_frames=60)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
     in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
+    in_two_batches = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3, lanes=2))
     assert [in_turn[number] for number in range(len(jobs))] == alone
+    assert [in_two_batches[number] for number in range(len(jobs))] == alone
     assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
 
