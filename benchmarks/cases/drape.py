@@ -6,6 +6,8 @@
     python -m benchmarks.run drape --count 100 --batch 128 --ablation
     python -m benchmarks.run drape --count 250 --memory 1000
     python -m benchmarks.run drape dress_pencil_specification.json --body mean_all.obj --peer newton --batches 1 16 64
+    python -m benchmarks.run drape --count 220 --reference-designs --batch 128 --body mean_all.obj \\
+        --body-apart mean_all_apart.obj --measurements mean_all.yaml --segmentation parts.json
 
 Kernels are loaded before the clock starts. The time is from box mesh to drape; the coarse meshes of sampled garments
 are made with their box meshes and timed separately. With ``--batch 1`` a garment's seconds are its own, otherwise its
@@ -13,8 +15,10 @@ share of the batch. ``--count`` samples that many designs of a seed, each for th
 table lists the garments that did not settle. ``clean``: the share that settled without a crossing edge of any kind;
 ``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
 them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
-after every 50. ``--peer newton`` also drapes the same meshes with Newton's ``SolverStyle3D``, configured as described
-in ``benchmarks.peers.newton``.
+after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
+``benchmarks.reference_sampler``. ``--ordering`` measures what the same bytes in any batch cost, see
+``benchmarks.draping.ordering``. ``--peer newton`` also drapes the same meshes with Newton's ``SolverStyle3D``,
+configured as described in ``benchmarks.peers.newton``.
 """
 
 import argparse
@@ -30,8 +34,9 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.ablation import measure_ablation
 from benchmarks.draping.failures import write_failures
 from benchmarks.draping.memory import gpu_peak_mb, measure_memory
+from benchmarks.draping.ordering import measure_ordering
 from benchmarks.draping.quality import quality
-from benchmarks.draping.workload import Worn, sampled
+from benchmarks.draping.workload import Worn, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
 from gcd_dataset.errors import ConfigError
@@ -59,9 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes that make their patterns and meshes")
     parser.add_argument("--sheet", type=Path, help="picture of the first 64 sampled garments")
     parser.add_argument("--failures", type=Path, help="folder for pictures of the sampled garments that failed")
+    parser.add_argument(
+        "--reference-designs", action="store_true", help="draw the sampled designs like GarmentCode's, for --body alone"
+    )
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument("--ablation", action="store_true", help="drape once per feature, with that feature switched")
     mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
+    mode.add_argument("--ordering", action="store_true", help="time fixed-point and floating-point contact sums")
     mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")
     parser.add_argument("--body", default="neutral", help="as for gcd drape")
@@ -83,8 +92,10 @@ def run(options: argparse.Namespace) -> Measured:
         require_newton()
     if options.count:
         return _run_sampled(options)
-    if options.ablation or options.memory:
-        raise ConfigError("--ablation and --memory drape sampled garments: give --count N, and no specification files")
+    if options.ablation or options.memory or options.ordering:
+        raise ConfigError(
+            "--ablation, --memory and --ordering drape sampled garments: give --count N, and no specification files"
+        )
     bodies = {apart: _body(options, apart) for apart in (False, True)}
     once = read_patterns(options.spec)
     _warm_up(once[0], bodies[has_legs(once[0])], options.device)
@@ -125,13 +136,15 @@ def _figures(fittings: list[Fitting]) -> list[Figure]:
 
 
 def _run_sampled(options: argparse.Namespace) -> Measured:
-    worn = sampled(options.seed, options.count, resolution=options.resolution, workers=options.workers)
+    worn = _sampled(options)
     device = resolve_device(options.device)
     drape_batch([worn[0].job], DrapeConfig(max_frames=1), device=device)
     if options.ablation:
         return measure_ablation(worn, device=device, batch=options.batch)
     if options.memory:
         return measure_memory(worn, options.memory, device=device, batch=options.batch)
+    if options.ordering:
+        return measure_ordering([one.job for one in worn], device=device)
     if options.peer:
         return compare_solvers([one.job for one in worn], options.batches, device=device)
     start = time.perf_counter()
@@ -153,6 +166,14 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
     if options.failures:
         write_failures(options.failures, worn, drapes, device=device)
     return Measured(figures, _failed(worn, drapes))
+
+
+def _sampled(options: argparse.Namespace) -> list[Worn]:
+    made = {"resolution": options.resolution, "workers": options.workers}
+    if options.reference_designs:
+        wearers = _body(options, apart=False), _body(options, apart=True)
+        return reference_sampled(options.seed, options.count, *wearers, **made)
+    return sampled(options.seed, options.count, **made)
 
 
 def _grade(worn: Worn, drape: Drape) -> Grade:

@@ -1,16 +1,26 @@
-"""The garments of a draping benchmark: sampled designs on the neutral body and on random ones."""
+"""The garments of a draping benchmark: designs of our sampler, or drawn like GarmentCode's, with their wearers."""
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from multiprocessing import get_context
 
+from benchmarks.reference_sampler import reference_design, reject_reason
 from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.garments import outfit
 from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import Body, Measurements
+from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["Worn", "kind_of", "sampled"]
+__all__ = ["Wearer", "Worn", "kind_of", "reference_sampled", "sampled"]
+
+Wearer = tuple[Body, Measurements]
 
 
 @dataclass(frozen=True)
@@ -37,6 +47,30 @@ def sampled(seed: int, designs: int, *, resolution: float, workers: int = 1) -> 
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         made = pool.map(partial(_dressed, seed, config), range(designs))
         return [worn for design in made for worn in design]
+
+
+def reference_sampled(
+    seed: int, designs: int, wearer: Wearer, wearer_apart: Wearer, *, resolution: float, workers: int = 1
+) -> list[Worn]:
+    """Designs drawn like GarmentCode's for one body, its faults left in, treated as patterns of foreign origin.
+
+    ``wearer_apart``: the same body with its legs apart, for trousers.
+    """
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        wear = partial(_reference_worn, seed, wearer, wearer_apart, resolution)
+        return list(pool.map(wear, range(designs)))
+
+
+def _reference_worn(seed: int, wearer: Wearer, wearer_apart: Wearer, resolution: float, number: int) -> Worn:
+    size = wearer[1]
+    drawn = (reference_design(rng(seed, number, Stage.DESIGN, attempt)) for attempt in count())
+    design = next(design for design in drawn if not reject_reason(design, [size]))
+    pattern = outfit(size, design, mends=frozenset())
+    body, size = wearer_apart if has_legs(pattern) else wearer
+    mesh = build_box_mesh(dress(pattern, body, size).pattern, spacing=resolution)
+    coarse = coarse_start(mesh)
+    start = sewing_start(coarse.mesh if coarse else mesh, body)
+    return Worn(number, "given", **kind_of(design), job=DrapeJob(mesh, body, size, coarse=coarse, start=start))
 
 
 def _dressed(seed: int, config: MakeConfig, number: int) -> list[Worn]:
