@@ -96,10 +96,7 @@ def run(options: argparse.Namespace) -> Measured:
     if options.count:
         return _run_sampled(options)
     if options.ablation or options.memory or options.ordering or options.beside:
-        raise ConfigError(
-            "--ablation, --memory, --ordering and --beside drape sampled garments: give --count N, and no specification "
-            "files"
-        )
+        raise ConfigError("--ablation, --memory, --ordering and --beside drape sampled garments: give --count N alone")
     bodies = {apart: _body(options, apart) for apart in (False, True)}
     once = read_patterns(options.spec)
     _warm_up(once[0], bodies[has_legs(once[0])], options.device)
