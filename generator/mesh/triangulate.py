@@ -7,7 +7,7 @@ the strip is too long or too sharp, its circumcentre becomes a seed, as in Delau
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 import shapely
@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
+__all__ = ["Filling", "Fillings", "Loops", "Triangulated", "fill_outline", "triangulate", "triangulate_loops"]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
@@ -59,7 +59,61 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises ``MeshError`` where
     the loop touches itself.
     """
-    strip = _Strip(border, spacing, build_lattice(border, spacing), np.zeros((0, 2)))
+    return triangulate_loops(Loops.numbered(border, np.zeros(len(border), int)), spacing, build_lattice(border, spacing)).filling
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Closed counter-clockwise loops of points in one plane, apart from each other."""
+
+    points: Float[np.ndarray, "n 2"]
+    """[cm]"""
+    after: Int[np.ndarray, " n"]
+    """The next point on the loop of each point."""
+    number: Int[np.ndarray, " n"]
+    """The loop of each point, ascending."""
+
+    @classmethod
+    def numbered(cls, points: Float[np.ndarray, "n 2"], number: Int[np.ndarray, " n"]) -> Self:
+        """Loops of the points with the same number, which are consecutive and in the order of the loop."""
+        after = np.arange(1, len(points) + 1)
+        last = np.flatnonzero(np.diff(number, append=-1))
+        after[last] = np.concatenate([[0], last[:-1] + 1])
+        return cls(points, after, number)
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """Triangulated loops."""
+
+    strip: "_Strip"
+    strip_faces: Int[np.ndarray, "g 3"]
+    """The triangles between loops and lattice."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice; its filled triangles follow those of the strip."""
+        return self.strip.lattice
+
+    @property
+    def points(self) -> Float[np.ndarray, "m 2"]:
+        """The points of the loops, then seeds: of the lattice, then of the refinement [cm]."""
+        return self.strip.points
+
+    @cached_property
+    def faces(self) -> Int[np.ndarray, "f 3"]:
+        """The triangles, counter-clockwise: of the strip, then of the lattice."""
+        return np.concatenate([self.strip_faces, len(self.strip.border) + self.lattice.faces])
+
+    @property
+    def filling(self) -> Filling:
+        """Seeds and triangles."""
+        return self.points[len(self.strip.border) :], self.faces
+
+
+def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice) -> Triangulated:
+    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them."""
+    strip = _Strip(loops, spacing, lattice, np.zeros((0, 2)))
     faces = fresh = strip.faces()
     for _ in range(ROUNDS):
         seeds = strip.refinement_seeds(fresh)  # unchanged triangles had no room for a seed in the last round either
@@ -67,18 +121,23 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
             break
         strip, before = strip.with_seeds(seeds), strip
         faces, fresh = strip.refined(before, faces)
-    return strip.points[len(border) :], np.concatenate([faces, len(border) + strip.lattice.faces])
+    return Triangulated(strip, faces)
 
 
 @dataclass(frozen=True)
 class _Strip:
-    """The strip between a border and the filled triangles of the lattice inside it."""
+    """The strip between closed loops and the filled triangles of the lattice inside them."""
 
-    border: Float[np.ndarray, "n 2"]
+    loops: Loops
     spacing: float
     lattice: Lattice
     added: Float[np.ndarray, "a 2"]
     """Seeds that refinement has added [cm]."""
+
+    @property
+    def border(self) -> Float[np.ndarray, "n 2"]:
+        """The points of the loops [cm]."""
+        return self.loops.points
 
     @cached_property
     def points(self) -> Float[np.ndarray, "m 2"]:
@@ -91,8 +150,9 @@ class _Strip:
         return _jittered(self.points, JITTER * self.spacing)
 
     @cached_property
-    def outline(self) -> shapely.Polygon:
-        outline = shapely.Polygon(self.jittered[: len(self.border)])
+    def outline(self) -> shapely.MultiPolygon:
+        rings = shapely.linearrings(self.jittered[: len(self.border)], indices=self.loops.number)
+        outline = shapely.multipolygons(shapely.polygons(rings))
         shapely.prepare(outline)
         return outline
 
@@ -125,7 +185,7 @@ class _Strip:
         fresh = fresh[fresh.max(axis=1) >= first_seed]
         updated = np.concatenate([old[~removed], fresh])
         area, removed_area = _area(self.jittered[fresh]), _area(self.jittered[old[removed]])
-        if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, len(self.border)):
+        if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, self.loops.after):
             return updated, fresh
         anew = self.faces()
         return anew, anew
@@ -134,16 +194,16 @@ class _Strip:
         """The constrained Delaunay triangles of the strip, counter-clockwise."""
         faces = _counter_clockwise(self.jittered, self.corners[Delaunay(self.jittered[self.corners]).simplices])
         faces = faces[~self.lattice.covers(self.jittered[faces].mean(axis=1))]
-        faces = restore_segments(self.jittered, faces, len(self.border))
+        faces = restore_segments(self.jittered, faces, self.loops.after)
         return faces[self._inside(faces)]
 
     def _inside(self, faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
         """Flags of the triangles inside the outline; every segment of the outline is an edge of a triangle."""
-        n = len(self.border)
-        inside = faces.max(axis=1) >= n
+        inside = faces.max(axis=1) >= len(self.border)
         on_border = np.flatnonzero(~inside)  # all three corners
-        step = (np.roll(faces[on_border], -1, axis=1) - faces[on_border]) % n
-        along, against = (step == 1).any(axis=1), (step == n - 1).any(axis=1)
+        start, after = faces[on_border], self.loops.after
+        end = start[:, [1, 2, 0]]
+        along, against = (after[start] == end).any(axis=1), (after[end] == start).any(axis=1)
         inside[on_border] = along
         unsure = on_border[~along & ~against]
         inside[unsure] = shapely.contains_xy(self.outline, *self.jittered[faces[unsure]].mean(axis=1).T)
@@ -164,7 +224,7 @@ class _Strip:
 
         A point encroaches on a border segment that it sees under more than a right angle (Ruppert, 1995).
         """
-        ahead = np.roll(self.border, -1, axis=0)
+        ahead = self.border[self.loops.after]
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
         clear = (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
         nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres)
