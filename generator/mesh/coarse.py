@@ -217,23 +217,19 @@ def _in_space(
     panel: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "m 3"]:
     """Flat points of panels in space before sewing [cm], by the affine map of each panel's vertices on no seam."""
-    count = fine_panel.max() + 1
     used = fine_panel >= 0
     free = used & (mesh.uv_vertex >= mesh.n_seam_vertices)
-    enough = np.bincount(fine_panel[free], minlength=count) > 2
+    enough = np.bincount(fine_panel[free], minlength=fine_panel.max() + 1) > 2
     rows = np.flatnonzero(np.where(enough[fine_panel], free, used))
-    own = fine_panel[rows]
-    size = np.bincount(own, minlength=count)
-
-    def sums(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-        return np.stack([np.bincount(own, column, minlength=count) for column in values.T], axis=1)
-
-    flat, placed = mesh.uv[rows], mesh.vertices[mesh.uv_vertex[rows]]
-    flat_centre, centre = sums(flat) / size[:, None], sums(placed) / size[:, None]
-    flat, placed = flat - flat_centre[own], placed - centre[own]
-    products = sums((flat[:, :, None] * np.concatenate([flat, placed], axis=1)[:, None]).reshape(-1, 10))
-    gram, mixed = np.split(products.reshape(-1, 2, 5), [2], axis=2)
-    linear = np.einsum("pij,pjk->pik", np.linalg.pinv(gram), mixed)
+    rows = rows[np.argsort(fine_panel[rows], kind="stable")]
+    first = np.flatnonzero(np.diff(fine_panel[rows], prepend=-1))
+    size = np.diff(first, append=len(rows))
+    both = np.concatenate([mesh.uv[rows].T, mesh.vertices[mesh.uv_vertex[rows]].T])  # rows: sums along them are fast
+    centre = np.add.reduceat(both, first, axis=1) / size
+    both = both - np.repeat(centre, size, axis=1)
+    products = np.add.reduceat(both[:2, None] * both, first, axis=2).transpose(2, 0, 1)
+    linear = np.einsum("pij,pjk->pik", np.linalg.pinv(products[:, :, :2]), products[:, :, 2:])
+    flat_centre, centre = centre[:2].T, centre[2:].T
     return centre[panel] + np.einsum("mi,mik->mk", points - flat_centre[panel], linear[panel])
 
 
