@@ -35,6 +35,11 @@ class Lattice:
     origin: Float[np.ndarray, "2"]
     pitch: float
 
+    @property
+    def size(self) -> int:
+        """The number of seeds."""
+        return int(self.number.max(initial=-1)) + 1
+
     @cached_property
     def points(self) -> Float[np.ndarray, "n 2"]:
         """The seeds [cm]."""
@@ -54,7 +59,7 @@ class Lattice:
     @cached_property
     def rim(self) -> Int[np.ndarray, " r"]:
         """The seeds on the rim of the filled triangles: corners of fewer than six."""
-        return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.number.max(initial=-1) + 1) < 6)
+        return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.size) < 6)
 
     def covers(self, points: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
         """Flags of the points that lie in a filled triangle."""
