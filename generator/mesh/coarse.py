@@ -24,6 +24,7 @@ __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
+REFINEMENTS = 1  # rounds; further ones move less than a hundredth of the triangles
 MARGIN = 2  # rows and columns of the lattice round each panel
 CELL = 0.5  # spacings of the coarse mesh: side of the cells of point location
 
@@ -150,7 +151,8 @@ def _fill(mesh: BoxMesh, borders: Borders, thinned: Thinned) -> _Filled:
     _require_outlines(loops, [mesh.panel_names[panel] for panel in panels])
     sheet = _Sheet.of(loops)
     laid = Loops.numbered(sheet.lay(loops.points, number), number)
-    made = triangulate_loops(laid, 1.0, build_lattice(laid.points, 1.0, after=laid.after, grid=sheet.grid))
+    lattice = build_lattice(laid.points, 1.0, after=laid.after, grid=sheet.grid)
+    made = triangulate_loops(laid, 1.0, lattice, rounds=REFINEMENTS)
     n = len(rows)
     panel = np.concatenate([number, sheet.panel_at(made.points[n:])])
     order = np.argsort(np.where(np.arange(len(panel)) < n, -1, panel), kind="stable")

@@ -111,11 +111,14 @@ class Triangulated:
         return self.points[len(self.strip.border) :], self.faces
 
 
-def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice) -> Triangulated:
-    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them."""
+def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice, *, rounds: int = ROUNDS) -> Triangulated:
+    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them.
+
+    ``rounds``: most rounds of refinement.
+    """
     strip = _Strip.of(loops, spacing, lattice)
     faces = fresh = strip.faces()
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         seeds = strip.refinement_seeds(fresh)  # unchanged triangles had no room for a seed in the last round either
         if not len(seeds):
             break
