@@ -17,14 +17,14 @@ from gcd_dataset.generator.mesh.border import MOST_POINTS
 from gcd_dataset.generator.mesh.coarse_border import Borders, Thinned, thin
 from gcd_dataset.generator.mesh.lattice import PITCH, ROW, Grid, Lattice, build_lattice
 from gcd_dataset.generator.mesh.locate import barycentric, locate
-from gcd_dataset.generator.mesh.triangulate import Loops, triangulate_loops
+from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
 from gcd_dataset.records import BoxMesh
 
 __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
-REFINEMENTS = 1  # rounds; further ones move less than a hundredth of the triangles
+COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a third of the fine mesh's refinement
 MARGIN = 2  # rows and columns of the lattice round each panel
 CELL = 0.5  # spacings of the coarse mesh: side of the cells of point location
 
@@ -152,7 +152,7 @@ def _fill(mesh: BoxMesh, borders: Borders, thinned: Thinned) -> _Filled:
     sheet = _Sheet.of(loops)
     laid = Loops.numbered(sheet.lay(loops.points, number), number)
     lattice = build_lattice(laid.points, 1.0, after=laid.after, grid=sheet.grid)
-    made = triangulate_loops(laid, 1.0, lattice, rounds=REFINEMENTS)
+    made = triangulate_loops(laid, 1.0, lattice, COARSE)
     n = len(rows)
     panel = np.concatenate([number, sheet.panel_at(made.points[n:])])
     order = np.argsort(np.where(np.arange(len(panel)) < n, -1, panel), kind="stable")

@@ -21,16 +21,20 @@ def barycentric(
 def locate(
     points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"], cell: float
 ) -> Int[np.ndarray, " n"]:
-    """The triangle that holds each query point; for a point outside all of them, one near it.
+    """The triangle that holds each query point; for a point outside all of them, the one that it lies least beyond.
 
     The query points are sorted into square cells of side ``cell``; each triangle is compared with the points in the
     cells that it may touch.
     """
     corners = points[faces]
     triangle, point = _near_pairs(corners, queries, cell)
-    inside = (barycentric(corners[triangle], queries[point]) >= 0.0).all(axis=0)
+    least = _least(barycentric(corners[triangle], queries[point]))
     found = np.full(len(queries), -1)
+    inside = least >= 0.0
     found[point[inside]] = triangle[inside]
+    beside = np.flatnonzero((found < 0)[point])
+    beside = beside[np.argsort(least[beside], kind="stable")]
+    found[point[beside]] = triangle[beside]  # assigned in order, so the greatest counts
     lost = np.flatnonzero(found < 0)
     if len(lost):
         found[lost] = _nearest(points, faces, queries[lost])
@@ -74,12 +78,5 @@ def _runs(first: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> tuple[n
 def _nearest(
     points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"]
 ) -> Int[np.ndarray, " n"]:
-    """Of the triangles round the nearest corner, the one in which the least weight of a point is greatest."""
-    corners = np.unique(faces)
-    nearest = corners[cKDTree(points[corners]).query(queries)[1]]
-    found = np.zeros(len(queries), int)
-    for row, (corner, query) in enumerate(zip(nearest, queries, strict=True)):
-        around = np.flatnonzero((faces == corner).any(axis=1))
-        least = barycentric(points[faces[around]], np.broadcast_to(query, (len(around), 2))).min(axis=0)
-        found[row] = around[least.argmax()]
-    return found
+    """The triangles with the nearest centroid."""
+    return np.asarray(cKDTree(points[faces].mean(axis=1)).query(queries)[1])

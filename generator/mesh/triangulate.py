@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["Filling", "Fillings", "Loops", "Triangulated", "fill_outline", "triangulate", "triangulate_loops"]
+__all__ = ["Filling", "Fillings", "Loops", "Quality", "Triangulated", "fill_outline", "triangulate", "triangulate_loops"]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
@@ -28,6 +28,18 @@ APART = 0.8  # circumradii: least distance between new seeds of one round
 SAME_AREA = 1e-9  # relative: tolerance of the test that triangles neither overlap nor leave a hole
 JITTER = 1e-6  # spacings: shift of each point before Qhull
 
+
+@dataclass(frozen=True)
+class Quality:
+    """The triangles that refinement splits, if there is room."""
+
+    longest: float = LONGEST
+    """Spacings: triangles with a longer edge are split."""
+    sharpest: float = SHARPEST
+    """Triangles with a sharper angle are split [rad]."""
+
+
+FINE = Quality()
 
 Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
 """Points [cm] and triangles."""
@@ -111,14 +123,11 @@ class Triangulated:
         return self.points[len(self.strip.border) :], self.faces
 
 
-def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice, *, rounds: int = ROUNDS) -> Triangulated:
-    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them.
-
-    ``rounds``: most rounds of refinement.
-    """
-    strip = _Strip.of(loops, spacing, lattice)
+def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice, quality: Quality = FINE) -> Triangulated:
+    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them."""
+    strip = _Strip.of(loops, spacing, lattice, quality)
     faces = fresh = strip.faces()
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         seeds = strip.refinement_seeds(fresh)  # unchanged triangles had no room for a seed in the last round either
         if not len(seeds):
             break
@@ -134,6 +143,7 @@ class _Strip:
     loops: Loops
     spacing: float
     lattice: Lattice
+    quality: Quality
     points: Float[np.ndarray, "m 2"]
     """Border, lattice and seeds that refinement has added, in this order [cm]."""
     jittered: Float[np.ndarray, "m 2"]
@@ -142,11 +152,11 @@ class _Strip:
     """The points on the rim of the lattice's filled triangles."""
 
     @classmethod
-    def of(cls, loops: Loops, spacing: float, lattice: Lattice) -> Self:
+    def of(cls, loops: Loops, spacing: float, lattice: Lattice, quality: Quality) -> Self:
         """The strip without added seeds."""
         points = np.concatenate([loops.points, lattice.points])
         jittered = _jittered(points, JITTER * spacing)
-        return cls(loops, spacing, lattice, points, jittered, len(loops.points) + lattice.rim)
+        return cls(loops, spacing, lattice, quality, points, jittered, len(loops.points) + lattice.rim)
 
     @property
     def border(self) -> Float[np.ndarray, "n 2"]:
@@ -223,7 +233,8 @@ class _Strip:
     def refinement_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
         """Circumcentres of triangles that are too long or too sharp, where there is room for a seed [cm]."""
         centres, radii, shortest, longest = _circumcircles(self.jittered[faces])
-        poor = (longest > LONGEST * self.spacing) | (2 * np.sin(SHARPEST) * radii > shortest)
+        sharp = 2 * np.sin(self.quality.sharpest) * radii > shortest
+        poor = (longest > self.quality.longest * self.spacing) | sharp
         if not poor.any():
             return centres[:0]
         for has_room in (self._holds, self._is_clear, self._is_empty):
