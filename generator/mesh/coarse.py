@@ -103,7 +103,8 @@ class _Sheet:
 
     def lay(self, points: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
         """Points of panels [cm] on the sheet."""
-        return (points - self.centre[panel]) * self.scale[panel] + self.place[panel]
+        shift = self.place - self.centre * self.scale
+        return points * self.scale[panel] + shift[panel]
 
     def lift(self, laid: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
         """Points of the sheet in the planes of their panels [cm]."""
@@ -253,7 +254,7 @@ def _interpolation(
     rows = np.flatnonzero(inside)
     laid = filled.sheet.lay(mesh.uv[rows], fine_panel[rows])
     triangle = filled.faces[filled.holding(laid)]
-    found = barycentric(filled.laid[triangle], laid).T.clip(0.0)
+    found = barycentric(filled.laid, triangle, laid).T.clip(0.0)
     corners, weights = np.zeros((len(mesh.vertices), 3), int), np.zeros((len(mesh.vertices), 3))
     corners[mesh.uv_vertex[rows]] = vertex[triangle]
     weights[mesh.uv_vertex[rows]] = found / found.sum(axis=1, keepdims=True)

@@ -68,7 +68,8 @@ class Lattice:
 
     def faces_at(self, points: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
         """The row of ``faces`` that holds each point; -1 for points outside all filled triangles."""
-        number = np.where(self.filled, np.cumsum(self.filled).reshape(self.filled.shape) - 1, -1)
+        number = np.full(self.filled.shape, -1)
+        number[self.filled] = np.arange(np.count_nonzero(self.filled))
         within, triangle = self._triangles_at(points)
         return np.where(within, number[triangle], -1)
 

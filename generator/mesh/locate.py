@@ -8,12 +8,12 @@ __all__ = ["barycentric", "locate"]
 
 
 def barycentric(
-    corners: Float[np.ndarray, "n 3 2"], points: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "m 2"], triangles: Int[np.ndarray, "n 3"], queries: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "3 n"]:
-    """The barycentric weights of each point in its triangle."""
-    (ax, ay), (bx, by), (cx, cy) = corners.transpose(1, 2, 0)
+    """The barycentric weights of each query point in its triangle of ``points``."""
+    (ax, bx, cx), (ay, by, cy) = (np.ascontiguousarray(axis)[triangles.T] for axis in points.T)
     bx, by, cx, cy = bx - ax, by - ay, cx - ax, cy - ay
-    x, y, area = points[:, 0] - ax, points[:, 1] - ay, bx * cy - by * cx
+    x, y, area = queries[:, 0] - ax, queries[:, 1] - ay, bx * cy - by * cx
     second, third = (x * cy - y * cx) / area, (bx * y - by * x) / area
     return np.stack([1 - second - third, second, third])
 
@@ -26,9 +26,8 @@ def locate(
     The query points are sorted into square cells of side ``cell``; each triangle is compared with the points in the
     cells that it may touch.
     """
-    corners = points[faces]
-    triangle, point = _near_pairs(corners, queries, cell)
-    least = _least(barycentric(corners[triangle], queries[point]))
+    triangle, point = _near_pairs(points[faces], queries, cell)
+    least = _least(barycentric(points, faces[triangle], queries[point]))
     found = np.full(len(queries), -1)
     inside = least >= 0.0
     found[point[inside]] = triangle[inside]
