@@ -187,10 +187,8 @@ class _SkinTopology:
     """Faces of the left and the right arm, without hands."""
     hands: Int[np.ndarray, " h"]
     """Faces of both hands."""
-    feet: Int[np.ndarray, " f"]
-    """Faces of both feet."""
-    head: Int[np.ndarray, " c"]
-    """Faces of the head."""
+    extremities: tuple[Int[np.ndarray, " h"], Int[np.ndarray, " f"], Int[np.ndarray, " c"]]
+    """Vertices of the faces of both hands, of both feet, and of the head."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -209,8 +207,7 @@ class _SkinTopology:
             np.unique(skin.faces),
             (left, right),
             hands,
-            feet,
-            head,
+            (np.unique(skin.faces[hands]), np.unique(skin.faces[feet]), np.unique(skin.faces[head])),
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -269,7 +266,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
     """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five."""
-    hands, feet, head = (points[np.unique(known.skin.faces[part])] for part in (known.hands, known.feet, known.head))
+    hands, feet, head = (points[part] for part in known.extremities)
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     if len(head):
