@@ -21,8 +21,8 @@ def kept_per_body(compute: Callable[[Body], Derived]) -> Callable[[Body], Derive
         known = kept.get(id(body))
         if known is not None and known[0]() is body:
             return known[1]
-        result = compute(body)
-        kept[id(body)] = weakref.ref(body, lambda _, key=id(body): kept.pop(key, None)), result  # type: ignore[misc]
+        result, key = compute(body), id(body)
+        kept[key] = weakref.ref(body, lambda _: kept.pop(key, None)), result
         return result
 
     return found

@@ -17,6 +17,7 @@ from gcd_dataset.generator.mesh.border import MOST_POINTS
 from gcd_dataset.generator.mesh.coarse_border import Borders, Thinned, thin
 from gcd_dataset.generator.mesh.lattice import PITCH, ROW, Grid, Lattice, build_lattice
 from gcd_dataset.generator.mesh.locate import barycentric, locate
+from gcd_dataset.generator.mesh.stitch import proper_faces
 from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
 from gcd_dataset.records import BoxMesh
 
@@ -24,8 +25,9 @@ __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
-COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a third of the fine mesh's refinement
+COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
 MARGIN = 2  # rows and columns of the lattice round each panel
+SMALL, SAMPLE = 200, 4  # a panel of 200 vertices or more is placed by every fourth
 CELL = 0.5  # spacings of the coarse mesh: side of the cells of point location
 
 
@@ -182,8 +184,7 @@ def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) ->
     seeds, seed_panel = filled.sheet.lift(filled.laid[n:], filled.panel[n:]), filled.panel[n:]
     fine_panel = _panel_of_rows(mesh, filled.panels)
     faces = filled.faces[np.argsort(filled.panel[filled.faces[:, 0]], kind="stable")]
-    proper = (vertex[faces] != vertex[faces[:, [1, 2, 0]]]).all(axis=1)
-    faces = faces[proper]
+    faces = faces[proper_faces(vertex[faces])]
     coarse = BoxMesh(
         vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, seed_panel)]),
         faces=vertex[faces],
@@ -224,6 +225,8 @@ def _in_space(
     free = used & (mesh.uv_vertex >= mesh.n_seam_vertices)
     enough = np.bincount(fine_panel[free], minlength=fine_panel.max() + 1) > 2
     rows = np.flatnonzero(np.where(enough[fine_panel], free, used))
+    small = np.bincount(fine_panel[rows]) < SMALL
+    rows = rows[small[fine_panel[rows]] | (np.arange(len(rows)) % SAMPLE == 0)]
     rows = rows[np.argsort(fine_panel[rows], kind="stable")]
     first = np.flatnonzero(np.diff(fine_panel[rows], prepend=-1))
     size = np.diff(first, append=len(rows))

@@ -1,4 +1,4 @@
-"""The borders of a box mesh, and the half of their points that a coarse mesh keeps: the same on both sides of a seam."""
+"""The borders of a box mesh, and the half of their points that a coarse mesh keeps, the same on both sides of seams."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Borders:
 
     @staticmethod
     def of(mesh: BoxMesh) -> "Borders":
-        """The borders of a mesh. Raises ``MeshError`` for a panel with a hole, or one that touches itself at a point."""
+        """The borders of a mesh. Raises ``MeshError`` for a panel with a hole or one that touches itself at a point."""
         sides = _border_sides(mesh)
         start, end, panel = mesh.corners.ravel()[sides], _ends(mesh)[sides], mesh.panel_id[sides // 3]
         place = np.full(len(mesh.uv), -1)

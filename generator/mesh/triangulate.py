@@ -18,7 +18,16 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["Filling", "Fillings", "Loops", "Quality", "Triangulated", "fill_outline", "triangulate", "triangulate_loops"]
+__all__ = [
+    "Filling",
+    "Fillings",
+    "Loops",
+    "Quality",
+    "Triangulated",
+    "fill_outline",
+    "triangulate",
+    "triangulate_loops",
+]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
@@ -71,7 +80,9 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises ``MeshError`` where
     the loop touches itself.
     """
-    return triangulate_loops(Loops.numbered(border, np.zeros(len(border), int)), spacing, build_lattice(border, spacing)).filling
+    return triangulate_loops(
+        Loops.numbered(border, np.zeros(len(border), int)), spacing, build_lattice(border, spacing)
+    ).filling
 
 
 @dataclass(frozen=True)
@@ -189,9 +200,7 @@ class _Strip:
         )
         return wider, opened
 
-    def refined(
-        self, seeds: int, old: Int[np.ndarray, "f 3"]
-    ) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
+    def refined(self, seeds: int, old: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
         """The triangles of the strip, and the subset that its newest seeds have created.
 
         ``seeds``: their number. ``old``: the triangles of the strip without them. Incremental insertion (Bowyer, 1981;
@@ -272,7 +281,9 @@ def _jittered(points: Float[np.ndarray, "m 2"], by: float, *, first: int = 0) ->
     Ties between rows of equal triangles triple Qhull's time (measured), and a degenerate triangle between points of a
     straight edge lies on neither side of it. ``first``: the number of the first point.
     """
-    square = np.arange(first, first + len(points))[:, None] ** 2.0  # a linear sequence would keep equally spaced points collinear
+    square = (
+        np.arange(first, first + len(points))[:, None] ** 2.0
+    )  # a linear sequence would keep equally spaced points collinear
     return points + by * (square * (np.sqrt(2), np.sqrt(3)) % 1.0 - 0.5)
 
 

@@ -37,6 +37,6 @@ def test_dropped_vertices_lie_between_kept_ones(pattern: Pattern) -> None:
     assert thinned.kept.sum() + len(thinned.dropped) == len(on_border)
     assert sorted([*np.flatnonzero(thinned.kept), *thinned.dropped]) == on_border.tolist()
     assert thinned.kept[thinned.between].all()
-    assert (0.0 < thinned.share).all()
+    assert (thinned.share > 0.0).all()
     assert (thinned.share < 1.0).all()
     assert thinned.kept.sum() < 0.7 * len(on_border)
