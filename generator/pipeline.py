@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -65,6 +65,7 @@ __all__ = [
 ]
 
 NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
+BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 
 
 def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
@@ -181,19 +182,30 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
         shapes[f"{kind}:{seed}:{number}" + (f":{drawn}" if drawn else "")] = shape
     wearers = []
     for offset, (name, shape) in enumerate(shapes.items()):
-        body, size = _measured_neutral() if name == "neutral" else _measured(shape)
+        body, size = _measured_neutral() if name == "neutral" else _measured(*_numbers(shape))
         wearers.append(_Wearer(number * config.wearers + offset, name, shape, body, size))
     return tuple(wearers)
 
 
-def _measured(shape: BodyShape) -> tuple[Body, Measurements]:
-    body = build_body(shape)
+def _numbers(shape: BodyShape) -> tuple[bytes, float, bool]:
+    """A shape as a hashable value."""
+    return shape.weights.astype(float).tobytes(), shape.arm_angle, shape.legs_apart
+
+
+@lru_cache(maxsize=BODIES)
+def _built(weights: bytes, arm_angle: float, legs_apart: bool) -> Body:
+    return build_body(BodyShape(np.frombuffer(weights), arm_angle, legs_apart))
+
+
+@lru_cache(maxsize=BODIES)
+def _measured(weights: bytes, arm_angle: float, legs_apart: bool) -> tuple[Body, Measurements]:
+    body = _built(weights, arm_angle, legs_apart)
     return body, measure(body)
 
 
 @cache  # every design of bodies="both" is fitted to it
 def _measured_neutral() -> tuple[Body, Measurements]:
-    return _measured(neutral_shape())
+    return _measured(*_numbers(neutral_shape()))
 
 
 @cache  # likewise, every design with trousers
@@ -224,7 +236,7 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
     if shape is wearer.shape:
         body = wearer.body
     else:
-        body = _neutral_with_legs_apart() if wearer.name == "neutral" and not config.arms else build_body(shape)
+        body = _neutral_with_legs_apart() if wearer.name == "neutral" and not config.arms else _built(*_numbers(shape))
     try:
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:

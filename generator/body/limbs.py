@@ -1,12 +1,15 @@
 """Trunk and arms as elliptic tubes: an axis, and an ellipse that contains all cross sections of the part."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.per_body import kept_per_body
 from gcd_dataset.records import Body, BodyPart
 
 __all__ = ["Limb", "leg_of", "limbs_of"]
@@ -55,7 +58,8 @@ class Limb:
         return _tube(self.skin[within], self.axis) if within.sum() > MIN_POINTS else self
 
 
-def limbs_of(body: Body) -> dict[BodyPart, Limb]:
+@kept_per_body
+def limbs_of(body: Body) -> Mapping[BodyPart, Limb]:
     """The trunk with legs and feet, and each arm that the body has. Raises ``BodyError`` for a body without a trunk."""
     core = _points_of(body, BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)
     if len(core) <= MIN_POINTS:
@@ -65,12 +69,20 @@ def limbs_of(body: Body) -> dict[BodyPart, Limb]:
         arm = _points_of(body, part)
         if len(arm) > MIN_POINTS:
             limbs[part] = _arm(arm)
-    return limbs
+    return MappingProxyType(limbs)
 
 
 def leg_of(body: Body, part: BodyPart) -> Limb | None:
     """The left or right leg, without the foot, with its axis to the foot; ``None`` for a body without it."""
-    leg = _points_of(body, part)
+    return _legs_of(body).get(part)
+
+
+@kept_per_body
+def _legs_of(body: Body) -> Mapping[BodyPart, Limb | None]:
+    return {part: _leg(_points_of(body, part)) for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)}
+
+
+def _leg(leg: Float[np.ndarray, "n 3"]) -> Limb | None:
     if len(leg) <= MIN_POINTS:
         return None
     axis = np.linalg.svd(leg - leg.mean(axis=0), full_matrices=False)[2][0]
@@ -79,11 +91,12 @@ def leg_of(body: Body, part: BodyPart) -> Limb | None:
 
 def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
     """The vertices of body parts, without the outliers that some segmentations mislabel."""
-    points = np.asarray(body.vertices, float)[np.isin(body.parts, [part.value for part in parts])]
+    points = np.asarray(body.vertices[np.isin(body.parts, [part.value for part in parts])], float)
     if not len(points):
         return points
-    low, high = np.percentile(points, [OUTLIERS, 100 - OUTLIERS], axis=0)
-    return points[((points >= low - OUTLIER_DISTANCE) & (points <= high + OUTLIER_DISTANCE)).all(axis=1)]
+    columns = points.T.copy()  # NumPy reduces rows many times as fast as columns
+    low, high = np.percentile(columns, [OUTLIERS, 100 - OUTLIERS], axis=1, keepdims=True)
+    return points[((columns >= low - OUTLIER_DISTANCE) & (columns <= high + OUTLIER_DISTANCE)).all(axis=0)]
 
 
 def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
@@ -94,9 +107,10 @@ def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
 
 def _tube(skin: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Limb:
     limb = Limb(skin, axis, np.zeros(3), 0.0, 0.0)
-    local = limb.local(skin)
-    low, high = local.min(axis=0), local.max(axis=0)
+    local = limb.local(skin).T.copy()
+    low, high = local.min(axis=1), local.max(axis=1)
     half, middle = 0.5 * (high - low), 0.5 * (low + high)
     half[1] = 1.0  # a single section has no extent along the axis
-    scale = np.sqrt((((local - middle) / half)[:, [0, 2]] ** 2).sum(axis=1).max())
+    across, _, depth = (local - middle[:, None]) / half[:, None]
+    scale = np.sqrt((across**2 + depth**2).max())
     return replace(limb, origin=limb.world(middle), wide=float(scale * half[0]), deep=float(scale * half[2]))

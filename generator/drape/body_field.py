@@ -7,11 +7,10 @@ is as wide as a finger or an ear, and both would pierce cloth that slips behind 
 
 import hashlib
 import threading
-import weakref
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
 from typing import Self
 from weakref import WeakValueDictionary
 
@@ -21,15 +20,17 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
+from gcd_dataset.generator.body.per_body import kept_per_body
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.generator.drape.streams import settle_native_memory
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields"]
+__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields", "host_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
 CACHED = 8  # fields and skins kept for later drapes
+HOSTS_CACHED = 32  # host fields kept, 0.4 MB each
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
@@ -45,9 +46,10 @@ AXES = {
 }
 """The parts that cloth may cover, each with an axis from top to bottom; skirts cover both legs."""
 
-_digested: dict[int, tuple[weakref.ref[Body], tuple[bytes, bytes]]] = {}
 _in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictionary()
 _recent: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
+_hosts: "OrderedDict[tuple[bytes, bytes], Future[HostField]]" = OrderedDict()
+_hosts_lock = threading.Lock()
 _skins: OrderedDict[bytes, "_SkinTopology"] = OrderedDict()
 _skins_lock = threading.Lock()
 
@@ -84,9 +86,9 @@ def body_fields(
     keys = [(device, b"".join(_digests(body))) for body in bodies]
     fields = {key: field for key in keys if (field := _in_use.get(key)) is not None}
     given = dict(zip(keys, zip(bodies, hosts or [None] * len(bodies), strict=True), strict=True))
-    missing = {key: host or HostField.of(body) for key, (body, host) in given.items() if key not in fields}
+    missing = {key: host or host_field(body) for key, (body, host) in given.items() if key not in fields}
     fields |= zip(missing, _make_fields(list(missing.values()), device), strict=True)
-    for key in keys:
+    for key, _ in reversed(Counter(keys).most_common()):  # the bodies that most garments wear are kept longest
         _in_use[key] = _recent[key] = fields[key]
         _recent.move_to_end(key)
     while len(_recent) > CACHED:
@@ -141,17 +143,34 @@ class HostField:
         )
 
 
+@kept_per_body
 def _digests(body: Body) -> tuple[bytes, bytes]:
-    """Hashes of a body's topology (faces and parts) and of its vertices; computed once for each object."""
-    known, found = _digested.get(id(body), (None, None))
-    if found is None or known is None or known() is not body:
-        skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
-        skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
-        shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
-        found = skin.digest(), shape.digest()
-        forget = partial(_digested.pop, id(body), None)
-        _digested[id(body)] = (weakref.ref(body, lambda _: forget()), found)
-    return found
+    """Hashes of a body's topology (faces and parts) and of its vertices."""
+    skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
+    skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
+    shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
+    return skin.digest(), shape.digest()
+
+
+def host_field(body: Body) -> HostField:
+    """``HostField.of`` a body, from a cache of the last few; a thread waits for another that computes the same."""
+    key = _digests(body)
+    with _hosts_lock:
+        begun = _hosts.get(key)
+        field = begun or Future()
+        _hosts[key] = field
+        _hosts.move_to_end(key)
+        if len(_hosts) > HOSTS_CACHED:
+            _hosts.popitem(last=False)
+    if begun is None:
+        try:
+            field.set_result(HostField.of(body))
+        except BaseException as error:
+            field.set_exception(error)
+            with _hosts_lock:
+                _hosts.pop(key, None)
+            raise
+    return field.result()
 
 
 @dataclass(frozen=True)
@@ -169,10 +188,8 @@ class _SkinTopology:
     """Faces of the left and the right arm, without hands."""
     hands: Int[np.ndarray, " h"]
     """Faces of both hands."""
-    feet: Int[np.ndarray, " f"]
-    """Faces of both feet."""
-    head: Int[np.ndarray, " c"]
-    """Faces of the head."""
+    extremities: tuple[Int[np.ndarray, " h"], Int[np.ndarray, " f"], Int[np.ndarray, " c"]]
+    """Vertices of the faces of both hands, of both feet, and of the head."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -191,8 +208,7 @@ class _SkinTopology:
             np.unique(skin.faces),
             (left, right),
             hands,
-            feet,
-            head,
+            (np.unique(skin.faces[hands]), np.unique(skin.faces[feet]), np.unique(skin.faces[head])),
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -252,7 +268,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
     """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five."""
-    hands, feet, head = (points[np.unique(known.skin.faces[part])] for part in (known.hands, known.feet, known.head))
+    hands, feet, head = (points[part] for part in known.extremities)
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     if len(head):

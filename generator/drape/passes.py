@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from gcd_dataset.generator.drape.body_field import HostField
+from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import start_from_coarse
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
@@ -34,7 +34,7 @@ class PreparedJob:
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
         coarse = BodyConstraints.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
-        return cls(job, HostField.of(job.body), BodyConstraints.of(job), coarse)
+        return cls(job, host_field(job.body), BodyConstraints.of(job), coarse)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The body data that dressing uses: levels of the trunk, and axes of trunk and limbs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gcd_dataset.generator.body.limbs import Limb, limbs_of
@@ -16,7 +17,7 @@ class Wearer:
     armpit: float
     waist: float
     crotch: float
-    limbs: dict[BodyPart, Limb]
+    limbs: Mapping[BodyPart, Limb]
     body: Body
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.border import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.lattice import lattice_size
-from gcd_dataset.generator.mesh.stitch import mean_positions, merge_points, seam_name, stitch_points
+from gcd_dataset.generator.mesh.stitch import mean_positions, merge_points, proper_faces, seam_name, stitch_points
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 from gcd_dataset.generator.mesh.turned_panels import flat_areas, turned_over
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
@@ -46,7 +46,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     vertex = merge_points(sewn, panels.panel_of_point, pattern.seams)
     corners = _consistent_corners(panels, pattern)
     faces = vertex[corners]
-    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # sewing two corners together collapses a triangle
+    proper = proper_faces(faces)  # sewing two corners together collapses a triangle
     _require_faces(faces[proper], vertex, panels, pattern)
     return BoxMesh(
         vertices=mean_positions(panels.positions, vertex),
@@ -106,6 +106,8 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
 
 def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
     """The corners of all faces, in reversed order on panels that are sewn in wrong side out."""
+    if not any(seam.right_wrong for seam in pattern.seams):
+        return panels.corners
     panel = panels.panel_of_point[panels.corners[:, 0]]
     areas = np.bincount(panel, np.abs(flat_areas(panels.uv[panels.corners])), minlength=len(pattern.panels))
     names = [panel.name for panel in pattern.panels]

@@ -1,26 +1,34 @@
 """Coarse box meshes, and the interpolation from a coarse mesh to the fine one.
 
 A coarse mesh keeps every second point of each border, the same points on both sides of a seam; the inside of each panel
-is triangulated anew. ``rows`` are row numbers of ``BoxMesh.uv``.
+is triangulated anew. All panels are laid side by side on one lattice and triangulated together: one by one they take
+twice as long. ``rows`` are row numbers of ``BoxMesh.uv``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.triangulate import Fillings, fill_outline
+from gcd_dataset.generator.mesh.border import MOST_POINTS
+from gcd_dataset.generator.mesh.coarse_border import Borders, Thinned, thin
+from gcd_dataset.generator.mesh.lattice import PITCH, ROW, Grid, Lattice, build_lattice
+from gcd_dataset.generator.mesh.locate import barycentric, locate
+from gcd_dataset.generator.mesh.stitch import proper_faces
+from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
 from gcd_dataset.records import BoxMesh
 
 __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
-STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
+TYPICAL = 0.75  # quantile of a border's segments that is its spacing
+COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
+MARGIN = 2  # rows and columns of the lattice round each panel
+SMALL, SAMPLE = 200, 4  # a panel of 200 vertices or more is placed by every fourth
+CELL = 0.5  # spacings of the coarse mesh: side of the cells of point location
 
 
 @dataclass(frozen=True)
@@ -50,197 +58,146 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
-    border = _Border.of(mesh)
-    thinned = _thin(mesh, border)
-    cache: Fillings = {}
-    panels = [
-        _panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]], cache) for number, loop in border.loops.items()
-    ]
-    return _join(mesh, thinned, panels)
+    borders = Borders.of(mesh)
+    thinned = thin(mesh, borders)
+    return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
 
-# -------------------------------------------------------------------------------------------------------------- border
+# --------------------------------------------------------------------------------------------------------------- sheet
 
 
 @dataclass(frozen=True)
-class _Border:
-    """The border segments of all panels, directed so that every panel lies on the same side of its segments."""
+class _Sheet:
+    """The panels laid side by side on one lattice, with a spacing of 1; ``p`` counts the panels that have faces."""
 
-    names: tuple[str, ...]
-    """Names of the panels."""
-    start: Int[np.ndarray, " b"]
-    end: Int[np.ndarray, " b"]
-    """Rows of ``uv``."""
-    panel: Int[np.ndarray, " b"]
+    centre: Float[np.ndarray, "p 2"]
+    """Middle of each panel's bounding box [cm]."""
+    scale: Float[np.ndarray, "p 2"]
+    """The factors that lay a panel [1/cm]: one over its spacing, and negative along x if its border is clockwise."""
+    place: Float[np.ndarray, "p 2"]
+    """The lattice point that each centre is laid on."""
+    grid: Grid
+    """Origin, rows and columns of the lattice."""
+    left: Float[np.ndarray, " p"]
+    """Where each panel's part of the lattice begins along x, ascending."""
 
     @staticmethod
-    def of(mesh: BoxMesh) -> "_Border":
-        start, end = mesh.corners.ravel(), np.roll(mesh.corners, -1, axis=1).ravel()
-        key = np.minimum(start, end) * np.int64(len(mesh.uv)) + np.maximum(start, end)
-        order = np.argsort(key)
-        first = np.diff(key[order], prepend=-1) != 0
-        alone = np.sort(order[first & np.roll(first, -1)])
-        start, end = start[alone], end[alone]
-        if len(np.unique(start)) < len(start):
-            raise MeshError("a panel touches itself at a point: it cannot be made coarser")
-        return _Border(mesh.panel_names, start, end, np.repeat(mesh.panel_id, 3)[alone])
+    def of(loops: Loops) -> "_Sheet":
+        """The sheet of panels with these borders. Raises ``MeshError`` if it takes too many lattice points."""
+        first = np.flatnonzero(np.diff(loops.number, prepend=-1))
+        ahead = loops.points[loops.after]
+        clockwise = np.add.reduceat(_cross(loops.points, ahead), first) < 0.0
+        length = np.linalg.norm(ahead - loops.points, axis=1)
+        length = length[np.lexsort((length, loops.number))]
+        spacing = length[first + np.rint(TYPICAL * (np.diff(first, append=len(length)) - 1)).astype(int)]
+        low, high = np.minimum.reduceat(loops.points, first), np.maximum.reduceat(loops.points, first)
+        half = np.ceil(0.5 * (high - low) / spacing[:, None] / PITCH / (1.0, ROW)).astype(int) + MARGIN
+        end, middle_row = np.cumsum(2 * half[:, 0] + 1), 2 * int(-(-half[:, 1].max() // 2))  # an unshifted row
+        if (2 * middle_row + 1) * end[-1] > MOST_POINTS:
+            raise MeshError(f"the panels take over {MOST_POINTS:,} lattice points: they cannot be made coarser")
+        return _Sheet(
+            centre=0.5 * (low + high),
+            scale=np.stack([np.where(clockwise, -1.0, 1.0), np.ones(len(spacing))], axis=1) / spacing[:, None],
+            place=PITCH * np.stack([end - half[:, 0] - 1.0, np.full(len(end), ROW * middle_row)], axis=1),
+            grid=(np.zeros(2), (2 * middle_row + 1, int(end[-1]))),
+            left=PITCH * (end - 2 * half[:, 0] - 1.5),
+        )
 
-    @cached_property
-    def loops(self) -> dict[int, Int[np.ndarray, " n"]]:
-        """Panel number to the rows of its border, in order. Raises ``MeshError`` for a panel with a hole."""
-        after = dict(zip(self.start.tolist(), self.end.tolist(), strict=True))
-        loops = {}
-        for panel in np.unique(self.panel):
-            rows = self.start[self.panel == panel]
-            loop = [int(rows[0])]
-            while (row := after[loop[-1]]) != loop[0]:
-                loop.append(row)
-            if len(loop) != len(rows):
-                raise MeshError(f"panel {self.names[panel]} has a hole: it cannot be made coarser")
-            loops[int(panel)] = np.array(loop)
-        return loops
+    def lay(self, points: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """Points of panels [cm] on the sheet."""
+        shift = self.place - self.centre * self.scale
+        return points * self.scale[panel] + shift[panel]
 
+    def lift(self, laid: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """Points of the sheet in the planes of their panels [cm]."""
+        return (laid - self.place[panel]) / self.scale[panel] + self.centre[panel]
 
-@dataclass(frozen=True)
-class _Thinned:
-    """The border vertices that the coarse mesh keeps, and the positions of the dropped ones between them."""
-
-    kept: Bool[np.ndarray, " v"]
-    between: Int[np.ndarray, "k 2"]
-    """The kept vertices before and after each dropped vertex."""
-    dropped: Int[np.ndarray, " k"]
-    share: Float[np.ndarray, " k"]
-    """Position of the dropped vertex between those two, 0 to 1."""
-
-
-def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
-    neighbours = _neighbours(mesh, border)
-    ends = {v for v, around in neighbours.items() if len(around) != 2} | _corners(mesh, border)
-    kept = np.zeros(len(mesh.vertices), bool)
-    between, dropped, share = [], [], []
-    for chain, steps in _chains(neighbours, ends):
-        closed = chain[0] == chain[-1]
-        pieces = min(max((len(chain)) // 2, 3 if closed else 2), len(chain) - 1)
-        stops = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
-        kept[np.asarray(chain)[stops]] = True
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        for low, high in pairwise(stops):
-            for at in range(low + 1, high):
-                between.append((chain[low], chain[high]))
-                dropped.append(chain[at])
-                share.append((along[at] - along[low]) / (along[high] - along[low]))
-    return _Thinned(kept, np.array(between, int).reshape(-1, 2), np.array(dropped, int), np.array(share, float))
-
-
-def _neighbours(mesh: BoxMesh, border: _Border) -> dict[int, dict[int, float]]:
-    """Border vertex to its neighbours along the borders, with their flat distances [cm]."""
-    first, second = mesh.uv_vertex[border.start].tolist(), mesh.uv_vertex[border.end].tolist()
-    lengths = np.linalg.norm(mesh.uv[border.end] - mesh.uv[border.start], axis=1).tolist()
-    found: dict[int, dict[int, float]] = {}
-    for i, j, length in zip(first, second, lengths, strict=True):
-        if i != j:
-            found.setdefault(i, {})[j] = length
-            found.setdefault(j, {})[i] = length
-    return found
-
-
-def _corners(mesh: BoxMesh, border: _Border) -> set[int]:
-    """The vertices where an outline turns by more than ``STRAIGHT``."""
-    turned = []
-    for loop in border.loops.values():
-        step = mesh.uv[np.roll(loop, -1)] - mesh.uv[loop]
-        step /= np.linalg.norm(step, axis=1, keepdims=True)
-        turned.append(loop[(step * np.roll(step, 1, axis=0)).sum(axis=1) < STRAIGHT])
-    return set(mesh.uv_vertex[np.concatenate(turned)].tolist())
-
-
-def _chains(neighbours: dict[int, dict[int, float]], ends: set[int]) -> list[tuple[list[int], list[float]]]:
-    """The borders as chains of vertices between ``ends``, with the lengths of their segments [cm].
-
-    A closed border without such an end becomes one chain that starts and stops at the same vertex.
-    """
-    chains, seen = [], set[int]()
-
-    def follow(start: int, onward: int) -> None:
-        chain, steps = [start, onward], [neighbours[start][onward]]
-        while chain[-1] not in ends and chain[-1] != start:
-            seen.add(chain[-1])
-            ahead = next(v for v in neighbours[chain[-1]] if v != chain[-2])
-            steps.append(neighbours[chain[-1]][ahead])
-            chain.append(ahead)
-        chains.append((chain, steps))
-
-    for end in sorted(ends):
-        for onward in sorted(neighbours.get(end, {})):
-            if onward not in seen and (onward not in ends or end < onward):
-                follow(end, onward)
-    for vertex in sorted(neighbours):
-        if vertex not in seen and vertex not in ends:
-            follow(vertex, min(neighbours[vertex]))
-            seen.add(vertex)
-    return chains
-
-
-# -------------------------------------------------------------------------------------------------------------- panels
+    def panel_at(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+        """The panel of each point of the sheet."""
+        return np.searchsorted(self.left, laid[:, 0], side="right") - 1
 
 
 @dataclass(frozen=True)
-class _Panel:
-    """A coarse panel: the kept points of its border first, then seeds."""
+class _Filled:
+    """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
 
-    number: int
-    rows: Int[np.ndarray, " n"]
-    """The kept rows of its border in the fine mesh."""
-    points: Float[np.ndarray, "m 2"]
-    """[cm]"""
+    panels: Int[np.ndarray, " p"]
+    """Rows of ``panel_names``."""
+    rows: Int[np.ndarray, " b"]
+    """The rows of the borders' points in the fine mesh."""
+    sheet: _Sheet
+    laid: Float[np.ndarray, "q 2"]
+    """Positions on the sheet."""
+    panel: Int[np.ndarray, " q"]
+    """Row of ``panels``."""
     faces: Int[np.ndarray, "f 3"]
+    """The triangles: of the strip, then of the lattice."""
+    lattice: Lattice
+
+    def holding(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+        """The triangle that holds each point of the sheet."""
+        in_strip = len(self.faces) - len(self.lattice.faces)
+        found = self.lattice.faces_at(laid)
+        left = found < 0
+        found[~left] += in_strip
+        found[left] = locate(self.laid, self.faces[:in_strip], laid[left], CELL)
+        return found
 
 
-def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], cache: Fillings) -> _Panel:
-    border = mesh.uv[rows]
-    if len(rows) < 3 or not shapely.Polygon(border).is_valid:
-        raise MeshError(f"panel {mesh.panel_names[number]} is too narrow to lose half of its border points")
-    spacing = float(np.percentile(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1), 75))
-    return _Panel(number, rows, *fill_outline(border, spacing, cache))
+def _fill(mesh: BoxMesh, borders: Borders, thinned: Thinned) -> _Filled:
+    """The coarse panels. Raises ``MeshError`` where a panel is too narrow to lose half of its border points."""
+    kept = thinned.kept[mesh.uv_vertex[borders.rows]]
+    rows = borders.rows[kept]
+    panels, number = np.unique(borders.panel, return_inverse=True)
+    number = number[kept]
+    loops = Loops.numbered(mesh.uv[rows], number)
+    _require_outlines(loops, [mesh.panel_names[panel] for panel in panels])
+    sheet = _Sheet.of(loops)
+    laid = Loops.numbered(sheet.lay(loops.points, number), number)
+    lattice = build_lattice(laid.points, 1.0, after=laid.after, grid=sheet.grid)
+    made = triangulate_loops(laid, 1.0, lattice, COARSE)
+    n = len(rows)
+    panel = np.concatenate([number, sheet.panel_at(made.points[n:])])
+    order = np.argsort(np.where(np.arange(len(panel)) < n, -1, panel), kind="stable")
+    place = np.empty(len(order), int)
+    place[order] = np.arange(len(order))
+    return _Filled(panels, rows, sheet, made.points[order], panel[order], place[made.faces], made.lattice)
 
 
-def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> CoarseMesh:
+def _require_outlines(loops: Loops, names: Sequence[str]) -> None:
+    """Raise ``MeshError`` for a loop of fewer than three points, or one that touches itself."""
+    narrow = np.bincount(loops.number, minlength=len(names)) < 3
+    if not narrow.any():
+        narrow = ~shapely.is_valid(shapely.polygons(shapely.linearrings(loops.points, indices=loops.number)))
+    if narrow.any():
+        raise MeshError(f"panel {names[int(narrow.argmax())]} is too narrow to lose half of its border points")
+
+
+# ---------------------------------------------------------------------------------------------------------------- join
+
+
+def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
-    count = int(thinned.kept.sum())
-    vertices, vertex_of, first = [mesh.vertices[thinned.kept]], [], 0
-    corners = np.zeros((len(mesh.vertices), 3), int)
-    weights = np.zeros((len(mesh.vertices), 3))
-    faces, points = [], []
-    for panel in panels:
-        seeds = len(panel.points) - len(panel.rows)
-        ids = np.concatenate([number[mesh.uv_vertex[panel.rows]], np.arange(count, count + seeds)])
-        count += seeds
-        faces.append(first + panel.faces)
-        first += len(ids)
-        points.append(panel.points)
-        vertex_of.append(ids)
-        fine = _panel_rows(mesh, panel)
-        vertices.append(_in_space(mesh, fine, panel.points[len(panel.rows) :]))
-        triangle, shares = _locate(panel.points, panel.faces, mesh.uv[fine])
-        corners[mesh.uv_vertex[fine]], weights[mesh.uv_vertex[fine]] = ids[panel.faces[triangle]], shares
-    _set_border_weights(thinned, number, corners, weights)
-    vertex = np.concatenate(vertex_of)
-    rows = np.concatenate(faces)
-    proper = (vertex[rows] != np.roll(vertex[rows], 1, axis=1)).all(axis=1)
+    n, count = len(filled.rows), int(thinned.kept.sum())
+    vertex = np.concatenate([number[mesh.uv_vertex[filled.rows]], np.arange(count, count + len(filled.laid) - n)])
+    seeds, seed_panel = filled.sheet.lift(filled.laid[n:], filled.panel[n:]), filled.panel[n:]
+    fine_panel = _panel_of_rows(mesh, filled.panels)
+    faces = filled.faces[np.argsort(filled.panel[filled.faces[:, 0]], kind="stable")]
+    faces = faces[proper_faces(vertex[faces])]
     coarse = BoxMesh(
-        vertices=np.concatenate(vertices),
-        faces=vertex[rows][proper],
-        uv=np.concatenate(points),
-        corners=rows[proper],
+        vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, seed_panel)]),
+        faces=vertex[faces],
+        uv=np.concatenate([mesh.uv[filled.rows], seeds]),
+        corners=faces,
         uv_vertex=vertex,
-        panel_id=np.repeat([panel.number for panel in panels], [len(panel.faces) for panel in panels])[proper],
+        panel_id=filled.panels[filled.panel[faces[:, 0]]],
         panel_names=mesh.panel_names,
         panel_labels=mesh.panel_labels,
         seams=_renumbered(mesh.seams, thinned.kept, number),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
-    return CoarseMesh(coarse, corners, weights)
+    return CoarseMesh(coarse, *_interpolation(mesh, borders, thinned, filled, vertex, fine_panel))
 
 
 def _renumbered(
@@ -250,78 +207,67 @@ def _renumbered(
     return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
 
 
-def _panel_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
-    in_panel = np.zeros(len(mesh.uv), bool)
-    in_panel[mesh.corners[mesh.panel_id == panel.number]] = True
-    return np.flatnonzero(in_panel)
+def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarray, " c"]:
+    """The row of ``panels`` of each row of ``uv``; -1 for rows without a face."""
+    found = np.full(len(mesh.uv), -1)
+    found[mesh.corners] = np.searchsorted(panels, mesh.panel_id)[:, None]
+    return found
 
 
-def _in_space(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-    """Flat points of a panel in space before sewing [cm], by the affine map of its vertices that lie on no seam."""
-    free = rows[mesh.uv_vertex[rows] >= mesh.n_seam_vertices]
-    free = free if len(free) > 2 else rows
-    uv, vertices = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
-    flat_centre, centre = uv.mean(axis=0), vertices.mean(axis=0)
-    # Compute ``uv - flat_centre`` anew for each factor: if both factors of A.T @ A are one array, NumPy calls another
-    # BLAS routine, which rounds differently.
-    gram = (uv - flat_centre).T @ (uv - flat_centre)
-    linear = np.linalg.pinv(gram) @ (uv - flat_centre).T @ (vertices - centre)
-    return centre + (points - flat_centre) @ linear
+def _in_space(
+    mesh: BoxMesh,
+    fine_panel: Int[np.ndarray, " c"],
+    points: Float[np.ndarray, "m 2"],
+    panel: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, "m 3"]:
+    """Flat points of panels in space before sewing [cm], by the affine map of each panel's vertices on no seam."""
+    used = fine_panel >= 0
+    free = used & (mesh.uv_vertex >= mesh.n_seam_vertices)
+    enough = np.bincount(fine_panel[free], minlength=fine_panel.max() + 1) > 2
+    rows = np.flatnonzero(np.where(enough[fine_panel], free, used))
+    small = np.bincount(fine_panel[rows]) < SMALL
+    rows = rows[small[fine_panel[rows]] | (np.arange(len(rows)) % SAMPLE == 0)]
+    rows = rows[np.argsort(fine_panel[rows], kind="stable")]
+    first = np.flatnonzero(np.diff(fine_panel[rows], prepend=-1))
+    size = np.diff(first, append=len(rows))
+    both = np.concatenate([mesh.uv[rows].T, mesh.vertices[mesh.uv_vertex[rows]].T])  # rows: sums along them are fast
+    centre = np.add.reduceat(both, first, axis=1) / size
+    both = both - np.repeat(centre, size, axis=1)
+    products = np.add.reduceat(both[:2, None] * both, first, axis=2).transpose(2, 0, 1)
+    linear = np.einsum("pij,pjk->pik", np.linalg.pinv(products[:, :, :2]), products[:, :, 2:])
+    flat_centre, centre = centre[:2].T, centre[2:].T
+    return centre[panel] + np.einsum("mi,mik->mk", points - flat_centre[panel], linear[panel])
 
 
-def _locate(
-    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"]
-) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """The triangle that holds each query point, and the point's barycentric weights in it, none below zero.
+def _interpolation(
+    mesh: BoxMesh,
+    borders: Borders,
+    thinned: Thinned,
+    filled: _Filled,
+    vertex: Int[np.ndarray, " q"],
+    fine_panel: Int[np.ndarray, " c"],
+) -> tuple[Int[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
+    """The coarse vertices that each fine vertex is interpolated from, and their weights, none below zero.
 
-    Only the triangles round the nearest corner are tried; a point outside all of them gets the triangle
-    with the least negative weight.
+    Border vertices: a kept one is the coarse vertex itself, a dropped one lies between its kept neighbours.
     """
-    around = _faces_around(faces, len(points))
-    _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries)
-    a, b, c = points[faces].transpose(1, 0, 2)
-    ab, ac = b - a, c - a
-    ab, ac = ab / _cross(ab, ac)[:, None], ac / _cross(ab, ac)[:, None]
-    best, best_least = np.zeros(len(queries), int), np.full(len(queries), -np.inf)
-    weights = np.zeros((len(queries), 3))
-    open_ = np.arange(len(queries))
-    for column in around.T:
-        face = column[nearest[open_]]
-        to = queries[open_] - a[face]
-        second, third = _cross(to, ac[face]), _cross(ab[face], to)
-        found = np.stack([1 - second - third, second, third], axis=1)
-        least = found.min(axis=1)
-        better = least > best_least[open_]
-        at = open_[better]
-        best_least[at], best[at], weights[at] = least[better], face[better], found[better]
-        open_ = open_[least < 0]
-    weights = weights.clip(0.0)
-    return best, weights / weights.sum(axis=1, keepdims=True)
-
-
-def _faces_around(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
-    """The faces round each point; rows of points with fewer faces repeat the last one."""
-    owner = faces.ravel()
-    order = np.argsort(owner, kind="stable")
-    count = np.bincount(owner, minlength=n)
-    first = np.cumsum(count) - count
-    rank = np.minimum(np.arange(count.max()), np.maximum(count - 1, 0)[:, None])
-    return order[np.minimum(first[:, None] + rank, len(order) - 1)] // 3
-
-
-def _set_border_weights(
-    thinned: _Thinned,
-    number: Int[np.ndarray, " v"],
-    corners: Int[np.ndarray, "v 3"],
-    weights: Float[np.ndarray, "v 3"],
-) -> None:
-    """Set, in place, the weights of border vertices: a kept vertex itself, a dropped one between its neighbours."""
+    number = np.cumsum(thinned.kept) - 1
+    inside = fine_panel >= 0
+    inside[borders.rows] = False
+    rows = np.flatnonzero(inside)
+    laid = filled.sheet.lay(mesh.uv[rows], fine_panel[rows])
+    triangle = filled.faces[filled.holding(laid)]
+    found = barycentric(filled.laid, triangle, laid).T.clip(0.0)
+    corners, weights = np.zeros((len(mesh.vertices), 3), int), np.zeros((len(mesh.vertices), 3))
+    corners[mesh.uv_vertex[rows]] = vertex[triangle]
+    weights[mesh.uv_vertex[rows]] = found / found.sum(axis=1, keepdims=True)
     kept = np.flatnonzero(thinned.kept)
     corners[kept], weights[kept] = number[kept][:, None], (1.0, 0.0, 0.0)
     low, high = number[thinned.between].T
     corners[thinned.dropped] = np.stack([low, high, low], axis=1)
     weights[thinned.dropped] = np.stack([1.0 - thinned.share, thinned.share, np.zeros_like(thinned.share)], axis=1)
+    return corners, weights
 
 
-def _cross(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+def _cross(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -12,39 +12,43 @@ __all__ = ["has_segments", "restore_segments"]
 ROUNDING = 1e-9  # rad: either diagonal of four points on one circle is legal
 
 
-def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "f 3"]:
-    """The constrained Delaunay triangles: every segment (i, i+1) of the loop 0 … n-1 is one of their edges.
+def restore_segments(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, "f 3"]:
+    """The constrained Delaunay triangles: every segment (i, after[i]) of the loops is one of their edges.
 
     Flips the edges that cross a missing segment (Sloan, A fast algorithm for generating constrained Delaunay
     triangulations, 1993), then the edges that violate Delaunay's criterion. Segments are rarely missing: only along
     slits narrower than the spacing of their points.
-    Raises ``MeshError`` where the loop touches itself.
+    Raises ``MeshError`` where a loop touches itself.
     """
-    missing = np.flatnonzero(~_present_segments(faces, n))
+    missing = np.flatnonzero(~_present_segments(faces, after))
     if not len(missing):
         return faces
     faces = faces.copy()
     for start in missing:
-        _restore(points, faces, int(start), int(start + 1) % n)
-    while _flip_illegal(points, faces, n):
+        _restore(points, faces, int(start), int(after[start]))
+    while _flip_illegal(points, faces, after):
         pass
-    lost = np.flatnonzero(~_present_segments(faces, n))  # a corner lies on a segment, or two segments cross
+    lost = np.flatnonzero(~_present_segments(faces, after))  # a corner lies on a segment, or two segments cross
     if len(lost):
         raise _touch_error(points[lost[0]])
     return faces
 
 
-def has_segments(faces: Int[np.ndarray, "f 3"], n: int) -> bool:
-    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of a triangle."""
-    return bool(_present_segments(faces, n).all())
+def has_segments(faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]) -> bool:
+    """Whether every segment (i, after[i]) of the loops is an edge of a triangle."""
+    return bool(_present_segments(faces, after).all())
 
 
-def _present_segments(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
-    """Flags of the loop's segments that are edges of triangles, in either direction."""
-    after = np.roll(faces, -1, axis=1)
-    present = np.zeros(n, bool)
-    present[faces[(faces < n) & (after == (faces + 1) % n)]] = True
-    present[after[(after < n) & (faces == (after + 1) % n)]] = True
+def _present_segments(faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Flags of the loops' segments that are edges of triangles, in either direction."""
+    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    on_border = np.flatnonzero(np.maximum(start, end) < len(after))
+    start, end = start[on_border], end[on_border]
+    present = np.zeros(len(after), bool)
+    present[start[after[start] == end]] = True
+    present[end[after[end] == start]] = True
     return present
 
 
@@ -84,14 +88,17 @@ def _crossing_edges(
     return list(zip(u[crossing].tolist(), v[crossing].tolist(), strict=True))
 
 
-def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
+def _flip_illegal(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]
+) -> bool:
     """Flip, in place, edges with a corner of one face in the circumcircle of the other, at most one edge of each face.
 
-    Never flips a segment of the loop. Returns whether any edge was illegal.
+    Never flips a segment of the loops. Returns whether any edge was illegal.
     """
     f, i, g, j = _inner_edges(faces)
     u, v, p, q = faces[f, i], faces[f, (i + 1) % 3], faces[f, i - 1], faces[g, j - 1]
-    border = (u < n) & (v < n) & np.isin((v - u) % n, (1, n - 1))
+    border = (u < len(after)) & (v < len(after))
+    border[border] = (after[u[border]] == v[border]) | (after[v[border]] == u[border])
     illegal = _angle(points, u, p, v) + _angle(points, u, q, v) > np.pi + ROUNDING
     illegal &= ~border
     f, g, u, v, p, q = (x[illegal] for x in (f, g, u, v, p, q))

@@ -6,12 +6,12 @@ points up from the base (j, i), (j, i + 1), and ``(j, i, 1)`` points down to (j,
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = ["Lattice", "build_lattice", "lattice_size"]
+__all__ = ["PITCH", "ROW", "Grid", "Lattice", "build_lattice", "lattice_size"]
 
 PITCH = 0.97  # lattice spacing over border spacing: the median edge of GarmentCode's meshes
 CLEAR_OF_POINT = 0.60  # pitches: least distance of a seed from the border's points
@@ -19,6 +19,9 @@ CLEAR_OF_MIDDLE = 0.60  # pitches: least distance of a seed from the midpoints o
 FAR = 1.27  # pitches from the border beyond which all six triangles are Delaunay: see _certain
 CIRCLE = (1 + 1e-6) / 3  # square pitches: the square of the circumradius
 ROW = np.sqrt(0.75)  # pitches from row to row
+
+Grid: TypeAlias = tuple[Float[np.ndarray, "2"], tuple[int, int]]
+"""Origin [cm], rows and columns of a lattice."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,11 @@ class Lattice:
     """Flags of the triangles that are certain to be Delaunay."""
     origin: Float[np.ndarray, "2"]
     pitch: float
+
+    @property
+    def size(self) -> int:
+        """The number of seeds."""
+        return int(self.number.max(initial=-1)) + 1
 
     @cached_property
     def points(self) -> Float[np.ndarray, "n 2"]:
@@ -51,10 +59,24 @@ class Lattice:
     @cached_property
     def rim(self) -> Int[np.ndarray, " r"]:
         """The seeds on the rim of the filled triangles: corners of fewer than six."""
-        return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.number.max(initial=-1) + 1) < 6)
+        return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.size) < 6)
 
     def covers(self, points: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
         """Flags of the points that lie in a filled triangle."""
+        within, triangle = self._triangles_at(points)
+        return within & self.filled[triangle]
+
+    def faces_at(self, points: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
+        """The row of ``faces`` that holds each point; -1 for points outside all filled triangles."""
+        number = np.full(self.filled.shape, -1)
+        number[self.filled] = np.arange(np.count_nonzero(self.filled))
+        within, triangle = self._triangles_at(points)
+        return np.where(within, number[triangle], -1)
+
+    def _triangles_at(
+        self, points: Float[np.ndarray, "m 2"]
+    ) -> tuple[Bool[np.ndarray, " m"], tuple[Int[np.ndarray, " m"], ...]]:
+        """Flags of the points on the lattice, and the index into ``filled`` of the triangle that holds each."""
         row, column = _coordinates(points, self.origin, self.pitch)
         j = np.floor(row).astype(int)
         slant = 0.5 * (row - j)
@@ -62,7 +84,7 @@ class Lattice:
         left, right = np.floor(along - slant).astype(int), np.floor(along + slant).astype(int)
         rows, columns = self.filled.shape[:2]
         within = (j >= 0) & (j < rows) & (left >= 0) & (right < columns)
-        return within & self.filled[j % rows, right % columns, (left != right).astype(int)]
+        return within, (j % rows, right % columns, (left != right).astype(int))
 
     def without(self, points: Float[np.ndarray, "m 2"]) -> Self:
         """The lattice without the triangles that have one of these points in their circumcircle."""
@@ -78,12 +100,23 @@ class Lattice:
         return replace(self, filled=filled)
 
 
-def build_lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> Lattice:
-    """The seeds inside a counter-clockwise loop of points at most ``spacing`` [cm] apart."""
+def build_lattice(
+    border: Float[np.ndarray, "n 2"],
+    spacing: float,
+    *,
+    after: Int[np.ndarray, " n"] | None = None,
+    grid: Grid | None = None,
+) -> Lattice:
+    """The seeds inside a counter-clockwise loop of points at most ``spacing`` [cm] apart.
+
+    ``after``: the next point of each, if there are several loops. ``grid``: the lattice's origin [cm], rows and
+    columns; by default over the border, symmetric about the middle of its width.
+    """
     pitch = PITCH * spacing
-    origin, shape = _grid(border, pitch)
-    inside = _inside(border, origin, pitch, shape)
-    clear, far = _clearances(border, origin, pitch, shape)
+    origin, shape = grid or _grid(border, pitch)
+    ahead = np.roll(border, -1, axis=0) if after is None else border[after]
+    inside = _inside(border, ahead, origin, pitch, shape)
+    clear, far = _clearances(border, ahead, origin, pitch, shape)
     kept = inside & clear
     number = np.where(kept, np.cumsum(kept).reshape(shape) - 1, -1)
     return Lattice(number, _certain(kept, far), origin, pitch)
@@ -95,7 +128,7 @@ def lattice_size(border: Float[np.ndarray, "n 2"], spacing: float) -> int:
     return rows * columns
 
 
-def _grid(border: Float[np.ndarray, "n 2"], pitch: float) -> tuple[Float[np.ndarray, "2"], tuple[int, int]]:
+def _grid(border: Float[np.ndarray, "n 2"], pitch: float) -> Grid:
     """Origin [cm] and (rows, columns) of a lattice over the border, symmetric about the middle of its width."""
     low, high = border.min(axis=0), border.max(axis=0)
     columns, rows = np.ceil(0.5 * (high - low) / pitch / (1.0, ROW)).astype(int) + 2
@@ -112,11 +145,15 @@ def _coordinates(
 
 
 def _inside(
-    border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
+    border: Float[np.ndarray, "n 2"],
+    ahead: Float[np.ndarray, "n 2"],
+    origin: Float[np.ndarray, "2"],
+    pitch: float,
+    shape: tuple[int, int],
 ) -> Bool[np.ndarray, "row column"]:
     """Flags of the lattice points inside the loop, by the parity of crossed segments along each row."""
     row, column = _coordinates(border, origin, pitch)
-    row_next, column_next = np.roll(row, -1), np.roll(column, -1)
+    row_next, column_next = _coordinates(ahead, origin, pitch)
     first = np.ceil(np.minimum(row, row_next)).astype(int)
     crossed = np.ceil(np.maximum(row, row_next)).astype(int) - first
     segment = np.repeat(np.arange(len(border)), crossed)
@@ -129,10 +166,14 @@ def _inside(
 
 
 def _clearances(
-    border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
+    border: Float[np.ndarray, "n 2"],
+    ahead: Float[np.ndarray, "n 2"],
+    origin: Float[np.ndarray, "2"],
+    pitch: float,
+    shape: tuple[int, int],
 ) -> tuple[Bool[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
     """Flags of the lattice points that are clear of the border, and of those further than ``FAR`` from it."""
-    midpoints = 0.5 * (border + np.roll(border, -1, axis=0))
+    midpoints = 0.5 * (border + ahead)
     row, column = _coordinates(np.concatenate([border, midpoints]), origin, pitch)
     radius = np.repeat([CLEAR_OF_POINT, CLEAR_OF_MIDDLE], len(border))
     # The nearest row and column and their neighbours suffice: all others are at least 1.299 pitches away.

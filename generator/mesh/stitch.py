@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.records import Seam
 
-__all__ = ["SewnPoints", "mean_positions", "merge_points", "seam_name", "stitch_points"]
+__all__ = ["SewnPoints", "mean_positions", "merge_points", "proper_faces", "seam_name", "stitch_points"]
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,12 @@ def mean_positions(positions: Float[np.ndarray, "c 3"], vertex: Int[np.ndarray, 
     return np.stack([np.bincount(vertex, column) / members for column in positions.T], axis=1)
 
 
+def proper_faces(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Flags of the faces with three different vertices."""
+    a, b, c = faces.T
+    return (a != b) & (b != c) & (c != a)
+
+
 def _groups(n: int, a: Int[np.ndarray, " m"], b: Int[np.ndarray, " m"]) -> Int[np.ndarray, " c"]:
     """The connected component of each of n points under the pairs (a, b)."""
     _, group = connected_components(coo_array((np.ones(len(a), bool), (a, b)), shape=(n, n)), directed=False)
@@ -90,9 +96,11 @@ def _require_darts(
     group: Int[np.ndarray, " c"], sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Seam, ...]
 ) -> None:
     """Raise ``MeshError`` for points of one panel that become one vertex, but not by seams within that panel."""
+    members = np.unique(np.concatenate([sewn.left, sewn.right]))
+    if len(np.unique(panel[members] * (group.max() + 1) + group[members])) == len(members):
+        return
     within = panel[sewn.left] == panel[sewn.right]
     explained = _groups(len(panel), sewn.left[within], sewn.right[within])
-    members = np.unique(np.concatenate([sewn.left, sewn.right]))
     # All points of one panel in one vertex must be connected by the seams within the panel.
     triples = np.unique(np.stack([panel[members], group[members], explained[members]]), axis=1)
     double = np.flatnonzero((np.diff(triples[:2], axis=1) == 0).all(axis=0))

@@ -7,7 +7,7 @@ the strip is too long or too sharp, its circumcentre becomes a seed, as in Delau
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 import shapely
@@ -18,7 +18,16 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
+__all__ = [
+    "Filling",
+    "Fillings",
+    "Loops",
+    "Quality",
+    "Triangulated",
+    "fill_outline",
+    "triangulate",
+    "triangulate_loops",
+]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
@@ -28,6 +37,18 @@ APART = 0.8  # circumradii: least distance between new seeds of one round
 SAME_AREA = 1e-9  # relative: tolerance of the test that triangles neither overlap nor leave a hole
 JITTER = 1e-6  # spacings: shift of each point before Qhull
 
+
+@dataclass(frozen=True)
+class Quality:
+    """The triangles that refinement splits, if there is room."""
+
+    longest: float = LONGEST
+    """Spacings: triangles with a longer edge are split."""
+    sharpest: float = SHARPEST
+    """Triangles with a sharper angle are split [rad]."""
+
+
+FINE = Quality()
 
 Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
 """Points [cm] and triangles."""
@@ -59,40 +80,104 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises ``MeshError`` where
     the loop touches itself.
     """
-    strip = _Strip(border, spacing, build_lattice(border, spacing), np.zeros((0, 2)))
+    return triangulate_loops(
+        Loops.numbered(border, np.zeros(len(border), int)), spacing, build_lattice(border, spacing)
+    ).filling
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Closed counter-clockwise loops of points in one plane, apart from each other."""
+
+    points: Float[np.ndarray, "n 2"]
+    """[cm]"""
+    after: Int[np.ndarray, " n"]
+    """The next point on the loop of each point."""
+    number: Int[np.ndarray, " n"]
+    """The loop of each point, ascending."""
+
+    @classmethod
+    def numbered(cls, points: Float[np.ndarray, "n 2"], number: Int[np.ndarray, " n"]) -> Self:
+        """Loops of the points with the same number, which are consecutive and in the order of the loop."""
+        after = np.arange(1, len(points) + 1)
+        last = np.flatnonzero(np.diff(number, append=-1))
+        after[last] = np.concatenate([[0], last[:-1] + 1])
+        return cls(points, after, number)
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """Triangulated loops."""
+
+    strip: "_Strip"
+    strip_faces: Int[np.ndarray, "g 3"]
+    """The triangles between loops and lattice."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice; its filled triangles follow those of the strip."""
+        return self.strip.lattice
+
+    @property
+    def points(self) -> Float[np.ndarray, "m 2"]:
+        """The points of the loops, then seeds: of the lattice, then of the refinement [cm]."""
+        return self.strip.points
+
+    @cached_property
+    def faces(self) -> Int[np.ndarray, "f 3"]:
+        """The triangles, counter-clockwise: of the strip, then of the lattice."""
+        return np.concatenate([self.strip_faces, len(self.strip.border) + self.lattice.faces])
+
+    @property
+    def filling(self) -> Filling:
+        """Seeds and triangles."""
+        return self.points[len(self.strip.border) :], self.faces
+
+
+def triangulate_loops(loops: Loops, spacing: float, lattice: Lattice, quality: Quality = FINE) -> Triangulated:
+    """As ``triangulate``, for loops that share a lattice: Qhull runs once for all of them."""
+    strip = _Strip.of(loops, spacing, lattice, quality)
     faces = fresh = strip.faces()
     for _ in range(ROUNDS):
         seeds = strip.refinement_seeds(fresh)  # unchanged triangles had no room for a seed in the last round either
         if not len(seeds):
             break
-        strip, before = strip.with_seeds(seeds), strip
-        faces, fresh = strip.refined(before, faces)
-    return strip.points[len(border) :], np.concatenate([faces, len(border) + strip.lattice.faces])
+        strip, opened = strip.with_seeds(seeds)
+        faces, fresh = strip.refined(len(seeds), np.concatenate([faces, opened]))
+    return Triangulated(strip, faces)
 
 
 @dataclass(frozen=True)
 class _Strip:
-    """The strip between a border and the filled triangles of the lattice inside it."""
+    """The strip between closed loops and the filled triangles of the lattice inside them."""
 
-    border: Float[np.ndarray, "n 2"]
+    loops: Loops
     spacing: float
     lattice: Lattice
-    added: Float[np.ndarray, "a 2"]
-    """Seeds that refinement has added [cm]."""
+    quality: Quality
+    points: Float[np.ndarray, "m 2"]
+    """Border, lattice and seeds that refinement has added, in this order [cm]."""
+    jittered: Float[np.ndarray, "m 2"]
+    """The points as Qhull sees them; all orientation tests use these."""
+    rim: Int[np.ndarray, " r"]
+    """The points on the rim of the lattice's filled triangles."""
+
+    @classmethod
+    def of(cls, loops: Loops, spacing: float, lattice: Lattice, quality: Quality) -> Self:
+        """The strip without added seeds."""
+        points = np.concatenate([loops.points, lattice.points])
+        jittered = _jittered(points, JITTER * spacing)
+        return cls(loops, spacing, lattice, quality, points, jittered, len(loops.points) + lattice.rim)
+
+    @property
+    def border(self) -> Float[np.ndarray, "n 2"]:
+        """The points of the loops [cm]."""
+        return self.loops.points
 
     @cached_property
-    def points(self) -> Float[np.ndarray, "m 2"]:
-        """Border, lattice and added seeds, in this order [cm]."""
-        return np.concatenate([self.border, self.lattice.points, self.added])
-
-    @cached_property
-    def jittered(self) -> Float[np.ndarray, "m 2"]:
-        """The points as Qhull sees them; all orientation tests use these."""
-        return _jittered(self.points, JITTER * self.spacing)
-
-    @cached_property
-    def outline(self) -> shapely.Polygon:
-        outline = shapely.Polygon(self.jittered[: len(self.border)])
+    def outline(self) -> shapely.MultiPolygon:
+        rings = shapely.linearrings(self.jittered[: len(self.border)], indices=self.loops.number)
+        outline = shapely.multipolygons(shapely.polygons(rings))
         shapely.prepare(outline)
         return outline
 
@@ -100,24 +185,29 @@ class _Strip:
     def corners(self) -> Int[np.ndarray, " k"]:
         """The points that can be corners of the strip's triangles."""
         n, m = len(self.border), len(self.points)
-        return np.concatenate([np.arange(n), n + self.lattice.rim, np.arange(m - len(self.added), m)])
+        return np.concatenate([np.arange(n), self.rim, np.arange(n + self.lattice.size, m)])
 
-    def with_seeds(self, seeds: Float[np.ndarray, "k 2"]) -> "_Strip":
-        """The strip with more seeds, widened by the lattice triangles that they invalidate."""
-        return replace(self, lattice=self.lattice.without(seeds), added=np.concatenate([self.added, seeds]))
+    def with_seeds(self, seeds: Float[np.ndarray, "k 2"]) -> tuple["_Strip", Int[np.ndarray, "o 3"]]:
+        """The strip with more seeds, widened by the lattice triangles that they invalidate; and these triangles."""
+        lattice = self.lattice.without(seeds)
+        opened = len(self.border) + replace(lattice, filled=self.lattice.filled & ~lattice.filled).faces
+        wider = replace(
+            self,
+            lattice=lattice,
+            points=np.concatenate([self.points, seeds]),
+            jittered=np.concatenate([self.jittered, _jittered(seeds, JITTER * self.spacing, first=len(self.points))]),
+            rim=np.union1d(self.rim, opened),
+        )
+        return wider, opened
 
-    def refined(
-        self, before: "_Strip", faces: Int[np.ndarray, "f 3"]
-    ) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
+    def refined(self, seeds: int, old: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
         """The triangles of the strip, and the subset that its newest seeds have created.
 
-        ``before`` and ``faces``: the strip without those seeds, and its triangles. Incremental insertion (Bowyer, 1981;
+        ``seeds``: their number. ``old``: the triangles of the strip without them. Incremental insertion (Bowyer, 1981;
         Watson, 1981): a seed removes the triangles with the seed in their circumcircle and creates triangles among
         their corners, all with the seed as a corner. Over a slit this fails; the strip is then triangulated anew.
         """
-        first_seed = len(self.points) - (len(self.added) - len(before.added))
-        opened = replace(before.lattice, filled=before.lattice.filled & ~self.lattice.filled).faces
-        old = np.concatenate([faces, len(self.border) + opened])
+        first_seed = len(self.points) - seeds
         centres, radii, _, _ = _circumcircles(self.jittered[old])
         removed = (cdist(self.jittered[first_seed:], centres) < radii).any(axis=0)
         corners = np.append(np.unique(old[removed]), np.arange(first_seed, len(self.points)))
@@ -125,7 +215,7 @@ class _Strip:
         fresh = fresh[fresh.max(axis=1) >= first_seed]
         updated = np.concatenate([old[~removed], fresh])
         area, removed_area = _area(self.jittered[fresh]), _area(self.jittered[old[removed]])
-        if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, len(self.border)):
+        if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, self.loops.after):
             return updated, fresh
         anew = self.faces()
         return anew, anew
@@ -133,51 +223,67 @@ class _Strip:
     def faces(self) -> Int[np.ndarray, "f 3"]:
         """The constrained Delaunay triangles of the strip, counter-clockwise."""
         faces = _counter_clockwise(self.jittered, self.corners[Delaunay(self.jittered[self.corners]).simplices])
-        faces = faces[~self.lattice.covers(self.jittered[faces].mean(axis=1))]
-        faces = restore_segments(self.jittered, faces, len(self.border))
+        faces = faces[~self.lattice.covers(_centroids(self.jittered, faces))]
+        faces = restore_segments(self.jittered, faces, self.loops.after)
         return faces[self._inside(faces)]
 
     def _inside(self, faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
         """Flags of the triangles inside the outline; every segment of the outline is an edge of a triangle."""
-        n = len(self.border)
-        inside = faces.max(axis=1) >= n
+        inside = np.maximum(np.maximum(faces[:, 0], faces[:, 1]), faces[:, 2]) >= len(self.border)
         on_border = np.flatnonzero(~inside)  # all three corners
-        step = (np.roll(faces[on_border], -1, axis=1) - faces[on_border]) % n
-        along, against = (step == 1).any(axis=1), (step == n - 1).any(axis=1)
+        start, after = faces[on_border], self.loops.after
+        end = start[:, [1, 2, 0]]
+        along, against = (after[start] == end).any(axis=1), (after[end] == start).any(axis=1)
         inside[on_border] = along
         unsure = on_border[~along & ~against]
-        inside[unsure] = shapely.contains_xy(self.outline, *self.jittered[faces[unsure]].mean(axis=1).T)
+        inside[unsure] = shapely.contains_xy(self.outline, *_centroids(self.jittered, faces[unsure]).T)
         return inside
 
     def refinement_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
         """Circumcentres of triangles that are too long or too sharp, where there is room for a seed [cm]."""
         centres, radii, shortest, longest = _circumcircles(self.jittered[faces])
-        poor = (longest > LONGEST * self.spacing) | (2 * np.sin(SHARPEST) * radii > shortest)
+        sharp = 2 * np.sin(self.quality.sharpest) * radii > shortest
+        poor = (longest > self.quality.longest * self.spacing) | sharp
         if not poor.any():
             return centres[:0]
-        centres, radii = centres[poor], radii[poor]
-        room = shapely.contains_xy(self.outline, *centres.T) & self._has_room(centres, radii)
-        return centres[room][_spaced_out(centres[room], radii[room])]
+        for has_room in (self._holds, self._is_clear, self._is_empty):
+            poor[poor] = has_room(centres[poor], radii[poor])
+        return centres[poor][_spaced_out(centres[poor], radii[poor])]
 
-    def _has_room(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the circles that are empty (over a slit some are not) and whose centre encroaches on no segment.
+    def _holds(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Flags of the centres inside the outline."""
+        return np.asarray(shapely.contains_xy(self.outline, *centres.T))
 
-        A point encroaches on a border segment that it sees under more than a right angle (Ruppert, 1995).
+    def _is_clear(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Flags of the centres that encroach on no border segment.
+
+        A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
         """
-        ahead = np.roll(self.border, -1, axis=0)
+        ahead = self.border[self.loops.after]
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
-        clear = (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
+        return (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
+
+    def _is_empty(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Flags of the circles without a point inside; over a slit, some circumcircles hold points."""
+        if not len(centres):
+            return np.zeros(0, bool)
         nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres)
-        return clear & (nearest > EMPTY * radii)
+        return np.asarray(nearest > EMPTY * radii)
 
 
-def _jittered(points: Float[np.ndarray, "m 2"], by: float) -> Float[np.ndarray, "m 2"]:
+def _centroids(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 2"]:
+    return (points[faces[:, 0]] + points[faces[:, 1]] + points[faces[:, 2]]) / 3  # a third of the time of ``mean``
+
+
+def _jittered(points: Float[np.ndarray, "m 2"], by: float, *, first: int = 0) -> Float[np.ndarray, "m 2"]:
     """The points, each shifted by a different tiny vector, so that no three are collinear and no four cocircular.
 
     Ties between rows of equal triangles triple Qhull's time (measured), and a degenerate triangle between points of a
-    straight edge lies on neither side of it.
+    straight edge lies on neither side of it. ``first``: the number of the first point.
     """
-    square = np.arange(len(points))[:, None] ** 2.0  # a linear sequence would keep equally spaced points collinear
+    square = (
+        np.arange(first, first + len(points))[:, None] ** 2.0
+    )  # a linear sequence would keep equally spaced points collinear
     return points + by * (square * (np.sqrt(2), np.sqrt(3)) % 1.0 - 0.5)
 
 
@@ -198,13 +304,14 @@ def _circumcircles(
     corners: Float[np.ndarray, "f 3 2"],
 ) -> tuple[Float[np.ndarray, "f 2"], Float[np.ndarray, " f"], Float[np.ndarray, " f"], Float[np.ndarray, " f"]]:
     """Centre, radius, shortest and longest side of each triangle [cm]."""
-    b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    bb, cc = (b * b).sum(axis=1), (c * c).sum(axis=1)
-    twice = 2 * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
-    x = (c[:, 1] * bb - b[:, 1] * cc) / twice
-    y = (b[:, 0] * cc - c[:, 0] * bb) / twice
-    sides = np.sqrt(np.stack([bb, cc, ((c - b) ** 2).sum(axis=1)]))
-    return corners[:, 0] + np.stack([x, y], axis=1), np.hypot(x, y), sides.min(axis=0), sides.max(axis=0)
+    (ax, ay), (bx, by), (cx, cy) = corners.transpose(1, 2, 0)
+    bx, by, cx, cy = bx - ax, by - ay, cx - ax, cy - ay
+    bb, cc = bx * bx + by * by, cx * cx + cy * cy
+    twice = 2 * (bx * cy - by * cx)
+    x, y = (cy * bb - by * cc) / twice, (bx * cc - cx * bb) / twice
+    across = (cx - bx) ** 2 + (cy - by) ** 2
+    shortest, longest = (np.sqrt(least(least(bb, cc), across)) for least in (np.minimum, np.maximum))
+    return np.stack([ax + x, ay + y], axis=1), np.hypot(x, y), shortest, longest
 
 
 def _spaced_out(points: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:

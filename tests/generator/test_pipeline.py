@@ -6,6 +6,7 @@ import re
 from collections import Counter, deque
 from dataclasses import replace
 from typing import Literal, Self
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -230,6 +231,17 @@ def test_a_failed_drape_can_be_kept() -> None:
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.rejects == rejects
+
+
+def test_another_attempt_does_not_build_the_wearers_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = MakeConfig(stage="pattern", bodies="both")
+    first = pipeline.prepare(77, 3, config)
+    monkeypatch.setattr(pipeline, "build_body", build := Mock(wraps=build_body))
+    monkeypatch.setattr(pipeline, "measure", tape := Mock(wraps=measure))
+    again = pipeline.prepare(77, 3, config)
+    assert [worn.body for worn in again.dressed] == [worn.body for worn in first.dressed]
+    build.assert_not_called()
+    tape.assert_not_called()
 
 
 def test_a_failed_drape_rejects_the_design_for_both_bodies() -> None:

@@ -1,6 +1,9 @@
 """Contacts of cloth with bodies and with cloth: distances, friction, momentum, crossings."""
 
+import gc
+import weakref
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -15,7 +18,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, neutral_shape, read_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields
+from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields, host_field
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
@@ -81,6 +84,45 @@ def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
     body_fields([body] * 3, "cpu")
     of.assert_called_once()
+
+
+def test_equal_bodies_share_one_host_field_in_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every request brings its own copy of a body; the reader threads prepare them at the same time."""
+    bodies = [body_from(trimesh.creation.icosphere(subdivisions=2, radius=8.3)) for _ in range(6)]
+    monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
+    with ThreadPoolExecutor(3) as pool:
+        fields = list(pool.map(host_field, bodies))
+    of.assert_called_once()
+    assert all(field is fields[0] for field in fields)
+
+
+def test_only_the_last_host_fields_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.drape.body_field.HOSTS_CACHED", 2)
+    bodies = [body_from(trimesh.creation.icosphere(subdivisions=1, radius=radius)) for radius in (5.1, 5.2, 5.3)]
+    first = [host_field(body) for body in bodies]
+    assert host_field(bodies[2]) is first[2]
+    assert host_field(bodies[0]) is not first[0]
+
+
+def test_a_body_that_many_garments_wear_stays_cached_after_a_large_batch() -> None:
+    """The neutral body is worn by every second garment of a batch, and by the next batch again."""
+    shared, *others = (
+        body_from(trimesh.creation.icosphere(subdivisions=1, radius=6.0 + 0.1 * number)) for number in range(11)
+    )
+    field = body_fields([shared, shared, *others], "cpu")[0]
+    body_fields(others[:1], "cpu")
+    known = weakref.ref(field)
+    del field
+    gc.collect()
+    assert known() is not None
+
+
+def test_a_body_without_a_field_fails_every_time() -> None:
+    body = body_from(trimesh.creation.icosphere(subdivisions=1, radius=5.0))
+    flat = replace(body, faces=np.zeros((0, 3), int))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="zero-size"):
+            host_field(flat)
 
 
 def test_internal_parts_do_not_change_the_field_of_a_body() -> None:

@@ -9,7 +9,7 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import CoarseMesh, coarsen
 from gcd_dataset.records import BoxMesh, Pattern
-from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
+from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, star, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
 
 PATTERNS = [darted(), patchwork(), tube(), sewn(panel("a", rectangle(20.0, 13.0)))]
@@ -36,7 +36,7 @@ def test_edges_are_twice_as_long_within_a_limit(pattern: Pattern) -> None:
     fine, coarse = meshes(pattern)
     length, coarse_length = (sides(m.uv, m.corners) for m in (fine, coarse))
     assert np.median(coarse_length) == pytest.approx(2 * np.median(length), rel=0.15)
-    assert coarse_length.max() < 2 * 1.43
+    assert coarse_length.max() < 2 * 1.6
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -77,6 +77,40 @@ def test_labels_and_places_are_kept() -> None:
     flat = coarse.vertices[coarse.uv_vertex][:, :2]
     free = np.flatnonzero(coarse.uv_vertex >= coarse.n_seam_vertices)
     assert flat[free] == pytest.approx(coarse.uv[free], abs=1e-6)
+
+
+def test_congruent_panels_get_congruent_triangles() -> None:
+    """Panels of one shape, turned over or not, have as many triangles, of the same areas."""
+    shape = [(0.0, 0.0), (18.0, 0.0), (24.0, 15.0), (5.0, 20.0)]
+    mirrored = [(-x, y) for x, y in shape]
+    coarse = coarsen(build_box_mesh(sewn(panel("a", shape), panel("b", mirrored), panel("c", shape)), spacing=1.0)).mesh
+    a, b, c = (np.sort(areas(coarse.uv, coarse.corners[coarse.panel_id == number])) for number in range(3))
+    assert a == pytest.approx(c, abs=1e-5)
+    assert -b[::-1] == pytest.approx(a, abs=1e-5)
+
+
+def test_every_fine_vertex_lies_in_its_coarse_triangle() -> None:
+    """The coarse ``uv`` positions, interpolated, are the fine ones; inside panels, seams apart."""
+    fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 13.0)), panel("b", star(3))), spacing=1.0)
+    coarse = coarsen(fine)
+    flat, coarse_flat = np.zeros((len(fine.vertices), 3)), np.zeros((len(coarse.mesh.vertices), 3))
+    flat[fine.uv_vertex, :2], coarse_flat[coarse.mesh.uv_vertex, :2] = fine.uv, coarse.mesh.uv
+    inside = (coarse.weights > 0.0).sum(axis=1) == 3
+    assert inside.mean() > 0.5
+    assert coarse.refine(coarse_flat)[inside] == pytest.approx(flat[inside], abs=1e-9)
+
+
+def test_a_panel_that_touches_itself_is_refused() -> None:
+    """Of the triangles round a point, two without a common side: the loops round both pass through the point."""
+    fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 20.0))), spacing=1.0)
+    middle = np.linalg.norm(fine.uv - 10.0, axis=1).argmin()
+    around = np.flatnonzero((fine.corners == middle).any(axis=1))
+    shared = [len(np.intersect1d(fine.corners[around[0]], fine.corners[other])) for other in around]
+    for other in around[np.array(shared) == 1]:
+        left = [around[0], other]
+        cut = replace(fine, faces=fine.faces[left], corners=fine.corners[left], panel_id=fine.panel_id[left])
+        with pytest.raises(MeshError, match="touches itself at a point"):
+            coarsen(cut)
 
 
 def test_a_panel_with_a_hole_is_refused() -> None:

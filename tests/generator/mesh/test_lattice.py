@@ -49,6 +49,14 @@ def test_covers_is_true_only_in_filled_triangles() -> None:
     assert lattice.covers(lattice.points[lattice.faces].mean(axis=1)).all()
 
 
+def test_points_of_a_face_are_found_in_it() -> None:
+    lattice = build_lattice(loop(star(4), 1.0), 1.0)
+    shares = np.random.default_rng(0).dirichlet(np.ones(3), size=len(lattice.faces))
+    points = np.einsum("fk,fkd->fd", shares, lattice.points[lattice.faces])
+    assert (lattice.faces_at(points) == np.arange(len(lattice.faces))).all()
+    assert (lattice.faces_at(loop(star(4), 1.0)) == -1).all()
+
+
 def test_a_point_removes_the_triangles_with_the_point_in_their_circumcircle() -> None:
     lattice = build_lattice(loop(rectangle(14.0, 9.0), SPACING), SPACING)
     points = np.random.default_rng(1).uniform((1.0, 1.0), (13.0, 8.0), (7, 2))

@@ -5,7 +5,8 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 
-from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulate
+from gcd_dataset.generator.mesh.lattice import build_lattice
+from gcd_dataset.generator.mesh.triangulate import LONGEST, Loops, triangulate, triangulate_loops
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -50,6 +51,20 @@ def assert_filled_once(border: np.ndarray) -> None:
     n = len(border)
     assert {(u, v) for u, v in once if (v, u) not in once} == {(i, (i + 1) % n) for i in range(n)}
     assert len(np.unique(faces)) == len(points)
+
+
+def test_loops_in_one_plane_are_filled_once_each() -> None:
+    """Of two outlines side by side, with the same lattice, each is filled, and the gap between them is not."""
+    first, second = loop(OUTLINES["dart"], 1.0), loop(OUTLINES["star 3"], 1.0)
+    second = second - second.min(axis=0) + [first[:, 0].max() + 3.0, 0.0]
+    loops = Loops.numbered(np.concatenate([first, second]), np.repeat([0, 1], [len(first), len(second)]))
+    made = triangulate_loops(loops, 1.0, build_lattice(loops.points, 1.0, after=loops.after))
+    once = set(map(tuple, directed_edges(made.faces).tolist()))
+    assert {(u, v) for u, v in once if (v, u) not in once} == set(enumerate(loops.after.tolist()))
+    in_second = made.points[made.faces].mean(axis=1)[:, 0] > first[:, 0].max()
+    for own, border in ((~in_second, first), (in_second, second)):
+        assert areas(made.points, made.faces[own]).sum() == pytest.approx(shapely.Polygon(border).area)
+        assert (areas(made.points, made.faces[own]) > 0.0).all()
 
 
 @pytest.mark.parametrize("name", OUTLINES)
