@@ -22,7 +22,7 @@ from scipy.spatial import ConvexHull
 from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
 from gcd_dataset.generator.body.per_body import kept_per_body
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
-from gcd_dataset.generator.drape.streams import settle_native_memory
+from gcd_dataset.generator.drape.streams import native_builds
 from gcd_dataset.records import Body, BodyPart
 
 __all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields", "host_field"]
@@ -241,10 +241,13 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
     triangles = {id(host.triangles): wp.array(host.triangles, dtype=int, device=device) for host in hosts}
     edges = {id(host.edges): wp.array(host.edges, dtype=wp.vec2i, device=device) for host in hosts}
     voxels, made = [], []
-    for host in hosts:
-        points = wp.array(host.points, dtype=wp.vec3, device=device)
-        mesh = wp.Mesh(points=points, indices=triangles[id(host.triangles)], support_winding_number=True)
-        settle_native_memory(device)
+    points = [wp.array(host.points, dtype=wp.vec3, device=device) for host in hosts]
+    with native_builds(device):
+        meshes = [
+            wp.Mesh(points=at, indices=triangles[id(host.triangles)], support_winding_number=True)
+            for at, host in zip(points, hosts, strict=True)
+        ]
+    for host, mesh in zip(hosts, meshes, strict=True):
         entry = Voxels()
         entry.mesh, entry.low, entry.lids_above = mesh.id, wp.vec3(*host.low), host.lids_above
         entry.face_parts = wp.array(host.parts, dtype=wp.uint8, device=device)

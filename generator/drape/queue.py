@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.device import keep_freed_memory
 from gcd_dataset.generator.drape.lane import Lane
 from gcd_dataset.generator.drape.passes import PendingJobs, PreparedJob
 from gcd_dataset.generator.drape.solver import nothing
@@ -44,20 +45,21 @@ def drape_unordered(
     count = min(lanes or (1 if device == "cpu" else LANES), at_once)
     batches = _lanes(pending, config, device, at_once, count, between)
     if device != "cpu":
-        wp.synchronize_device(device)  # work streams do not wait for body fields of other streams
-    while True:
-        if device != "cpu":
-            between()
-        ready = [lane for lane in batches if lane.ready(arrived)]
-        for lane in ready:
-            if lane.replaces(arrived):
-                for other in batches:
-                    other.queue_ahead()
-            yield from lane.advance(arrived)
-        if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
-            break
-        if not ready:
-            time.sleep(POLL_SECONDS)
+        wp.synchronize_device(device)  # a work stream does not wait for other streams
+    with keep_freed_memory(device):
+        while True:
+            if device != "cpu":
+                between()
+            ready = [lane for lane in batches if lane.ready(arrived)]
+            for lane in ready:
+                if lane.replaces(arrived):
+                    for other in batches:
+                        other.queue_ahead()
+                yield from lane.advance(arrived)
+            if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
+                break
+            if not ready:
+                time.sleep(POLL_SECONDS)
     if pending.error is not None:
         raise pending.error
 

@@ -15,7 +15,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
-from gcd_dataset.generator.drape.streams import settle_native_memory
+from gcd_dataset.generator.drape.streams import native_builds
 
 __all__ = ["Solver", "nothing"]
 
@@ -37,8 +37,8 @@ class Solver:
         self.state = new_state(model, config)
         self.frames = self._rebuild_at = 0
         self._bound_faces()
-        self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
-        settle_native_memory(model.device)
+        with native_builds(model.device):
+            self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
@@ -57,8 +57,8 @@ class Solver:
             return
         with launch_lock:
             self._bound_faces()
-            self._bvh.rebuild()
-            settle_native_memory(self.model.device)
+            with native_builds(self.model.device):
+                self._bvh.rebuild()
         self._rebuild_at = self.frames + REBUILD_EVERY
 
     def replay_frame(self, between: Callable[[], None] = nothing) -> None:

@@ -17,7 +17,7 @@ import warp as wp
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.device import launch_lock
 
-__all__ = ["WorkStream", "settle_native_memory", "work_streams"]
+__all__ = ["WorkStream", "native_builds", "work_streams"]
 
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING, flag of cuStreamCreate
 
@@ -68,14 +68,22 @@ def _work_stream(device: str, number: int) -> WorkStream:
     return WorkStream(wp.get_device(device))
 
 
-def settle_native_memory(device: str) -> None:
-    """Wait for the current stream, after a call of Warp whose native code has freed memory that its kernels use.
+@contextlib.contextmanager
+def native_builds(device: str) -> Iterator[None]:
+    """Build a ``Mesh`` or ``Bvh`` within the block, after the current stream's work and before its further work.
 
-    Building a ``Mesh`` or ``Bvh`` frees such memory, which only Warp's own streams wait for.
+    Warp's native code frees memory that the build's kernels still use. The default stream waits for them, a
+    ``WorkStream`` would not.
     """
     gpu = wp.get_device(device)
-    if gpu.is_cuda:
+    if not gpu.is_cuda:
+        yield
+        return
+    with launch_lock:
         wp.synchronize_stream(gpu.stream)
+        with wp.ScopedStream(gpu.null_stream, sync_enter=False):
+            yield
+        wp.synchronize_stream(gpu.null_stream)
 
 
 class _DeferredFrees:

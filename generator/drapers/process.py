@@ -26,7 +26,6 @@ from typing import Protocol
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import keep_freed_memory
 from gcd_dataset.generator.drape.queue import PreparedJob, drape_unordered
 from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, READY, owner_file, socket_file
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
@@ -164,12 +163,11 @@ class RequestQueue:
             arrived=self._waiting.__len__,
             between=pictures.advance,
         )
-        with keep_freed_memory(device):
-            for number, drape in drapes:
-                client, request = self._draping.pop(number)
-                if client.connected:
-                    pictures.add(request, drape, partial(self._reply, client, device))
-            pictures.flush()
+        for number, drape in drapes:
+            client, request = self._draping.pop(number)
+            if client.connected:
+                pictures.add(request, drape, partial(self._reply, client, device))
+        pictures.flush()
 
     def _reply(self, client: Client, device: str, reply: DrapeReply) -> None:
         """Send a reply, with the time that this process has waited since the last one."""
