@@ -160,7 +160,7 @@ def host_field(body: Body) -> HostField:
         field = begun or Future()
         _hosts[key] = field
         _hosts.move_to_end(key)
-        if len(_hosts) > HOSTS_CACHED:
+        while len(_hosts) > HOSTS_CACHED:
             _hosts.popitem(last=False)
     if begun is None:
         try:
