@@ -16,8 +16,8 @@ from gcd_dataset.generator.drape.fabric import STIFFEST
 __all__ = ["TARGETS", "Target", "read_targets", "results"]
 
 TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
-BASES = ("measured", "class", "set", "none")
-SPECIMENS = 3  # discs whose drape coefficients are averaged
+BASES = ("measured", "class", "relation", "set", "none")
+SPECIMENS = 2  # discs whose drape coefficients are averaged; one without a target
 FINE = 0.75  # cm: below this spacing only one disc is draped, and none without a target
 UNLIMITED_SPACING = 1.0  # cm
 NOT_RUN = "-"
@@ -39,7 +39,8 @@ class Target:
     """Lower end of the accepted band; ``low`` and ``high`` are NaN without a published figure."""
     high: float
     basis: str
-    """``measured``: on this cloth; ``class``: on cloth of its class; ``set``: by us, without a test; or ``none``."""
+    """``measured``: on this cloth; ``class``: on cloth of its class; ``relation``: by a relation between measurements of
+    other cloths; ``set``: by us, without a test; or ``none``."""
     citation: str
 
     def has(self, value: float) -> bool:
@@ -104,7 +105,7 @@ def _run(target: Target, spacing: float, stiffest: float, device: str) -> float 
     if target.test == "drape_coefficient":
         if spacing < FINE and not target.known:
             return None
-        specimens = 1 if spacing < FINE or math.isinf(stiffest) else SPECIMENS
+        specimens = 1 if spacing < FINE or math.isinf(stiffest) or not target.known else SPECIMENS
         return drape_coefficient(fabric, spacing=spacing, specimens=specimens, stiffest=stiffest, device=device)
     if target.test == "bending_length":
         grain: Any = target.direction

@@ -98,20 +98,16 @@ class Fabric:
     def softened(self, limit: float = STIFFEST) -> Self:
         """The fabric with limited tensile stiffness, which allows longer substeps.
 
-        Tensile stiffness along warp and weft is limited to ``limit`` times the density [N·m/kg]: at the limit a metre
-        of hanging cloth stretches by 9.81 / limit. The tensile stiffness on the bias is kept, by a larger shear
-        stiffness, as far as that is at most half of ``limit`` times the density: more would shorten the substep by up
-        to a quarter. Fabrics without a value above the limit do not change, among them the default and all knitted
-        ones; nor do bending, density, thickness and friction.
+        Tensile stiffness along warp, weft and bias is limited to ``limit`` times the density [N·m/kg]: at the limit a
+        metre of hanging cloth stretches by 9.81 / limit. Values below the limit do not change: the bias of most woven
+        cloth, and all stiffnesses of knitted cloth and of the default. Where a limited warp or weft makes the bias
+        softer, the shear stiffness becomes larger. Bending, density, thickness and friction do not change, since they
+        decide the folds.
         """
         ceiling = limit * self.density
         if max(self.pull) <= ceiling:
             return self
-        if self.isotropic:
-            return replace(self, tensile=ceiling)
-        warp, weft = min(self.pull.warp, ceiling), min(self.pull.weft, ceiling)
-        stiffest = bias_stiffness(warp, weft, ceiling / 2)
-        return replace(self, tensile=Tensile(warp, weft, min(self.pull.bias, stiffest)))
+        return replace(self, tensile=Tensile(*(min(stiffness, ceiling) for stiffness in self.pull)))
 
 
 def bias_stiffness(warp: float, weft: float, shear: float) -> float:

@@ -45,7 +45,7 @@ FABRICS: Mapping[str, Fabric] = MappingProxyType(
         "cotton": Fabric(
             density=0.15,
             tensile=_measured(2030.0, 2020.0, 52.0),
-            bending=1.78e-5,
+            bending=1.65e-5,
             thickness=0.032,
             source="plain-woven cotton: bending rigidity set so that a virtual Cusick drapemeter of 1 cm spacing shows "
             "the drape coefficient of 68.4 % that Gan, Ly and Steven measured (J. Textile Inst. 82(1), 1991); density: "
