@@ -23,8 +23,8 @@ SPECIMEN, SUPPORT = 15.0, 9.0  # cm, radii of the cloth and of the support
 # Positions are single precision: at 80 cm discs of 0.5 cm stopped before rest, 0.8 points high, since displacements of
 # a substep below 4e-6 cm are lost.
 LEVEL = 10.0  # cm, height of the support
-# A cotton disc stores half of its bending energy within a centimetre of the support's edge. Uniform meshes of 1 and 2 cm
-# do not resolve it: their coefficients came out 2 and 5 points below that of 0.35 cm. Garments have no such edge.
+# A cotton disc stores half of its bending energy within 1 cm of the support's edge. Uniform meshes of 1 and 2 cm do not
+# resolve it: their coefficients came out 2 and 5 points below that of 0.35 cm. Garments have no such edge.
 EDGE = 0.25  # cm, edge length there
 ROWS, GAP = 2.0, 0.25  # width of the band of each edge length, and gap to the next [edge lengths]
 CLEAR = 0.6  # least distance of lattice points from both rings of vertices [edge lengths]

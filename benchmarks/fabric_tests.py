@@ -39,8 +39,8 @@ class Target:
     """Lower end of the accepted band; ``low`` and ``high`` are NaN without a published figure."""
     high: float
     basis: str
-    """``measured``: on this cloth; ``class``: on cloth of its class; ``relation``: by a relation between measurements of
-    other cloths; ``set``: by us, without a test; or ``none``."""
+    """``measured``: on this cloth; ``class``: on cloth of its class; ``relation``: by a relation between
+    measurements of other cloths; ``set``: by us, without a test; or ``none``."""
     citation: str
 
     def has(self, value: float) -> bool:

@@ -133,16 +133,21 @@ def test_bias_stiffness_of_an_isotropic_sheet() -> None:
     assert bias_stiffness(1e9, 1e9, 30.0) == pytest.approx(4 * 30.0)  # inextensible threads: E45 = 4 G
 
 
-def test_a_softened_fabric_has_limited_stiffness_and_keeps_its_shear() -> None:
+def test_a_softened_fabric_has_limited_stiffness_in_each_direction() -> None:
     wool = FABRICS["wool_light"]
     soft = wool.softened(500.0)
-    assert (soft.pull.warp, soft.pull.weft) == pytest.approx((84.0, 84.0))
-    assert shear_stiffness(soft.pull) == pytest.approx(shear_stiffness(wool.pull))
+    assert soft.pull == pytest.approx((84.0, 84.0, 84.0))
     assert replace(soft, tensile=wool.tensile) == wool
     assert wool.softened(1e6) == wool
     assert Fabric(tensile=300.0).softened(500.0) == Fabric(tensile=100.0)
     for fabric in FABRICS.values():
         assert max(fabric.softened().pull) <= 500.0 * fabric.density * (1 + 1e-9)
+
+
+def test_a_softened_fabric_keeps_a_bias_below_the_limit() -> None:
+    """With its shear kept instead, the bias of this cloth became 16 % softer than measured."""
+    polyester = FABRICS["polyester_woven"]
+    assert polyester.softened().pull.bias == polyester.pull.bias < 500.0 * polyester.density < polyester.pull.warp
 
 
 def test_the_solver_softens_fabrics_up_to_the_limit_of_its_options() -> None:
