@@ -107,6 +107,8 @@ class Fabric:
         ceiling = limit * self.density
         if max(self.pull) <= ceiling:
             return self
+        if self.isotropic:
+            return replace(self, tensile=ceiling)
         return replace(self, tensile=Tensile(*(min(stiffness, ceiling) for stiffness in self.pull)))
 
 
