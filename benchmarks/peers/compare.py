@@ -29,7 +29,7 @@ def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device:
     ``ours`` starts from coarse meshes, made in ``setup_s``; ``ours_direct`` has no coarse start. For ``newton``,
     ``setup_s`` covers the model and the first frame; ``ours`` builds its model in ``solve_s``. Seconds are per garment.
     """
-    jobs = [replace(job, coarse=None) for job in jobs]
+    jobs = [replace(job, coarse=None, start=None) for job in jobs]
     drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
     drape_with_newton(jobs[:1], device=device, max_frames=2)
     rows, figures = [], []

@@ -118,3 +118,12 @@ class DrapeJob:
     start: Float[np.ndarray, "v 3"] | None = None
     """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
     drape computes them."""
+
+    def __post_init__(self) -> None:
+        mesh = self.coarse.mesh if self.coarse else self.box_mesh
+        if self.start is not None and len(self.start) != len(mesh.vertices):
+            which = "the coarse mesh" if self.coarse else "the box mesh"
+            raise ConfigError(
+                f"DrapeJob: {len(self.start)} start positions for the {len(mesh.vertices)} vertices of {which}: give "
+                "sewing_start of that mesh, or None"
+            )

@@ -97,6 +97,10 @@ class Lane:
                 self._queue(POLL_EVERY)
         return []
 
+    def free_memory(self) -> None:
+        """Free the memory of past batches."""
+        self._synchronize()
+
     def _collect(self) -> list[tuple[int, Drape]]:
         """The drapes of the garments that have ended their fine pass."""
         solver, passes = self._solver, self._passes

@@ -60,6 +60,8 @@ def drape_unordered(
                 break
             if not ready:
                 time.sleep(POLL_SECONDS)
+        for lane in batches:
+            lane.free_memory()
     if pending.error is not None:
         raise pending.error
 

@@ -208,6 +208,12 @@ def test_a_system_without_cpu_affinity_drapes_on_all_cores(monkeypatch: pytest.M
     assert drape.frames == 1
 
 
+def test_start_positions_of_another_mesh_are_refused() -> None:
+    job = on_a_ball(4)
+    with pytest.raises(ConfigError, match=r"3 start positions for the \d+ vertices of the box mesh"):
+        replace(job, start=job.box_mesh.vertices[:3])
+
+
 def test_no_jobs_give_no_drapes() -> None:
     assert drape_batch([], device="cpu") == []
 
