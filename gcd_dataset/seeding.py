@@ -23,6 +23,8 @@ class Stage(IntEnum):
     ARMS = 7
     SPLIT = 8
     DRAFT = 9
+    APPEARANCE = 10
+    VIEW = 11
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.render import garment_scene
-from gcd_dataset.generator.render_batch import PendingRender, View, start_render
+from gcd_dataset.generator.render.plain_batch import PendingRender, View, start_render
 from gcd_dataset.records import Drape
 
 __all__ = ["PictureQueue"]

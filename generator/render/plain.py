@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.render_batch import Picture, Scene, View, start_render
+from gcd_dataset.generator.render.plain_batch import Picture, Scene, View, start_render
 from gcd_dataset.records import Body, BoxMesh, Sample
 
 __all__ = [

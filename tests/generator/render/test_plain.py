@@ -19,7 +19,7 @@ from gcd_dataset.generator.render import (
     render_sample,
     render_view,
 )
-from gcd_dataset.generator.render_batch import DISTANCE, MARGIN, View, start_render
+from gcd_dataset.generator.render.plain_batch import DISTANCE, MARGIN, View, start_render
 from gcd_dataset.records import Drape, Outcome, Provenance, Sample
 from tests.helpers import SIZE, body_from, napkins, patch
 

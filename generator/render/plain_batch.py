@@ -12,11 +12,11 @@ import warp as wp
 from jaxtyping import Float, Shaped, UInt8
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator import render_kernels
 from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import launch_lock
-from gcd_dataset.generator.render_kernels import (
+from gcd_dataset.generator.render import plain_kernels
+from gcd_dataset.generator.render.plain_kernels import (
     LEVELS,
     Camera,
     Scenes,
@@ -28,7 +28,7 @@ from gcd_dataset.generator.render_kernels import (
 )
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.render import ColouredMesh
+    from gcd_dataset.generator.render.plain import ColouredMesh
 
 __all__ = ["DISTANCE", "MARGIN", "PendingRender", "Picture", "Scene", "View", "start_render"]
 
@@ -53,7 +53,7 @@ def start_render(scenes: Sequence[Scene], views: Sequence[View], *, size: int, d
     if size < 1:
         raise ConfigError(f"a picture of {size} pixels: give a size of 1 or more")
     device = resolve_device(device)
-    load_kernels("renderer", render_kernels, device=device)
+    load_kernels("renderer", plain_kernels, device=device)
     with launch_lock:
         return PendingRender(scenes, views, size, device)
 

@@ -1,4 +1,4 @@
-"""Ray casting of several scenes from several views: the kernels of ``render_batch``.
+"""Ray casting of several scenes from several views: the kernels of ``plain_batch``.
 
 Passes: vertex normals; the face each ray hits; ambient occlusion of the vertices that are seen; shading to sRGB bytes.
 Vertices, faces and colours of all scenes are concatenated.

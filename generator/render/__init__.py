@@ -1,0 +1,139 @@
+"""Pictures of garments on bodies, by ray casting in Warp: no display, no OpenGL, the same code on a CPU and a GPU.
+
+Two renderers:
+
+- the plain one (``plain``): front and back in flat panel colours, as stored in data sets;
+- the one for training (``render``): cloth with prints and weaves, people, light, places and cameras, drawn by
+  ``draw_*`` functions from a random stream, with truths for every pixel.
+
+::
+
+    scene = scene_of(box_mesh, drape.vertices, body, pattern=pattern)
+    rng = np.random.default_rng(0)
+    appearance, camera = draw_appearance(rng, scene), draw_camera(rng, scene)
+    view = View(0, appearance, camera, draw_lights(rng), draw_environment(rng))
+    [picture] = render([scene], [view], size=512, maps=("depth", "panel_id"))
+
+Records (``scene``, ``appearance``, ``lights``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
+imported on first use: Warp is loaded by the functions that render.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.render.appearance import (
+        Appearance,
+        AppearanceRanges,
+        Cloth,
+        Hair,
+        Print,
+        PrintKind,
+        Skin,
+        Stitching,
+        Underwear,
+        Weave,
+        WeaveKind,
+        draw_appearance,
+    )
+    from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
+    from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
+    from gcd_dataset.generator.render.draw import draw_view, draw_views
+    from gcd_dataset.generator.render.environment import (
+        Environment,
+        EnvironmentKind,
+        EnvironmentRanges,
+        draw_environment,
+    )
+    from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights
+    from gcd_dataset.generator.render.pictures import MAPS, Picture, View
+    from gcd_dataset.generator.render.plain import (
+        ColouredMesh,
+        garment_scene,
+        render_garment,
+        render_sample,
+        render_view,
+    )
+    from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
+
+__all__ = [
+    "MAPS",
+    "Appearance",
+    "AppearanceRanges",
+    "Camera",
+    "CameraRanges",
+    "Cloth",
+    "ColouredMesh",
+    "Environment",
+    "EnvironmentKind",
+    "EnvironmentRanges",
+    "Hair",
+    "HairStyle",
+    "LightRanges",
+    "Lights",
+    "PendingPictures",
+    "Picture",
+    "Print",
+    "PrintKind",
+    "Scene",
+    "Skin",
+    "Stitching",
+    "Underwear",
+    "View",
+    "Weave",
+    "WeaveKind",
+    "draw_appearance",
+    "draw_camera",
+    "draw_environment",
+    "draw_lights",
+    "draw_view",
+    "draw_views",
+    "fixed_camera",
+    "garment_scene",
+    "look_at",
+    "render",
+    "render_garment",
+    "render_sample",
+    "render_view",
+    "scene_of",
+    "scene_of_sample",
+    "start_pictures",
+]
+
+_NAMES_OF_MODULE = {
+    "appearance": (
+        "Appearance",
+        "AppearanceRanges",
+        "Cloth",
+        "Hair",
+        "Print",
+        "PrintKind",
+        "Skin",
+        "Stitching",
+        "Underwear",
+        "Weave",
+        "WeaveKind",
+        "draw_appearance",
+    ),
+    "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
+    "casting": ("PendingPictures", "render", "start_pictures"),
+    "draw": ("draw_view", "draw_views"),
+    "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
+    "lights": ("LightRanges", "Lights", "draw_lights"),
+    "pictures": ("MAPS", "Picture", "View"),
+    "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),
+    "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
+}
+_MODULE_OF_NAME = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF_NAME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name}")
+    value = getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

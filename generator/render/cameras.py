@@ -1,0 +1,128 @@
+"""Pinhole cameras in OpenCV's convention, and their random ranges."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.records import Record
+
+__all__ = ["Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"]
+
+FILM = 24.0  # mm; height of a frame of 35 mm film, for which focal lengths are stated
+FIXED_DISTANCE = 520.0  # cm; as ``plain_batch.DISTANCE``
+FIXED_MARGIN = 1.04  # as ``plain_batch.MARGIN``
+
+
+@dataclass(frozen=True, eq=False)
+class Camera(Record):
+    """A pinhole camera without distortion, for square pictures."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    """World to camera; rows are the camera's right, down and forward axes."""
+    eye: Float[np.ndarray, "3"]
+    """Centre of projection [cm]."""
+    focal: float
+    """Focal length as a multiple of the picture's width."""
+    shift: tuple[float, float] = (0.0, 0.0)
+    """Offset of the principal point from the picture's centre, right and down, as multiples of its width: a crop."""
+
+    def intrinsics(self, size: int) -> Float[np.ndarray, "3 3"]:
+        """K for a picture of ``size`` pixels; pixel centres have whole coordinates."""
+        middle = 0.5 * (size - 1)
+        x, y = (middle + size * part for part in self.shift)
+        return np.array([[self.focal * size, 0.0, x], [0.0, self.focal * size, y], [0.0, 0.0, 1.0]])
+
+    def extrinsics(self) -> Float[np.ndarray, "3 4"]:
+        """[R | t], world to camera."""
+        return np.column_stack([self.rotation, -self.rotation @ self.eye])
+
+    def project(self, points: Float[np.ndarray, "n 3"], size: int) -> Float[np.ndarray, "n 2"]:
+        """Column and row of points [cm] in a picture of ``size`` pixels; NaN behind the camera."""
+        seen = (points - self.eye) @ self.rotation.T
+        depth = np.where(seen[:, 2:] > 1e-6, seen[:, 2:], np.nan)
+        K = self.intrinsics(size)
+        return seen[:, :2] / depth * K[0, 0] + K[:2, 2]
+
+
+@dataclass(frozen=True)
+class CameraRanges:
+    """Ranges of drawn cameras; the camera stands on a circle round the figure and looks at it."""
+
+    yaw: tuple[float, float] = (-180.0, 180.0)
+    """Angle of the camera round the figure [degrees]: 0 in front, 90 at the wearer's left."""
+    pitch: tuple[float, float] = (-8.0, 18.0)
+    """Height of the camera, as its angle above the point it looks at [degrees]."""
+    roll: tuple[float, float] = (-3.0, 3.0)
+    """[degrees]"""
+    focal: tuple[float, float] = (35.0, 105.0)
+    """Focal length as on 35 mm film [mm]; the distance follows from the crop."""
+    fill: tuple[float, float] = (0.72, 0.97)
+    """Height of the framed part, as a share of the picture's."""
+    crop: float = 0.3
+    """Share of pictures that frame the garment rather than the whole figure."""
+    offset: tuple[float, float] = (-0.03, 0.03)
+    """Offset of the framed part from the middle, as a share of the picture's width."""
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    *,
+    focal: float,
+    roll: float = 0.0,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> Camera:
+    """A camera at ``eye`` that looks at ``target`` [cm], upright but for ``roll`` [rad, clockwise picture].
+
+    Raises ``ConfigError`` where the direction is not defined.
+    """
+    forward = np.asarray(target, float) - np.asarray(eye, float)
+    across = np.cross(forward, [0.0, 1.0, 0.0])
+    if np.linalg.norm(across) < 1e-6 * max(1.0, float(np.linalg.norm(forward))):
+        raise ConfigError(f"a camera at {eye} looks along the vertical at {target}: move it aside")
+    forward, right = forward / np.linalg.norm(forward), across / np.linalg.norm(across)
+    down = np.cross(forward, right)
+    c, s = math.cos(roll), math.sin(roll)
+    return Camera(np.stack([c * right - s * down, s * right + c * down, forward]), np.asarray(eye, float), focal, shift)
+
+
+def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges | None = None) -> Camera:
+    """A camera that frames the figure, or the garment alone."""
+    ranges = ranges or CameraRanges()
+    yaw, pitch, roll = (math.radians(rng.uniform(*bounds)) for bounds in (ranges.yaw, ranges.pitch, ranges.roll))
+    # Logarithmic: 35 to 50 mm changes the perspective as much as 70 to 100 mm.
+    focal = math.exp(rng.uniform(*np.log(ranges.focal))) / FILM
+    fill, (right, down) = rng.uniform(*ranges.fill), rng.uniform(*ranges.offset, size=2)
+    whole = rng.random() >= ranges.crop
+    points = scene.vertices if len(scene.vertices) and not whole else np.concatenate(scene.bounds()).reshape(2, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, reach = 0.5 * (low + high), high - low
+    across = abs(math.cos(yaw)) * reach[0] + abs(math.sin(yaw)) * reach[2]
+    deep = abs(math.sin(yaw)) * reach[0] + abs(math.cos(yaw)) * reach[2]
+    distance = focal * max(float(reach[1]), float(across)) / fill + 0.5 * float(deep)
+    away = np.array([math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)])
+    eye = middle + distance * away
+    eye[1] = max(float(eye[1]), EYE_ABOVE_FLOOR)
+    return look_at(eye, middle, focal=focal, roll=roll, shift=(float(right), float(down)))
+
+
+def fixed_camera(scene: Scene, side: str = "front") -> Camera:
+    """The camera of the plain renderer's ``front`` or ``back`` view. Raises ``ConfigError`` for another side."""
+    if side not in ("front", "back"):
+        raise ConfigError(f"a fixed camera at {side!r}: choose front or back")
+    low, high = scene.bounds()
+    half = FIXED_MARGIN * 0.5 * float(max(high[0] - low[0], high[1] - low[1]))
+    focal = (FIXED_DISTANCE - 0.5 * float(high[2] - low[2])) / half
+    middle = 0.5 * (low + high)
+    facing = 1.0 if side == "front" else -1.0
+    # The plain renderer states focal lengths in half picture widths.
+    return look_at(middle + [0.0, 0.0, facing * FIXED_DISTANCE], middle, focal=0.5 * focal)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it

@@ -1,0 +1,61 @@
+"""Drawn views: appearance, camera, light and place as a pure function of (seed, index, epoch)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gcd_dataset.generator.render.appearance import Appearance, AppearanceRanges, draw_appearance
+from gcd_dataset.generator.render.cameras import CameraRanges, draw_camera
+from gcd_dataset.generator.render.environment import EnvironmentRanges, draw_environment
+from gcd_dataset.generator.render.lights import LightRanges, draw_lights
+from gcd_dataset.generator.render.pictures import View
+from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.seeding import Stage, rng
+
+__all__ = ["Ranges", "draw_view", "draw_views"]
+
+VIEWS_PER_EPOCH = 1 << 16  # stream numbers of one epoch
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """All ranges that views are drawn from."""
+
+    appearance: AppearanceRanges = field(default_factory=AppearanceRanges)
+    camera: CameraRanges = field(default_factory=CameraRanges)
+    lights: LightRanges = field(default_factory=LightRanges)
+    environment: EnvironmentRanges = field(default_factory=EnvironmentRanges)
+
+
+def draw_views(
+    seed: int,
+    index: int,
+    scene: Scene,
+    n: int,
+    *,
+    epoch: int = 0,
+    row: int = 0,
+    fabric: str | None = None,
+    ranges: Ranges | None = None,
+) -> list[View]:
+    """``n`` views of sample ``index`` in one appearance; view k is the same for every ``n`` above k.
+
+    ``row`` is the scene's row in the list to be rendered.
+    """
+    ranges = ranges or Ranges()
+    appearance = draw_appearance(
+        rng(seed, index, Stage.APPEARANCE, epoch), scene, fabric=fabric, ranges=ranges.appearance
+    )
+    streams = (rng(seed, index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + k) for k in range(n))
+    return [draw_view(stream, scene, appearance, row=row, ranges=ranges) for stream in streams]
+
+
+def draw_view(
+    rng: np.random.Generator, scene: Scene, appearance: Appearance, *, row: int = 0, ranges: Ranges | None = None
+) -> View:
+    """A view of a scene in a given appearance: camera, light and place are drawn."""
+    ranges = ranges or Ranges()
+    camera = draw_camera(rng, scene, ranges=ranges.camera)
+    lights = draw_lights(rng, camera, ranges=ranges.lights)
+    environment = draw_environment(rng, ranges=ranges.environment)
+    return View(row, appearance, camera, lights, environment, seed=int(rng.integers(1 << 31)))

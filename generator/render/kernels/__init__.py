@@ -1,0 +1,1 @@
+"""Kernels of the renderer, and the functions that they call, one module per concern."""

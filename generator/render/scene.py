@@ -1,0 +1,138 @@
+"""The geometry of a picture: a draped garment on its body, with the points whose pixels are wanted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.records import Body, BoxMesh, PanelRole, Pattern, Record, Sample
+
+__all__ = ["HairStyle", "Scene", "scene_of", "scene_of_sample"]
+
+
+class HairStyle(IntEnum):
+    """Shape of the hair: a shell over the scalp of the body model."""
+
+    NONE = 0
+    CROPPED = 1
+    SHORT = 2
+    FULL = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(Record):
+    """A garment on a body. Axes and units as everywhere: cm, y up, the wearer faces +z, soles at y = 0."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Positions of the garment [cm]."""
+    faces: Int[np.ndarray, "f 3"]
+    """Triangles of the garment, counter-clockwise on its outside."""
+    uv: Float[np.ndarray, "c 2"]
+    """Panel-plane coordinates [cm] of the seam-split vertices; the second axis is the grain (warp)."""
+    corners: Int[np.ndarray, "f 3"]
+    """Rows of ``uv`` at each face's corners."""
+    uv_vertex: Int[np.ndarray, " c"]
+    """Vertex of each row of ``uv``."""
+    panel_id: Int[np.ndarray, " f"]
+    """Row of ``panel_names`` for each face."""
+    panel_names: tuple[str, ...]
+    panel_labels: tuple[PanelRole | str, ...]
+    seams: Int[np.ndarray, "s 2"]
+    """Pairs (vertex, row of the pattern's seams)."""
+    body: Body
+    panel_corners: Int[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2), int))
+    """(panel, corner): the panel corners that the mesh holds, as rows of ``panel_names`` and of ``Panel.vertices``."""
+    corner_rows: Int[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0, int))
+    """Row of ``uv`` at each of ``panel_corners``."""
+    landmarks: Mapping[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    """Landmarks of the body by name [cm]."""
+    hair: HairStyle = HairStyle.NONE
+
+    @property
+    def parts(self) -> UInt8[np.ndarray, " v"]:
+        """``BodyPart`` value of each vertex of the body."""
+        return self.body.parts
+
+    def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Lowest and highest corner of the box round body and garment [cm]."""
+        points = [mesh.T.astype(float, order="C") for mesh in (self.vertices, self.body.vertices) if len(mesh)]
+        return np.min([p.min(axis=1) for p in points], axis=0), np.max([p.max(axis=1) for p in points], axis=0)
+
+
+def scene_of(
+    mesh: BoxMesh,
+    vertices: Float[np.ndarray, "v 3"],
+    body: Body,
+    *,
+    pattern: Pattern | None = None,
+    hair: HairStyle = HairStyle.NONE,
+) -> Scene:
+    """The scene of a garment at ``vertices`` [cm] on ``body``; with ``pattern``, its panel corners are found.
+
+    Landmarks are those of the body model; a body with another mesh has none. Raises ``ConfigError`` where ``vertices``
+    are not those of ``mesh``.
+    """
+    if vertices.shape != mesh.vertices.shape:
+        raise ConfigError(f"{len(vertices)} positions for a mesh of {len(mesh.vertices)} vertices: give one for each")
+    ids, rows = _corners_in_mesh(mesh, pattern)
+    return Scene(
+        vertices=vertices,
+        faces=mesh.faces,
+        uv=mesh.uv,
+        corners=mesh.corners,
+        uv_vertex=mesh.uv_vertex,
+        panel_id=mesh.panel_id,
+        panel_names=mesh.panel_names,
+        panel_labels=mesh.panel_labels,
+        seams=mesh.seams,
+        body=body,
+        panel_corners=ids,
+        corner_rows=rows,
+        landmarks=_landmarks(body),
+        hair=hair,
+    )
+
+
+def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
+    """The scene of a draped sample on its body. Raises ``ConfigError`` for a sample without a drape."""
+    if sample.box_mesh is None or sample.drape is None:
+        raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
+    return scene_of(sample.box_mesh, sample.drape.vertices, body, pattern=sample.pattern, hair=hair)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+NEAR = 1e-2  # cm; a row of ``uv`` nearer than this to a panel corner is that corner: specifications round to 1e-3 cm
+
+
+def _corners_in_mesh(mesh: BoxMesh, pattern: Pattern | None) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
+    """(panel, corner) and row of ``uv`` for each panel corner that is a vertex of the mesh."""
+    ids: list[tuple[int, int]] = []
+    rows: list[int] = []
+    panel_of_row = np.full(len(mesh.uv), -1)
+    panel_of_row[mesh.corners] = mesh.panel_id[:, None]
+    panels = {} if pattern is None else {panel.name: panel for panel in pattern.panels}
+    for number, name in enumerate(mesh.panel_names):
+        if name not in panels:
+            continue
+        own = np.flatnonzero(panel_of_row == number)
+        if not len(own):
+            continue
+        apart = np.linalg.norm(mesh.uv[own][None] - panels[name].vertices[:, None], axis=2)
+        nearest = apart.argmin(axis=1)
+        for corner, row in enumerate(nearest.tolist()):
+            if apart[corner, row] < NEAR:
+                ids.append((number, corner))
+                rows.append(int(own[row]))
+    return np.array(ids, int).reshape(-1, 2), np.array(rows, int)
+
+
+def _landmarks(body: Body) -> dict[str, Float[np.ndarray, "3"]]:
+    from gcd_dataset.generator.body.asset import body_model, landmark_table
+
+    if len(body.vertices) != len(body_model().parts):
+        return {}
+    return {name: body.vertices[vertex] for name, vertex in landmark_table().points.items()}
