@@ -1,11 +1,41 @@
 """Rendering of batches: scenes and views in, pictures and truths out; a GPU works in the background."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import get_args
 
-from gcd_dataset.generator.render.pictures import MapName, Picture, View
+import numpy as np
+import warp as wp
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape import load_kernels, resolve_device
+from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.render import plain_kernels
+from gcd_dataset.generator.render.geometry import solid_of
+from gcd_dataset.generator.render.kernels import cast, prepare, truths
+from gcd_dataset.generator.render.kernels.records import Cloth, Shot
+from gcd_dataset.generator.render.packing import Materials, pack_views
+from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
+from gcd_dataset.generator.render.plain_batch import thresholds
+from gcd_dataset.generator.render.points import Points, points_of
 from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.generator.render.staging import StagingBuffers, wrapped
+from gcd_dataset.generator.render.uploading import Uploaded, upload
 
 __all__ = ["PendingPictures", "render", "start_pictures"]
+
+SIDE = 2  # rays along each side of a pixel
+PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
+MAP_TYPES: dict[str, tuple[type, int, float]] = {
+    "depth": (np.float32, 0, 0.0),
+    "normals": (np.float32, 3, 0.0),
+    "part": (np.uint8, 0, BACKGROUND),
+    "panel_id": (np.int16, 0, -1),
+    "seam": (np.int16, 0, -1),
+    "uv": (np.float32, 2, np.nan),
+    "silhouette": (np.uint8, 0, 0),
+}
+"""Type, channels and background of each map, in the order of the kernel's arguments."""
+WARP_TYPES = {np.float32: wp.float32, np.uint8: wp.uint8, np.int16: wp.int16}
 
 
 def render(
@@ -19,26 +49,183 @@ def render(
     """A picture of ``size`` × ``size`` pixels for each view, in order, with the ``maps`` named.
 
     Views of one scene share its mesh. A picture is a function of its scene, view and size: the same bytes in any batch
-    and order on one class of device. Raises ``ConfigError`` for a missing device, a size below 1, an unknown map or a
-    view of a scene that is not there.
+    and order on one class of device. Raises ``ConfigError`` for a missing device, a size below 1, an unknown map, a
+    view of a scene that is not there, or an appearance of another garment.
     """
-    return start_pictures(scenes, views, size=size, maps=maps, device=device).pictures()
+    _check(scenes, views, size, maps)
+    done: dict[int, Picture] = {}
+    for rows in _batches(views, size):
+        pending = start_pictures(scenes, [views[row] for row in rows], size=size, maps=maps, device=device)
+        done.update(zip(rows, pending.pictures(), strict=True))
+    return [done[row] for row in range(len(views))]
 
 
 def start_pictures(
     scenes: Sequence[Scene], views: Sequence[View], *, size: int, maps: Sequence[MapName] = (), device: str = "auto"
 ) -> "PendingPictures":
-    """Start ``render``; a GPU works in the background."""
-    raise NotImplementedError
+    """Start ``render`` of all views at once; a GPU works in the background."""
+    _check(scenes, views, size, maps)
+    device = resolve_device(device)
+    load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
+    with launch_lock:
+        return PendingPictures(scenes, views, size, maps, device)
 
 
 class PendingPictures:
     """Pictures that a device is rendering."""
 
+    def __init__(
+        self, scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName], device: str
+    ) -> None:
+        self._views, self._size, self._maps = views, size, tuple(maps)
+        self._staging = StagingBuffers(device)
+        self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
+        self._results: dict[str, np.ndarray] = {}
+        if not views:
+            self._rendered = None
+            return
+        used = sorted({view.scene for view in views})
+        kept = [scenes[row] for row in used]
+        uploaded = upload(kept, [solid_of(scene) for scene in kept], self._staging)
+        materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
+        self._kept = uploaded, self._launch(uploaded, materials, device)
+        self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
+
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""
-        raise NotImplementedError
+        with launch_lock:  # CUDA refuses event queries while another thread captures a graph
+            return self._rendered is None or self._rendered.is_complete
 
     def pictures(self) -> list[Picture]:
         """Wait for the pictures. Call once: this releases the buffers."""
-        raise NotImplementedError
+        with launch_lock:
+            if self._rendered is not None:
+                wp.synchronize_event(self._rendered)
+        pictures = list(self._finished())
+        self._staging.release()
+        return pictures
+
+    def _finished(self) -> Iterator[Picture]:
+        begin = 0
+        for row, (view, points) in enumerate(zip(self._views, self._points, strict=True)):
+            end = begin + len(points.positions)
+            visible = points.in_picture & (self._results["visible"][begin:end] == 1)
+            begin, corners = end, points.corners
+            yield Picture(
+                rgb=self._results["rgb"][row].copy(),
+                intrinsics=view.camera.intrinsics(self._size),
+                extrinsics=view.camera.extrinsics(),
+                maps={name: self._results[name][row].copy() for name in self._maps},
+                panel_corners=points.panel_corners,
+                corner_pixels=points.pixels[:corners],
+                corner_visible=visible[:corners],
+                landmark_names=points.landmark_names,
+                landmark_pixels=points.pixels[corners:],
+                landmark_visible=visible[corners:],
+            )
+
+    def _launch(self, up: Uploaded, materials: Materials, device: str) -> list[wp.array]:
+        """Launch all passes and the copies of their results; returns the arrays that these read."""
+        shots = wp.array(materials.shots, dtype=Shot, device=device)
+        rgb = _shade(up, shots, materials, self._size, device)
+        outputs = {"rgb": rgb, **_truths(up, shots, self._maps, self._size, device)}
+        positions = np.concatenate([points.positions for points in self._points])
+        owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
+        visible = wp.zeros(len(positions), dtype=wp.uint8, device=device)
+        inputs = [
+            up.scenes,
+            shots,
+            wp.array(owner.astype(np.int32), dtype=int, device=device),
+            wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device),
+        ]
+        wp.launch(truths.see_points, len(positions), inputs=inputs, outputs=[visible], device=device)
+        outputs["visible"] = visible
+        for name, array in outputs.items():
+            kind = wp.dtype_to_numpy(array.dtype)
+            self._results[name] = self._staging.array(array.shape, kind)
+            if array.size:
+                wp.copy(wrapped(self._results[name], array.dtype), array)
+        return [shots, *inputs, *outputs.values()]
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _check(scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName]) -> None:
+    if size < 1:
+        raise ConfigError(f"a picture of {size} pixels: give a size of 1 or more")
+    for name in maps:
+        if name not in get_args(MapName):
+            raise ConfigError(f"unknown map {name!r}: choose from {', '.join(get_args(MapName))}")
+    for number, view in enumerate(views):
+        if not 0 <= view.scene < len(scenes):
+            raise ConfigError(f"view {number} is of scene {view.scene}: there are {len(scenes)}, counted from 0")
+
+
+def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
+    """Rows of the views to render at once: whole scenes, as many as memory holds."""
+    rows = sorted(range(len(views)), key=lambda row: views[row].scene)
+    most = max(1, PIXELS // size**2)
+    batch: list[int] = []
+    for k, row in enumerate(rows):
+        batch.append(row)
+        last = k + 1 == len(rows) or views[rows[k + 1]].scene != views[row].scene
+        if len(batch) >= most or (last and 2 * len(batch) > most):
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _shade(up: Uploaded, shots: wp.array, materials: Materials, size: int, device: str) -> wp.array:
+    """The pictures (shot, h, w, 3)."""
+    rays = (len(shots), size, size, SIDE**2)
+    hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
+    sides = (2, up.vertices)
+    seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.full(sides, 1.0, dtype=float, device=device)
+    cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
+    floor = wp.empty(cells, dtype=float, device=device)
+    picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
+    wp.launch(cast.cast_rays, rays, inputs=[up.scenes, shots, SIDE], outputs=[hit_face, hit_uv, seen], device=device)
+    wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
+    wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+    inputs = [
+        up.scenes,
+        shots,
+        wp.array(materials.cloth_of_panel, dtype=int, device=device),
+        wp.array(materials.cloths, dtype=Cloth, device=device),
+        wp.array(materials.texels, dtype=wp.vec3, device=device),
+        wp.array(materials.glow, dtype=wp.vec3, device=device),
+        up.middle,
+        sky,
+        floor,
+        SIDE,
+        hit_face,
+        hit_uv,
+        thresholds(device),
+    ]
+    wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    return picture
+
+
+def _truths(
+    up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, device: str
+) -> dict[str, wp.array]:
+    """The maps by name (shot, h, w[, channels])."""
+    if not maps:
+        return {}
+    wanted = truths.Wanted()
+    arrays: dict[str, wp.array] = {}
+    for name, (kind, channels, background) in MAP_TYPES.items():
+        asked = name in maps
+        setattr(wanted, FLAGS.get(name, name), int(asked))
+        shape = (len(shots), size, size) if asked else (1, 1, 1)
+        shape = (*shape, channels) if channels else shape
+        arrays[name] = wp.full(shape, WARP_TYPES[kind](background), dtype=WARP_TYPES[kind], device=device)
+    rays = (len(shots), size, size)
+    inputs = [up.scenes, shots, wanted, size]
+    wp.launch(truths.see_centres, rays, inputs=inputs, outputs=list(arrays.values()), device=device)
+    return {name: arrays[name] for name in maps}
+
+
+FLAGS = {"panel_id": "panel"}  # fields of ``Wanted`` with another name than their map

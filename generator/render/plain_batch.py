@@ -1,15 +1,13 @@
 """Renders several scenes in one batch: upload, ray casting passes, download; a GPU works asynchronously."""
 
 import itertools
-import math
-from collections import defaultdict
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PAPER
@@ -26,11 +24,23 @@ from gcd_dataset.generator.render.plain_kernels import (
     sky_visibility,
     sum_normals,
 )
+from gcd_dataset.generator.render.staging import StagingBuffers, to_device, wrapped
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.plain import ColouredMesh
 
-__all__ = ["DISTANCE", "MARGIN", "PendingRender", "Picture", "Scene", "View", "start_render"]
+__all__ = [
+    "DISTANCE",
+    "MARGIN",
+    "PendingRender",
+    "Picture",
+    "Scene",
+    "View",
+    "linear_light",
+    "start_render",
+    "thresholds",
+    "vertex_normals",
+]
 
 Scene: TypeAlias = Sequence["ColouredMesh"]
 View = Literal["front", "back"]
@@ -62,12 +72,12 @@ class PendingRender:
     """Pictures that a device is rendering."""
 
     def __init__(self, scenes: Sequence[Scene], views: Sequence[View], size: int, device: str) -> None:
-        self._views, self._staging = len(views), _StagingBuffers(device)
+        self._views, self._staging = len(views), StagingBuffers(device)
         uploaded, _meshes = _upload(scenes, self._staging)
         cameras = [camera for scene in scenes for camera in _cameras(scene, views)]
         pictures = _render(uploaded, wp.array(cameras, dtype=Camera, device=device), len(views), size, device)
         self._pictures = self._staging.array(pictures.shape, np.uint8)
-        wp.copy(_wrapped(self._pictures, wp.uint8), pictures)
+        wp.copy(wrapped(self._pictures, wp.uint8), pictures)
         self._rendered = wp.record_event(wp.Event(device)) if pictures.device.is_cuda else None
 
     def ready(self) -> bool:
@@ -88,49 +98,7 @@ class PendingRender:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-class _StagingBuffers:
-    """Host memory for asynchronous copies to and from a device.
-
-    Page-locked for a GPU; locking takes milliseconds, so released buffers go to a pool.
-    """
-
-    _free: ClassVar[defaultdict[int, list[wp.array]]] = defaultdict(list)
-
-    def __init__(self, device: str) -> None:
-        self.device = device
-        self.locked = wp.get_device(device).is_cuda
-        self._in_use: list[wp.array] = []
-
-    def array(self, shape: tuple[int, ...], kind: type) -> Shaped[np.ndarray, "*shape"]:
-        """An uninitialised array, valid until ``release``."""
-        needed = math.prod(shape) * np.dtype(kind).itemsize
-        size = 1 << max(needed - 1, 0).bit_length()  # powers of two: most requests find a free buffer
-        free = self._free[size] if self.locked else None
-        buffer = free.pop() if free else wp.empty(size, dtype=wp.uint8, device="cpu", pinned=self.locked)
-        self._in_use.append(buffer)
-        array: np.ndarray = buffer.numpy()[:needed].view(kind).reshape(shape)
-        return array
-
-    def release(self) -> None:
-        """Return all arrays to the pool."""
-        for buffer in self._in_use if self.locked else ():
-            self._free[buffer.size].append(buffer)
-        self._in_use = []
-
-
-def _wrapped(values: np.ndarray, dtype: type) -> wp.array:
-    return wp.array(values, dtype=dtype, device="cpu", copy=False)
-
-
-def _to_device(values: np.ndarray, dtype: type, device: str) -> wp.array:
-    """A copy of a staging array on the device; the copy runs asynchronously."""
-    source = _wrapped(values, dtype)
-    copy = wp.empty_like(source, device=device)
-    wp.copy(copy, source)
-    return copy
-
-
-def _upload(scenes: Sequence[Scene], staging: _StagingBuffers) -> tuple[Scenes, list[wp.Mesh]]:
+def _upload(scenes: Sequence[Scene], staging: StagingBuffers) -> tuple[Scenes, list[wp.Mesh]]:
     """The scenes on the device, and their Warp meshes, which must outlive the launches."""
     device, meshes = staging.device, [mesh for scene in scenes for mesh in scene]
     first_vertex, first_face, first_colour = (
@@ -145,15 +113,15 @@ def _upload(scenes: Sequence[Scene], staging: _StagingBuffers) -> tuple[Scenes, 
         position[first_vertex[k] : first_vertex[k + 1]] = mesh.vertices
         np.add(mesh.faces, first_vertex[k], out=corner[faces], casting="same_kind")
         np.add(mesh.colour_of_face, first_colour[k], out=colour_of_face[faces], casting="same_kind")
-    linear = _linear(np.concatenate([mesh.colours for mesh in meshes]))
+    linear = linear_light(np.concatenate([mesh.colours for mesh in meshes]))
     uploaded = Scenes()
-    uploaded.position = _to_device(position, wp.vec3, device)
-    uploaded.corner = _to_device(corner.reshape(-1), wp.int32, device)
-    uploaded.colour_of_face = _to_device(colour_of_face, wp.int32, device)
-    uploaded.normal = _vertex_normals(uploaded.corner, uploaded.position, device)
+    uploaded.position = to_device(position, wp.vec3, device)
+    uploaded.corner = to_device(corner.reshape(-1), wp.int32, device)
+    uploaded.colour_of_face = to_device(colour_of_face, wp.int32, device)
+    uploaded.normal = vertex_normals(uploaded.corner, uploaded.position, device)
     uploaded.colour = wp.array(linear, dtype=wp.vec3, device=device)
     uploaded.wrong_side_colour = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
-    uploaded.background = wp.vec3(*_linear(np.array(PAPER) / 255))
+    uploaded.background = wp.vec3(*linear_light(np.array(PAPER) / 255))
     # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
     # would make the picture of a scene depend on the other scenes.
     begin = first_face[np.cumsum([0, *map(len, scenes)])]
@@ -177,7 +145,7 @@ def _render(scenes: Scenes, cameras: wp.array, views: int, size: int, device: st
     inputs = [scenes, cameras, views, SAMPLES]
     wp.launch(cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
     wp.launch(sky_visibility, sides, inputs=[scenes, seen], outputs=[sky], device=device)
-    inputs = [scenes, cameras, hit_face, hit_uv, sky, _thresholds(device)]
+    inputs = [scenes, cameras, hit_face, hit_uv, sky, thresholds(device)]
     wp.launch(shade_pixels, rays[:3], inputs=inputs, outputs=[pictures], device=device)
     return pictures
 
@@ -207,7 +175,7 @@ def _camera(middle: Float[np.ndarray, "3"], focal: float, view: View) -> Camera:
     return camera
 
 
-def _vertex_normals(corner: wp.array, points: wp.array, device: str) -> wp.array:
+def vertex_normals(corner: wp.array, points: wp.array, device: str) -> wp.array:
     """Unit vertex normals: face normals weighted by area."""
     total = wp.zeros((len(points), 3), dtype=wp.int64, device=device)
     normals = wp.empty(len(points), dtype=wp.vec3, device=device)
@@ -217,12 +185,12 @@ def _vertex_normals(corner: wp.array, points: wp.array, device: str) -> wp.array
 
 
 @cache
-def _thresholds(device: str) -> wp.array:
+def thresholds(device: str) -> wp.array:
     """The smallest linear value of each sRGB byte from 1 to 255."""
-    least = _linear((np.arange(LEVELS) + 0.5) / LEVELS)
+    least = linear_light((np.arange(LEVELS) + 0.5) / LEVELS)
     return wp.array(least.astype(np.float32), dtype=float, device=device)
 
 
-def _linear(srgb: np.ndarray) -> np.ndarray:
+def linear_light(srgb: np.ndarray) -> np.ndarray:
     """sRGB to linear light, 0 to 1; IEC 61966-2-1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

@@ -1,0 +1,156 @@
+"""Meshes prepared for ray casting: garment, body and hair in one list, borders of the panels, masks on the body."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gcd_dataset.generator.render.figure import BodyMasks, body_masks, hair_shell
+from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.records import Record
+
+__all__ = ["HEM", "Borders", "Solid", "panel_borders", "solid_of"]
+
+HEM = -2
+"""In place of a seam's row: an edge of cloth without a seam."""
+
+
+@dataclass(frozen=True, eq=False)
+class Borders(Record):
+    """The segments of the panels' outlines, panel by panel."""
+
+    ends: Int[np.ndarray, "b 2"]
+    """Rows of ``uv``."""
+    seam: Int[np.ndarray, " b"]
+    """Row of the pattern's seams, ``HEM`` for an edge without a seam, -1 for a seam of unknown row."""
+    along: Float[np.ndarray, " b"]
+    """Length of the outline up to the segment [cm]."""
+    first: Int[np.ndarray, " p1"]
+    """First segment of each panel; ``first[p]:first[p + 1]`` are those of panel p."""
+    flags: Int[np.ndarray, " f"]
+    """Of each face: bit k for a seam at edge (k, k + 1), bit 3 + k for a hem."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid(Record):
+    """Everything that rays may hit, in the order garment, body, hair."""
+
+    position: Float[np.ndarray, "n 3"]
+    """[cm]"""
+    faces: Int[np.ndarray, "m 3"]
+    garment_faces: int
+    body_faces: int
+    garment_vertices: int
+    borders: Borders
+    panel_of_row: Int[np.ndarray, " c"]
+    """Panel of each row of ``uv``."""
+    masks: BodyMasks
+    """Of the vertices of the body and of the hair."""
+
+
+def solid_of(scene: Scene) -> Solid:
+    """The scene as one mesh, with the borders of its panels."""
+    hair = hair_shell(scene.body, scene.hair)
+    body_at = len(scene.vertices)
+    panel_of_row = np.zeros(len(scene.uv), np.int32)
+    panel_of_row[scene.corners] = scene.panel_id[:, None]
+    masks = body_masks(scene.body)
+    return Solid(
+        position=np.concatenate([scene.vertices, scene.body.vertices, hair.vertices]),
+        faces=np.concatenate([scene.faces, scene.body.faces + body_at, hair.faces + body_at + len(scene.body.vertices)]),
+        garment_faces=len(scene.faces),
+        body_faces=len(scene.body.faces),
+        garment_vertices=body_at,
+        borders=panel_borders(scene, panel_of_row),
+        panel_of_row=panel_of_row,
+        masks=masks,
+    )
+
+
+def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
+    """The outlines of all panels, found in the mesh, with the seam of each segment."""
+    following = _next_on_border(scene.corners, len(scene.uv))
+    a, b = scene.corners, np.roll(scene.corners, -1, axis=1)
+    on_border = following[a] == b
+    face, k = np.nonzero(on_border)
+    ends = np.stack([a[face, k], b[face, k]], axis=1)
+    seam = _seam_of_edge(scene, scene.uv_vertex[ends])
+    bits = np.where(seam == HEM, 8, 1) << k
+    flags = np.bincount(face, bits, minlength=len(scene.faces)).astype(np.int32)
+    panel = panel_of_row[ends[:, 0]]
+    order = np.argsort(panel, kind="stable")
+    along = _lengths_along(ends, scene.uv, len(scene.uv))
+    first = np.searchsorted(panel[order], np.arange(len(scene.panel_names) + 1))
+    return Borders(ends[order], seam[order], along[order], first, flags)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _next_on_border(corners: Int[np.ndarray, "f 3"], rows: int) -> Int[np.ndarray, " c"]:
+    """The next row along the border, counter-clockwise; -1 inside the panel.
+
+    Round a row, each face (row, x, y) turns from x to y. Inside a panel the turns close and the sums of x - y and
+    of x² - y² are 0; on the border they leave first - last and first² - last², from which both follow.
+    """
+    row, x, y = corners.ravel(), np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
+    x, y = x.astype(float), y.astype(float)  # whole numbers below 2**53: sums are exact
+    difference = np.bincount(row, x - y, minlength=rows)
+    squares = np.bincount(row, x * x - y * y, minlength=rows)
+    open_fan = difference != 0
+    first = np.full(rows, -1.0)
+    first[open_fan] = 0.5 * (squares[open_fan] / difference[open_fan] + difference[open_fan])
+    # Two fans that meet in one row do not give a row of the mesh: such a row has no border.
+    known = open_fan & (first == np.floor(first)) & (first >= 0) & (first < rows)
+    return np.where(known, first, -1).astype(np.int64)
+
+
+def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:
+    """The seam of each border edge, by its vertices; ``HEM`` if one panel alone has it, -1 if the row is unknown."""
+    keys = edges.min(axis=1) * (len(scene.vertices) + 1) + edges.max(axis=1)
+    _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+    seam = np.where(count[inverse] > 1, -1, HEM)
+    if not len(scene.seams):
+        return seam
+    by_vertex = scene.seams[np.argsort(scene.seams[:, 0], kind="stable")]
+    rows = int(by_vertex[:, 1].max()) + 1
+    known = np.unique(by_vertex[:, 0] * rows + by_vertex[:, 1])
+    begin = np.searchsorted(by_vertex[:, 0], edges[:, 0])
+    end = np.searchsorted(by_vertex[:, 0], edges[:, 0], side="right")
+    for offset in range(int((end - begin).max(initial=0)) - 1, -1, -1):
+        row = by_vertex[np.minimum(begin + offset, len(by_vertex) - 1), 1]
+        wanted = edges[:, 1] * rows + row
+        at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+        shared = (begin + offset < end) & (known[at] == wanted) & (seam != HEM)
+        seam = np.where(shared, row, seam)
+    return seam
+
+
+def _lengths_along(
+    ends: Int[np.ndarray, "b 2"], uv: Float[np.ndarray, "c 2"], rows: int
+) -> Float[np.ndarray, " b"]:
+    """Length of the outline from a fixed point of it up to each segment [cm], by pointer doubling."""
+    number = np.full(rows, -1)
+    number[ends[:, 0]] = np.arange(len(ends))
+    before = np.full(len(ends), -1)
+    following = number[ends[:, 1]]
+    before[following[following >= 0]] = np.flatnonzero(following >= 0)
+    lengths = np.linalg.norm(uv[ends[:, 1]] - uv[ends[:, 0]], axis=1)
+    before = _cut_loops(before)
+    total, jump = np.where(before >= 0, lengths[before], 0.0), before
+    while (jump >= 0).any():
+        there = jump >= 0
+        total = total + np.where(there, total[jump], 0.0)
+        jump = np.where(there, jump[jump], -1)
+    return total
+
+
+def _cut_loops(before: Int[np.ndarray, " b"]) -> Int[np.ndarray, " b"]:
+    """The chain of predecessors, cut at the lowest number of each loop."""
+    lowest, jump = np.arange(len(before)), before.copy()
+    for _ in range(max(1, len(before)).bit_length()):
+        there = jump >= 0
+        lowest = np.where(there, np.minimum(lowest, lowest[jump]), lowest)
+        jump = np.where(there, jump[jump], -1)
+    cut: Bool[np.ndarray, " b"] = lowest == np.arange(len(before))
+    return np.where(cut, -1, before)

@@ -1,0 +1,279 @@
+"""The surface that a ray meets: where it lies, how it is turned, and its material there."""
+
+import warp as wp
+
+from gcd_dataset.generator.render.kernels.noise import ramp
+from gcd_dataset.generator.render.kernels.prints import band, print_colour, repeated
+from gcd_dataset.generator.render.kernels.rays import BODY, GARMENT, kind_of
+from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.skin import body_colour, hair_slope, is_underwear
+from gcd_dataset.generator.render.kernels.weaves import weave_slope, wrinkle_slope, yarn_variation
+
+wp.set_module_options({"enable_backward": False})
+
+UNKNOWN = 1.0e3  # cm; distance of a border that a panel lacks
+GROOVE = 0.22  # cm; half width of the groove at a seam and of the roll at a hem
+THREAD = 0.035  # cm; half width of a stitch's thread
+
+
+@wp.struct
+class Surface:
+    """A point on a surface, as seen from a camera."""
+
+    kind: int  # GARMENT, BODY or HAIR
+    point: wp.vec3
+    smooth: wp.vec3  # where the point would lie on the smooth surface: the start of shadow rays
+    flat: wp.vec3  # normal of the face, towards the camera
+    round: wp.vec3  # interpolated normal, towards the camera
+    normal: wp.vec3  # with the relief of the cloth
+    wrong: int  # 1 on the wrong side
+    clear: float  # share of the sky that is seen
+    colour: wp.vec3  # linear albedo
+    roughness: float
+    specular: float
+    sheen: float
+    scatter: float  # how far light bleeds past the terminator
+    warmth: float  # 1 for skin: red light bleeds further
+    transmission: float
+    through: float  # share of light that passes straight through
+
+
+@wp.func
+def distance_to_edge(p: wp.vec2, a: wp.vec2, b: wp.vec2) -> float:
+    """Distance from a line segment."""
+    d = b - a
+    t = wp.clamp(wp.dot(p - a, d) / wp.max(wp.dot(d, d), 1.0e-12), 0.0, 1.0)
+    return wp.length(p - a - d * t)
+
+
+@wp.func
+def border_at(scenes: Scenes, cloth_face: int, weights: wp.vec3, uv: wp.vec2) -> wp.vec4:
+    """Distance to and length along the next seam, then the next hem, interpolated over a face.
+
+    Where all corners of the face lie on the border, the distance is that to the edges of the face.
+    """
+    a = scenes.uv_corner[3 * cloth_face]
+    b = scenes.uv_corner[3 * cloth_face + 1]
+    c = scenes.uv_corner[3 * cloth_face + 2]
+    found = scenes.border[a] * weights[0] + scenes.border[b] * weights[1] + scenes.border[c] * weights[2]
+    flags = scenes.edge_flags[cloth_face]
+    if flags == 0:
+        return found
+    seam = float(UNKNOWN)
+    hem = float(UNKNOWN)
+    for k in range(3):
+        start = scenes.uv[scenes.uv_corner[3 * cloth_face + k]]
+        end = scenes.uv[scenes.uv_corner[3 * cloth_face + (k + 1) % 3]]
+        distance = distance_to_edge(uv, start, end)
+        if (flags >> k) & 1 == 1:
+            seam = wp.min(seam, distance)
+        if (flags >> (3 + k)) & 1 == 1:
+            hem = wp.min(hem, distance)
+    if scenes.border[a][0] + scenes.border[b][0] + scenes.border[c][0] < 1.0e-6:
+        found[0] = seam
+    if scenes.border[a][2] + scenes.border[b][2] + scenes.border[c][2] < 1.0e-6:
+        found[2] = hem
+    return found
+
+
+@wp.func
+def uv_at(scenes: Scenes, cloth_face: int, weights: wp.vec3) -> wp.vec2:
+    """Place in the panel's plane [cm]."""
+    first = 3 * cloth_face
+    return (
+        scenes.uv[scenes.uv_corner[first]] * weights[0]
+        + scenes.uv[scenes.uv_corner[first + 1]] * weights[1]
+        + scenes.uv[scenes.uv_corner[first + 2]] * weights[2]
+    )
+
+
+@wp.func
+def smooth_point(scenes: Scenes, first: int, weights: wp.vec3, point: wp.vec3, sign: float) -> wp.vec3:
+    """The point moved onto the tangent planes of the corners (Hanika, Ray Tracing Gems II, 2021, ch. 4).
+
+    Shadow rays that start there do not meet the facets of a surface that is shaded as smooth.
+    """
+    moved = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(3):
+        corner = scenes.corner[first + k]
+        normal = scenes.normal[corner] * sign
+        height = wp.min(0.0, wp.dot(point - scenes.position[corner], normal))
+        moved += (point - normal * height) * weights[k]
+    return moved
+
+
+@wp.func
+def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+               texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
+               direction: wp.vec3, pixel: float) -> Surface:  # fmt: skip
+    """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
+    s = Surface()
+    weights = wp.vec3(bary[0], bary[1], 1.0 - bary[0] - bary[1])
+    first = 3 * (scenes.first_face[shot.scene] + face)
+    i = scenes.corner[first]
+    j = scenes.corner[first + 1]
+    k = scenes.corner[first + 2]
+    p = scenes.position[i]
+    q = scenes.position[j]
+    r = scenes.position[k]
+    s.point = p * weights[0] + q * weights[1] + r * weights[2]
+    s.flat = wp.normalize(wp.cross(q - p, r - p))
+    smooth = scenes.normal[i] * weights[0] + scenes.normal[j] * weights[1] + scenes.normal[k] * weights[2]
+    s.round = wp.normalize(smooth)
+    sign = float(1.0)
+    s.wrong = 0
+    if wp.dot(s.flat, direction) > 0.0:
+        sign = -1.0
+        s.wrong = 1
+    s.flat = s.flat * sign
+    s.round = s.round * sign
+    s.normal = s.round
+    s.smooth = smooth_point(scenes, first, weights, s.point, sign)
+    s.clear = sky[s.wrong, i] * weights[0] + sky[s.wrong, j] * weights[1] + sky[s.wrong, k] * weights[2]
+    s.kind = kind_of(scenes, shot.scene, face)
+    facing = wp.max(0.25, wp.abs(wp.dot(s.round, direction)))
+    width = wp.length(s.point - shot.eye) * pixel / wp.sqrt(facing)
+    if s.kind == GARMENT:
+        return cloth_surface(s, scenes, shot, cloth_of_panel, cloths, texel, face, weights, width, sign)
+    if s.kind == BODY:
+        return body_surface(s, scenes, shot, wp.vec3i(i, j, k), weights, width)
+    return hair_surface(s, shot, scenes)
+
+
+@wp.func
+def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
+                  cloths: wp.array(dtype=Cloth), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
+                  width: float, sign: float) -> Surface:  # fmt: skip
+    """Material and relief of the cloth."""
+    row = scenes.first_cloth_face[shot.scene] + face
+    panel = scenes.panel[row]
+    cloth = cloths[cloth_of_panel[shot.first_panel + panel]]
+    uv = uv_at(scenes, row, weights)
+    border = border_at(scenes, row, weights, uv)
+    colour = print_colour(cloth, uv, panel, width, texel) * yarn_variation(cloth, uv, width)
+    if s.wrong == 1:
+        colour = wp.lerp(cloth.ground * 0.85, colour * 0.8, cloth.wrong_side)
+    slope = weave_slope(cloth, uv, width) + wrinkle_slope(cloth, uv, panel)
+    # Seams pull the cloth in; hems are rolled and twice as thick up to their stitch.
+    near = 1.0 - ramp(GROOVE, 4.0 * GROOVE, width)
+    fold = near * falling(border[0], 0.5) + near * falling(border[2], 0.5 + 2.0 * cloth.thickness)
+    if cloth.stitch_hem > 0.0:
+        ledge = (border[2] - cloth.stitch_hem) / 0.12
+        fold -= near * 2.0 * cloth.thickness * wp.exp(-ledge * ledge)
+    row_a = scenes.uv_corner[3 * row]
+    row_b = scenes.uv_corner[3 * row + 1]
+    row_c = scenes.uv_corner[3 * row + 2]
+    gradient = border_gradient(scenes, row_a, row_b, row_c, int(border[2] < border[0]))
+    slope = slope + gradient * fold
+    s.normal = tilted(s.round, scenes, shot, face, row_a, row_b, row_c, slope, sign)
+    gap = 0.45 * band(wp.min(border[0], border[2]), -0.08, 0.08, width)
+    colour = colour * (1.0 - gap)
+    colour = wp.lerp(colour, cloth.stitch_colour, stitches(cloth, border, width))
+    s.colour = wp.vec3(
+        wp.clamp(colour[0], 0.0, 0.95), wp.clamp(colour[1], 0.0, 0.95), wp.clamp(colour[2], 0.0, 0.95)
+    )
+    s.roughness = cloth.roughness
+    s.specular = cloth.specular
+    s.sheen = cloth.sheen
+    s.scatter = 0.12
+    s.warmth = 0.0
+    s.transmission = cloth.transmission
+    s.through = cloth.translucency
+    # Seams and hems are several layers thick.
+    if wp.min(border[0], border[2]) < wp.max(0.5, cloth.stitch_hem * 0.6):
+        s.through = 0.5 * s.through
+    return s
+
+
+@wp.func
+def falling(distance: float, height: float) -> float:
+    """Slope of a surface that falls off towards a border at distance 0."""
+    t = distance / GROOVE
+    return height * t * wp.exp(-t * t)
+
+
+@wp.func
+def stitches(cloth: Cloth, border: wp.vec4, width: float) -> float:
+    """Share of a pixel that stitches cover."""
+    share = float(0.0)
+    if cloth.stitch_seam > 0.0:
+        line = band(border[0] - cloth.stitch_seam, -THREAD, THREAD, width)
+        share = wp.max(share, line * repeated(border[1], cloth.stitch_length, 0.7, width))
+    if cloth.stitch_hem > 0.0:
+        line = band(border[2] - cloth.stitch_hem, -THREAD, THREAD, width)
+        share = wp.max(share, line * repeated(border[3], cloth.stitch_length, 0.7, width))
+    return share
+
+
+@wp.func
+def border_gradient(scenes: Scenes, a: int, b: int, c: int, hem: int) -> wp.vec2:
+    """Direction away from the border in the panel's plane."""
+    first = scenes.uv[b] - scenes.uv[a]
+    second = scenes.uv[c] - scenes.uv[a]
+    area = first[0] * second[1] - first[1] * second[0]
+    if wp.abs(area) < 1.0e-9:
+        return wp.vec2(0.0, 0.0)
+    rise = scenes.border[b][2 * hem] - scenes.border[a][2 * hem]
+    other = scenes.border[c][2 * hem] - scenes.border[a][2 * hem]
+    return wp.vec2(rise * second[1] - other * first[1], other * first[0] - rise * second[0]) * (1.0 / area)
+
+
+@wp.func
+def tilted(normal: wp.vec3, scenes: Scenes, shot: Shot, face: int, a: int, b: int, c: int, slope: wp.vec2,
+           sign: float) -> wp.vec3:  # fmt: skip
+    """The normal of a relief with ``slope`` in the panel's plane."""
+    first = 3 * (scenes.first_face[shot.scene] + face)
+    p = scenes.position[scenes.corner[first]]
+    e = scenes.position[scenes.corner[first + 1]] - p
+    f = scenes.position[scenes.corner[first + 2]] - p
+    d = scenes.uv[b] - scenes.uv[a]
+    g = scenes.uv[c] - scenes.uv[a]
+    area = d[0] * g[1] - d[1] * g[0]
+    if wp.abs(area) < 1.0e-9:
+        return normal
+    across = (e * g[1] - f * d[1]) * (1.0 / area)
+    along = (f * d[0] - e * g[0]) * (1.0 / area)
+    tilt = wp.normalize(across) * slope[0] + wp.normalize(along) * slope[1]
+    return wp.normalize(normal - tilt * sign)
+
+
+@wp.func
+def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights: wp.vec3,
+                 width: float) -> Surface:  # fmt: skip
+    """Skin or underwear."""
+    shift = scenes.first_mask[shot.scene] - scenes.first_body_vertex[shot.scene]
+    mask = (
+        scenes.mask[corners[0] + shift] * weights[0]
+        + scenes.mask[corners[1] + shift] * weights[1]
+        + scenes.mask[corners[2] + shift] * weights[2]
+    )
+    s.colour = body_colour(shot, mask, s.point, width)
+    s.roughness = 0.42
+    s.specular = 0.028 * (0.3 + shot.gloss)
+    s.sheen = 0.04
+    s.scatter = 0.22
+    s.warmth = 1.0
+    if is_underwear(shot, mask):
+        s.roughness = 0.8
+        s.specular = 0.02
+        s.scatter = 0.12
+        s.warmth = 0.0
+    s.transmission = 0.0
+    s.through = 0.0
+    return s
+
+
+@wp.func
+def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+    """Hair: strands tilt the normal, and it shines along them."""
+    middle = scenes.position[scenes.first_body_vertex[shot.scene]]
+    s.normal = wp.normalize(s.round + hair_slope(s.point, wp.vec3(0.0, middle[1], middle[2])))
+    s.colour = shot.hair
+    s.roughness = 0.45
+    s.specular = 0.04
+    s.sheen = 0.05
+    s.scatter = 0.15
+    s.warmth = 0.0
+    s.transmission = 0.0
+    s.through = 0.0
+    return s

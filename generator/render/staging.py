@@ -1,0 +1,54 @@
+"""Host memory for asynchronous copies to and from a device."""
+
+import math
+from collections import defaultdict
+from typing import ClassVar
+
+import numpy as np
+import warp as wp
+from jaxtyping import Shaped
+
+__all__ = ["StagingBuffers", "to_device", "wrapped"]
+
+
+class StagingBuffers:
+    """Host memory for asynchronous copies to and from a device.
+
+    Page-locked for a GPU; locking takes milliseconds, so released buffers go to a pool.
+    """
+
+    _free: ClassVar[defaultdict[int, list[wp.array]]] = defaultdict(list)
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self.locked = wp.get_device(device).is_cuda
+        self._in_use: list[wp.array] = []
+
+    def array(self, shape: tuple[int, ...], kind: type | np.dtype) -> Shaped[np.ndarray, "*shape"]:
+        """An uninitialised array, valid until ``release``."""
+        needed = math.prod(shape) * np.dtype(kind).itemsize
+        size = 1 << max(needed - 1, 0).bit_length()  # powers of two: most requests find a free buffer
+        free = self._free[size] if self.locked else None
+        buffer = free.pop() if free else wp.empty(size, dtype=wp.uint8, device="cpu", pinned=self.locked)
+        self._in_use.append(buffer)
+        array: np.ndarray = buffer.numpy()[:needed].view(kind).reshape(shape)
+        return array
+
+    def release(self) -> None:
+        """Return all arrays to the pool."""
+        for buffer in self._in_use if self.locked else ():
+            self._free[buffer.size].append(buffer)
+        self._in_use = []
+
+
+def wrapped(values: np.ndarray, dtype: type) -> wp.array:
+    """A Warp array on the host that shares the memory of ``values``."""
+    return wp.array(values, dtype=dtype, device="cpu", copy=False)
+
+
+def to_device(values: np.ndarray, dtype: type, device: str) -> wp.array:
+    """A copy of a staging array on the device; the copy runs asynchronously."""
+    source = wrapped(values, dtype)
+    copy = wp.empty_like(source, device=device)
+    wp.copy(copy, source)
+    return copy
