@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.appearance import (
         Appearance,
-        AppearanceRanges,
         Cloth,
         Hair,
         Print,
@@ -34,11 +33,11 @@ if TYPE_CHECKING:
         Underwear,
         Weave,
         WeaveKind,
-        draw_appearance,
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
-    from gcd_dataset.generator.render.draw import draw_view, draw_views
+    from gcd_dataset.generator.render.draw import Ranges, draw_view, draw_views
+    from gcd_dataset.generator.render.draw_appearance import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
@@ -75,6 +74,7 @@ __all__ = [
     "Picture",
     "Print",
     "PrintKind",
+    "Ranges",
     "Scene",
     "Skin",
     "Stitching",
@@ -103,7 +103,6 @@ __all__ = [
 _NAMES_OF_MODULE = {
     "appearance": (
         "Appearance",
-        "AppearanceRanges",
         "Cloth",
         "Hair",
         "Print",
@@ -113,11 +112,11 @@ _NAMES_OF_MODULE = {
         "Underwear",
         "Weave",
         "WeaveKind",
-        "draw_appearance",
     ),
     "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
     "casting": ("PendingPictures", "render", "start_pictures"),
-    "draw": ("draw_view", "draw_views"),
+    "draw": ("Ranges", "draw_view", "draw_views"),
+    "draw_appearance": ("AppearanceRanges", "draw_appearance"),
     "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
     "lights": ("LightRanges", "Lights", "draw_lights"),
     "pictures": ("MAPS", "Picture", "View"),

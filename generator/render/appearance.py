@@ -1,4 +1,4 @@
-"""Materials: prints and weaves of the cloth, skin, underwear and hair."""
+"""Records of materials: prints and weaves of the cloth, skin, underwear and hair."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -6,13 +6,11 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
 __all__ = [
     "MONK_TONES",
     "Appearance",
-    "AppearanceRanges",
     "Cloth",
     "Hair",
     "Print",
@@ -22,7 +20,6 @@ __all__ = [
     "Underwear",
     "Weave",
     "WeaveKind",
-    "draw_appearance",
 ]
 
 RGB = tuple[float, float, float]
@@ -181,25 +178,6 @@ class Appearance(Record):
     """Colour of the eyes."""
 
 
-@dataclass(frozen=True)
-class AppearanceRanges:
-    """What appearances are drawn from; hold out prints or looks for a test by leaving them out."""
-
-    prints: tuple[PrintKind, ...] = tuple(kind for kind in PrintKind if kind not in (PrintKind.IMAGE, PrintKind.PANELS))
-    plain: float = 0.45
-    """Share of garments without a print."""
-    looks: tuple[str, ...] = ()
-    """Kinds of cloth; empty: all, or those of the garment's fabric."""
-    parts: float = 0.3
-    """Share of garments with a second cloth for some of their parts."""
-    tones: tuple[int, ...] = tuple(range(1, 11))
-    """Monk skin tones."""
-    tiles: tuple[Float[np.ndarray, "h w 3"], ...] = ()
-    """Users' image tiles, linear colours."""
-    images: float = 0.3
-    """Share of garments with an image tile, if there are any."""
-
-
 MONK_TONES: tuple[RGB, ...] = tuple(
     (((code >> 16) & 255) / 255, ((code >> 8) & 255) / 255, (code & 255) / 255)
     for code in (
@@ -207,10 +185,3 @@ MONK_TONES: tuple[RGB, ...] = tuple(
     )
 )  # fmt: skip
 """The ten tones, sRGB. E. Monk, The Monk Skin Tone Scale, 2019, doi:10.31235/osf.io/pdf4c; skintone.google."""
-
-
-def draw_appearance(
-    rng: np.random.Generator, scene: Scene, *, fabric: str | None = None, ranges: AppearanceRanges | None = None
-) -> Appearance:
-    """Materials of a scene: cloth by the name of its fabric (any cloth without one), a print, skin and hair."""
-    raise NotImplementedError

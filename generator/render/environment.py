@@ -1,6 +1,7 @@
 """Places: what lies behind and around the figure, and the light that it gives."""
 
-from dataclasses import dataclass, field
+import colorsys
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -65,5 +66,75 @@ class EnvironmentRanges:
 
 
 def draw_environment(rng: np.random.Generator, *, ranges: EnvironmentRanges | None = None) -> Environment:
-    """A place drawn by the weights of its kinds."""
-    raise NotImplementedError
+    """A place drawn by the weights of its kinds, or one of the users' pictures."""
+    ranges = ranges or EnvironmentRanges()
+    pictures = [(EnvironmentKind.PHOTOGRAPH, image) for image in ranges.photographs]
+    pictures += [(EnvironmentKind.PANORAMA, image) for image in ranges.panoramas]
+    # All numbers are drawn in any case, so that the other choices do not depend on the users' pictures.
+    kind = EnvironmentKind(int(rng.choice(4, p=np.array(ranges.weights) / sum(ranges.weights))))
+    of_user, which = rng.random() < ranges.images, int(rng.integers(1 << 30))
+    seed, turn = int(rng.integers(1 << 20)), float(rng.uniform(0.0, 2 * np.pi))
+    own = PLACES[kind](rng)
+    if pictures and of_user:
+        kind, image = pictures[which % len(pictures)]
+        return replace(own, kind=kind, image=image, turn=turn, seed=seed)
+    return replace(own, turn=turn, seed=seed)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _colour(rng: np.random.Generator, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
+    """A colour of any hue; saturation is drawn low more often than high."""
+    low, high = saturation
+    return colorsys.hsv_to_rgb(rng.random(), low + (high - low) * rng.random() ** 2, rng.uniform(*value))
+
+
+def _shifted(rng: np.random.Generator, colour: RGB, amount: float) -> RGB:
+    factor = 1.0 + rng.uniform(-amount, amount)
+    red, green, blue = (min(1.0, max(0.0, channel * factor)) for channel in colour)
+    return red, green, blue
+
+
+def _gradient(rng: np.random.Generator) -> Environment:
+    bottom = _colour(rng, (0.0, 0.45), (0.35, 1.0))
+    top = _shifted(rng, bottom, 0.3)
+    return Environment(EnvironmentKind.PLAIN, (top, bottom, bottom), _light(top, bottom))
+
+
+def _sweep(rng: np.random.Generator) -> Environment:
+    wall = _colour(rng, (0.0, 0.5), (0.55, 0.97))
+    floor = _shifted(rng, wall, 0.06)
+    size = float(rng.uniform(180.0, 420.0))
+    return Environment(EnvironmentKind.SWEEP, (wall, floor, floor), _light(wall, floor), size=size)
+
+
+def _room(rng: np.random.Generator) -> Environment:
+    wall = _colour(rng, (0.02, 0.35), (0.6, 0.95))
+    wood = colorsys.hsv_to_rgb(rng.uniform(0.04, 0.11), rng.uniform(0.15, 0.6), rng.uniform(0.3, 0.8))
+    accent = _colour(rng, (0.1, 0.8), (0.25, 0.8))
+    size = float(rng.uniform(230.0, 420.0))
+    return Environment(EnvironmentKind.ROOM, (wall, wood, accent), _light(wall, wood), size=size)
+
+
+def _blurred(rng: np.random.Generator) -> Environment:
+    first, second, third = (_colour(rng, (0.05, 0.6), (0.15, 0.85)) for _ in range(3))
+    return Environment(EnvironmentKind.NOISE, (first, second, third), _light(first, second))
+
+
+PLACES = {
+    EnvironmentKind.PLAIN: _gradient,
+    EnvironmentKind.SWEEP: _sweep,
+    EnvironmentKind.ROOM: _room,
+    EnvironmentKind.NOISE: _blurred,
+}
+
+
+def _light(wall: RGB, floor: RGB) -> tuple[RGB, RGB, RGB]:
+    """Light from white lamps above, and from walls and floor, which lend it some of their colour."""
+
+    def tinted(colour: RGB, strength: float, share: float) -> RGB:
+        red, green, blue = (strength * (1.0 - share + share * channel**2.2) for channel in colour)
+        return red, green, blue
+
+    return (1.0, 1.0, 1.0), tinted(wall, 0.9, 0.4), tinted(floor, 0.7, 0.7)

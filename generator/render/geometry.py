@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.generator.render.figure import BodyMasks, body_masks, hair_shell
+from gcd_dataset.generator.render.figure import BodyMasks, Eyes, body_masks, eyeballs, hair_shell
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
@@ -33,37 +33,41 @@ class Borders(Record):
 
 @dataclass(frozen=True, eq=False)
 class Solid(Record):
-    """Everything that rays may hit, in the order garment, body, hair."""
+    """Everything that rays may hit, in the order garment, body, hair, eyes."""
 
     position: Float[np.ndarray, "n 3"]
     """[cm]"""
     faces: Int[np.ndarray, "m 3"]
     garment_faces: int
     body_faces: int
+    hair_faces: int
     garment_vertices: int
     borders: Borders
     panel_of_row: Int[np.ndarray, " c"]
     """Panel of each row of ``uv``."""
     masks: BodyMasks
-    """Of the vertices of the body and of the hair."""
+    """Of the vertices of the body."""
+    eyes: Eyes
 
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
-    hair = hair_shell(scene.body, scene.hair)
-    body_at = len(scene.vertices)
+    parts = [scene, scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)]
+    begins = np.cumsum([0, *(len(part.vertices) for part in parts)])
     panel_of_row = np.zeros(len(scene.uv), np.int32)
     panel_of_row[scene.corners] = scene.panel_id[:, None]
-    masks = body_masks(scene.body)
+    garment, body, hair, eyes = parts
     return Solid(
-        position=np.concatenate([scene.vertices, scene.body.vertices, hair.vertices]),
-        faces=np.concatenate([scene.faces, scene.body.faces + body_at, hair.faces + body_at + len(scene.body.vertices)]),
-        garment_faces=len(scene.faces),
-        body_faces=len(scene.body.faces),
-        garment_vertices=body_at,
+        position=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + begin for part, begin in zip(parts, begins[:-1], strict=True)]),
+        garment_faces=len(garment.faces),
+        body_faces=len(body.faces),
+        hair_faces=len(hair.faces),
+        garment_vertices=len(garment.vertices),
         borders=panel_borders(scene, panel_of_row),
         panel_of_row=panel_of_row,
-        masks=masks,
+        masks=body_masks(scene.body),
+        eyes=eyes,
     )
 
 

@@ -43,9 +43,11 @@ def upload(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuf
     up.first_face = _ints(first_face[:-1], device)
     up.garment_end = _ints([s.garment_faces for s in solids], device)
     up.body_end = _ints([s.garment_faces + s.body_faces for s in solids], device)
+    up.hair_end = _ints([s.garment_faces + s.body_faces + s.hair_faces for s in solids], device)
+    eyes = [[*s.eyes.centres[0], s.eyes.radius, *s.eyes.centres[1], s.eyes.radius] for s in solids]
+    up.eye = wp.array(np.array(eyes, np.float32).reshape(-1, 4), dtype=wp.vec4, device=device)
     body_at = first_vertex[:-1] + [s.garment_vertices for s in solids]
     up.first_body_vertex = _ints(body_at, device)
-    up.body_vertices = _ints([len(scene.body.vertices) for scene in scenes], device)
     _upload_cloth(up, scenes, solids, staging)
     _upload_bodies(up, scenes, solids, staging)
     # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
@@ -109,7 +111,7 @@ def _upload_bodies(up: Scenes, scenes: Sequence[Scene], solids: Sequence[Solid],
             kept.append(solid)
             parts.append(scene.body.parts)
         begins.append(first[id(solid.masks)])
-    masks = [np.stack([m.masks.briefs, m.masks.top, m.masks.scalp, m.masks.inner], axis=1) for m in kept]
+    masks = [np.stack([m.masks.briefs, m.masks.top, m.masks.brows, m.masks.lips], axis=1) for m in kept]
     up.first_mask = _ints(begins, device)
     up.mask = to_device(_joined(staging, masks, np.float32, 4), wp.vec4, device)
     up.part = to_device(_joined(staging, parts, np.uint8), wp.uint8, device)

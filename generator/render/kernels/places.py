@@ -73,8 +73,7 @@ def paper_sweep(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> B
         b.floor = 1.0 - rise
     angle = 1.5707963 * rise
     b.normal = wp.vec3(0.0, wp.cos(angle), 0.0) - flat * wp.sin(angle)
-    grain = 1.0 + 0.015 * noise2(wp.vec2(direction[0] * 3.0 + direction[2] * 2.0, direction[1] * 3.0), shot.place_seed)
-    b.colour = wp.lerp(shot.floor, shot.wall, rise) * grain
+    b.colour = wp.lerp(shot.floor, shot.wall, rise)
     return b
 
 

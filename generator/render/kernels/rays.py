@@ -13,6 +13,7 @@ LAYERS = 4  # layers of sheer cloth that a ray passes
 GARMENT = wp.constant(0)
 BODY = wp.constant(1)
 HAIR = wp.constant(2)
+EYE = wp.constant(3)
 
 
 @wp.func
@@ -34,12 +35,14 @@ def sample_offset(shot: Shot, row: int, column: int, k: int, side: int) -> wp.ve
 
 @wp.func
 def kind_of(scenes: Scenes, scene: int, face: int) -> int:
-    """``GARMENT``, ``BODY`` or ``HAIR``; ``face`` counts within the scene."""
+    """``GARMENT``, ``BODY``, ``HAIR`` or ``EYE``; ``face`` counts within the scene."""
     if face < scenes.garment_end[scene]:
         return GARMENT
     if face < scenes.body_end[scene]:
         return BODY
-    return HAIR
+    if face < scenes.hair_end[scene]:
+        return HAIR
+    return EYE
 
 
 @wp.func

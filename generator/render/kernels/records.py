@@ -92,8 +92,9 @@ class Scenes:
     first_face: wp.array(dtype=int)
     garment_end: wp.array(dtype=int)  # first face after the garment
     body_end: wp.array(dtype=int)  # first face after the body: the hair begins
+    hair_end: wp.array(dtype=int)  # first face after the hair: the eyes begin
+    eye: wp.array(dtype=wp.vec4)  # centre and radius of each scene's right, then left eye
     first_body_vertex: wp.array(dtype=int)
-    body_vertices: wp.array(dtype=int)
     corner: wp.array(dtype=int)  # vertices, three a face
     position: wp.array(dtype=wp.vec3)
     normal: wp.array(dtype=wp.vec3)
@@ -107,5 +108,5 @@ class Scenes:
     seam: wp.array(dtype=int)  # row of the seam that is next to each row of ``uv``
     # of the bodies' vertices; ``first_mask`` is the row of a scene's first
     first_mask: wp.array(dtype=int)
-    mask: wp.array(dtype=wp.vec4)  # briefs, top, scalp, inner
+    mask: wp.array(dtype=wp.vec4)  # briefs, top, brows, lips
     part: wp.array(dtype=wp.uint8)

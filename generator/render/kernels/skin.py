@@ -2,14 +2,15 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import inside, noise2
+from gcd_dataset.generator.render.kernels.noise import inside, noise2, ramp
 from gcd_dataset.generator.render.kernels.records import Shot
 
 wp.set_module_options({"enable_backward": False})
 
 BRIEFS = wp.constant(0)
 TOP = wp.constant(1)
-INNER = wp.constant(3)
+BROWS = wp.constant(2)
+LIPS = wp.constant(3)
 
 
 @wp.func
@@ -25,7 +26,11 @@ def body_colour(shot: Shot, mask: wp.vec4, p: wp.vec3, width: float) -> wp.vec3:
     """Linear colour of the body at ``p`` [cm]."""
     patchy = noise2(wp.vec2(0.15 * p[0] + 0.11 * p[2], 0.13 * p[1]), 5)
     colour = wp.cw_mul(shot.skin, wp.vec3(1.0 + 0.03 * patchy, 1.0 - 0.02 * patchy, 1.0 - 0.03 * patchy))
-    colour = wp.lerp(colour, shot.eyes, wp.clamp(mask[INNER], 0.0, 1.0))
+    lips = wp.cw_mul(shot.skin, wp.vec3(0.72, 0.42, 0.42))
+    colour = wp.lerp(colour, lips, 0.75 * ramp(-0.2, 0.6, mask[LIPS]))
+    colour = wp.lerp(colour, lips * 0.12, ramp(1.2, 1.8, mask[LIPS]))
+    brows = wp.lerp(shot.hair, shot.skin, 0.25)
+    colour = wp.lerp(colour, brows, 0.8 * ramp(-0.12, 0.2, mask[BROWS]))
     cover = float(0.0)
     if shot.bare == 0:
         cover = inside(-mask[BRIEFS], width)
@@ -35,8 +40,21 @@ def body_colour(shot: Shot, mask: wp.vec4, p: wp.vec3, width: float) -> wp.vec3:
 
 
 @wp.func
-def hair_slope(p: wp.vec3, middle: wp.vec3) -> wp.vec3:
-    """A direction by which strands tilt the normal: strands run from the crown downwards."""
+def eye_colour(shot: Shot, d: wp.vec3) -> wp.vec3:
+    """Linear colour of an eye in a direction from its middle; it looks ahead."""
+    off = wp.sqrt(d[0] * d[0] + d[1] * d[1])
+    if d[2] < 0.0:
+        off = 1.0
+    white = wp.vec3(0.62, 0.58, 0.55)
+    colour = wp.lerp(shot.eyes * (0.5 + off), white, ramp(0.40, 0.46, off))
+    return colour * ramp(0.14, 0.20, off)
+
+
+@wp.func
+def hair_strand(p: wp.vec3, middle: wp.vec3) -> float:
+    """Variation between strands, -1 to 1; they run from the crown downwards."""
     around = wp.atan2(p[0] - middle[0], p[2] - middle[2])
-    strand = noise2(wp.vec2(around * 14.0, 0.25 * p[1]), 23) + 0.5 * noise2(wp.vec2(around * 37.0, 0.4 * p[1]), 29)
-    return wp.vec3(wp.cos(around), 0.0, -wp.sin(around)) * (0.45 * strand)
+    wave = 0.12 * noise2(wp.vec2(around * 3.0, 0.3 * p[1]), 31)
+    coarse = noise2(wp.vec2((around + wave) * 16.0, 0.12 * p[1]), 23)
+    fine = noise2(wp.vec2((around + wave) * 60.0, 0.2 * p[1]), 29)
+    return 0.55 * coarse + 0.45 * fine

@@ -4,9 +4,9 @@ import warp as wp
 
 from gcd_dataset.generator.render.kernels.noise import ramp
 from gcd_dataset.generator.render.kernels.prints import band, print_colour, repeated
-from gcd_dataset.generator.render.kernels.rays import BODY, GARMENT, kind_of
+from gcd_dataset.generator.render.kernels.rays import BODY, EYE, GARMENT, kind_of
 from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
-from gcd_dataset.generator.render.kernels.skin import body_colour, hair_slope, is_underwear
+from gcd_dataset.generator.render.kernels.skin import body_colour, eye_colour, hair_strand, is_underwear
 from gcd_dataset.generator.render.kernels.weaves import weave_slope, wrinkle_slope, yarn_variation
 
 wp.set_module_options({"enable_backward": False})
@@ -137,6 +137,8 @@ def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), 
         return cloth_surface(s, scenes, shot, cloth_of_panel, cloths, texel, face, weights, width, sign)
     if s.kind == BODY:
         return body_surface(s, scenes, shot, wp.vec3i(i, j, k), weights, width)
+    if s.kind == EYE:
+        return eye_surface(s, shot, scenes)
     return hair_surface(s, shot, scenes)
 
 
@@ -265,14 +267,38 @@ def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weig
 
 @wp.func
 def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
-    """Hair: strands tilt the normal, and it shines along them."""
-    middle = scenes.position[scenes.first_body_vertex[shot.scene]]
-    s.normal = wp.normalize(s.round + hair_slope(s.point, wp.vec3(0.0, middle[1], middle[2])))
-    s.colour = shot.hair
-    s.roughness = 0.45
-    s.specular = 0.04
-    s.sheen = 0.05
-    s.scatter = 0.15
+    """Hair: strands tilt the normal, and differ in colour."""
+    middle = (scenes.eye[2 * shot.scene] + scenes.eye[2 * shot.scene + 1]) * 0.5
+    centre = wp.vec3(middle[0], middle[1], middle[2] - 7.0)
+    strand = hair_strand(s.point, centre)
+    around = wp.normalize(wp.cross(wp.vec3(0.0, 1.0, 0.0), s.round) + wp.vec3(1.0e-4, 0.0, 0.0))
+    s.normal = wp.normalize(s.round + around * (0.5 * strand))
+    s.colour = shot.hair * (1.0 + 0.45 * strand)
+    s.roughness = 0.55
+    s.specular = 0.025
+    s.sheen = 0.03
+    s.scatter = 0.2
+    s.warmth = 0.0
+    s.transmission = 0.0
+    s.through = 0.0
+    return s
+
+
+@wp.func
+def eye_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+    """An eyeball."""
+    eye = scenes.eye[2 * shot.scene]
+    other = scenes.eye[2 * shot.scene + 1]
+    if wp.abs(s.point[0] - other[0]) < wp.abs(s.point[0] - eye[0]):
+        eye = other
+    direction = (s.point - wp.vec3(eye[0], eye[1], eye[2])) / eye[3]
+    s.normal = wp.normalize(direction)
+    s.colour = eye_colour(shot, s.normal)
+    s.clear = 0.45  # the sockets' vertices lie behind the eyes
+    s.roughness = 0.3
+    s.specular = 0.02
+    s.sheen = 0.0
+    s.scatter = 0.1
     s.warmth = 0.0
     s.transmission = 0.0
     s.through = 0.0

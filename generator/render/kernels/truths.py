@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.rays import BODY, FAR, GARMENT, kind_of, ray_through
+from gcd_dataset.generator.render.kernels.rays import BODY, EYE, FAR, GARMENT, kind_of, ray_through
 from gcd_dataset.generator.render.kernels.records import Scenes, Shot
 from gcd_dataset.generator.render.kernels.surface import border_at, uv_at
 
@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 PART_GARMENT = 32  # as ``pictures.GARMENT``
 PART_HAIR = 33  # as ``pictures.HAIR``
+INTERNAL = 8  # as ``BodyPart.INTERNAL``
 SEAM_LINE = 0.3  # cm; least half width of a seam's line
 HEM = -2  # as ``geometry.HEM``
 TOLERANCE = 0.15  # cm; a surface nearer than this to a point does not hide it
@@ -69,6 +70,8 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
                     nearest = k
             shift = scenes.first_mask[shot.scene] - scenes.first_body_vertex[shot.scene]
             value = int(scenes.part[scenes.corner[first + nearest] + shift])
+        elif kind == EYE:
+            value = INTERNAL
         part[number, row, column] = wp.uint8(value)
     if kind != GARMENT:
         return

@@ -1,0 +1,209 @@
+"""Drawn appearances: cloth by fabric, prints, thread, skin, underwear and hair."""
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.render.appearance import (
+    MONK_TONES,
+    RGB,
+    Appearance,
+    Cloth,
+    Hair,
+    Print,
+    PrintKind,
+    Skin,
+    Stitching,
+    Underwear,
+)
+from gcd_dataset.generator.render.colouring import draw_cloth_colour, draw_print_colours, luminance, nudged
+from gcd_dataset.generator.render.looks import LOOKS, Look, looks_of
+from gcd_dataset.generator.render.scene import Scene
+
+__all__ = ["AppearanceRanges", "draw_appearance", "parts_of"]
+
+@dataclass(frozen=True)
+class AppearanceRanges:
+    """What appearances are drawn from; hold out prints or looks for a test by leaving them out."""
+
+    prints: tuple[PrintKind, ...] = tuple(kind for kind in PrintKind if kind not in (PrintKind.IMAGE, PrintKind.PANELS))
+    plain: float = 0.45
+    """Share of garments without a print."""
+    looks: tuple[str, ...] = ()
+    """Kinds of cloth; empty: all, or those of the garment's fabric."""
+    parts: float = 0.3
+    """Share of garments with a second cloth for some of their parts."""
+    tones: tuple[int, ...] = tuple(range(1, 11))
+    """Monk skin tones."""
+    tiles: tuple[Float[np.ndarray, "h w 3"], ...] = ()
+    """Users' image tiles, linear colours."""
+    images: float = 0.3
+    """Share of garments with an image tile, if there are any."""
+
+
+def draw_appearance(
+    rng: np.random.Generator, scene: Scene, *, fabric: str | None = None, ranges: AppearanceRanges | None = None
+) -> Appearance:
+    """Materials of a scene: cloth by the name of its fabric (any cloth without one), a print, skin and hair.
+
+    Each garment of an outfit has a cloth of its own; some have a second for their trim or sleeves. Raises
+    ``ConfigError`` for ranges that leave nothing to draw from.
+    """
+    ranges = ranges or AppearanceRanges()
+    names = ranges.looks or looks_of(fabric)
+    _check(ranges, names)
+    skin, hair, eyes, underwear = _draw_figure(rng, ranges)
+    garment, part = parts_of(scene)
+    cloths: list[Cloth] = []
+    cloth_of_panel = np.zeros(len(scene.panel_names), int)
+    for number in range(int(garment.max(initial=-1)) + 1):
+        own = garment == number
+        cloth_of_panel[own] = len(cloths)
+        cloths.append(_draw_cloth(rng, names, ranges))
+        second, other = rng.random() < ranges.parts, _draw_cloth(rng, names, ranges)
+        chosen = [(TRIM,), (SLEEVE,), (LOWER,), (TRIM, SLEEVE)][int(rng.integers(4))]
+        of_part = own & np.isin(part, chosen)
+        if second and of_part.any() and not of_part[own].all():
+            cloth_of_panel[of_part] = len(cloths)
+            cloths.append(other)
+    return Appearance(tuple(cloths) or (Cloth(),), cloth_of_panel, skin, underwear, hair, eyes)
+
+
+def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Garment and part of each panel: panels that are sewn together are one garment, parts go by the panel's name."""
+    garment = np.arange(len(scene.panel_names))
+    shared = np.full(len(scene.vertices), -1)
+    for _ in range(len(garment)):
+        before = garment.copy()
+        shared[:] = len(garment)
+        np.minimum.at(shared, scene.faces, garment[scene.panel_id][:, None])
+        np.minimum.at(garment, scene.panel_id, shared[scene.faces].min(axis=1))
+        if (garment == before).all():
+            break
+    _, garment = np.unique(garment, return_inverse=True)
+    return garment.reshape(-1), np.array([_part(name) for name in scene.panel_names], int)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+UPPER, SLEEVE, TRIM, LOWER = range(4)
+NAMES_OF_PARTS = (
+    (TRIM, re.compile(r"wb_|cuff|collar|hood|lapel|band|belt")),
+    (SLEEVE, re.compile(r"sleeve|^sl_")),
+    (LOWER, re.compile(r"skirt|pant|leg|godet|ins_")),
+)
+"""Panels of GarmentCode's programs and ours."""
+HAIRS: tuple[RGB, ...] = (
+    (0.07, 0.06, 0.06), (0.13, 0.09, 0.07), (0.22, 0.14, 0.09), (0.33, 0.21, 0.13), (0.50, 0.34, 0.20),
+    (0.68, 0.53, 0.34), (0.45, 0.20, 0.10), (0.55, 0.54, 0.53), (0.80, 0.79, 0.77),
+)  # fmt: skip
+IRISES: tuple[RGB, ...] = ((0.20, 0.12, 0.07), (0.32, 0.20, 0.11), (0.35, 0.34, 0.20), (0.32, 0.45, 0.55))
+PERIODS = {
+    PrintKind.STRIPES: (0.8, 9.0),
+    PrintKind.CHECKS: (0.8, 7.0),
+    PrintKind.TARTAN: (5.0, 18.0),
+    PrintKind.DOTS: (1.2, 8.0),
+    PrintKind.FLORAL: (3.0, 14.0),
+    PrintKind.NOISE: (5.0, 25.0),
+    PrintKind.GRADIENT: (20.0, 70.0),
+    PrintKind.IMAGE: (6.0, 40.0),
+}
+"""Ranges of ``Print.period`` [cm]."""
+
+
+def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
+    unknown = [name for name in names if name not in LOOKS]
+    if unknown:
+        raise ConfigError(f"unknown looks {', '.join(unknown)}: choose from {', '.join(LOOKS)}")
+    if not ranges.tones or not all(1 <= tone <= len(MONK_TONES) for tone in ranges.tones):
+        raise ConfigError(f"skin tones {ranges.tones}: give some of 1 to {len(MONK_TONES)}")
+
+
+def _part(name: str) -> int:
+    return next((part for part, pattern in NAMES_OF_PARTS if pattern.search(name)), UPPER)
+
+
+def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Skin, Hair, RGB, Underwear]:
+    tone = int(rng.choice(ranges.tones))
+    skin = Skin(nudged(rng, MONK_TONES[tone - 1], 0.015), tone, float(rng.uniform(0.1, 0.7)))
+    # Light hair and eyes are rare with dark skin.
+    darkest = len(HAIRS) if tone <= 4 else 5
+    hair = HAIRS[int(rng.integers(darkest))]
+    eyes = IRISES[int(rng.integers(len(IRISES) if tone <= 5 else 2))]
+    grey = float(rng.uniform(0.08, 0.9))
+    plain = nudged(rng, (grey, grey, grey), 0.05) if rng.random() < 0.7 else nudged(rng, skin.colour, 0.05)
+    return skin, Hair(nudged(rng, hair, 0.02)), eyes, Underwear(plain)
+
+
+def _draw_cloth(rng: np.random.Generator, names: tuple[str, ...], ranges: AppearanceRanges) -> Cloth:
+    name = names[int(rng.integers(len(names)))]
+    look = LOOKS[name]
+    motif = _draw_print(rng, look, ranges)
+    return Cloth(
+        print=motif,
+        weave=look.weave,
+        stitching=_draw_stitching(rng, look, motif),
+        wrong_side=look.wrong_side,
+        translucency=float(rng.uniform(*look.translucency)),
+        transmission=look.transmission,
+        thickness=float(rng.uniform(*look.thickness)),
+        look=name,
+    )
+
+
+def _draw_print(rng: np.random.Generator, look: Look, ranges: AppearanceRanges) -> Print:
+    kinds = [kind for kind in look.prints if kind in ranges.prints]
+    printed = rng.random() < look.printed * (1.0 - ranges.plain) and bool(kinds)
+    kind = kinds[int(rng.integers(len(kinds)))] if printed else PrintKind.PLAIN
+    tiled, tile = rng.random() < ranges.images, int(rng.integers(1 << 30))
+    image: Float[np.ndarray, "h w 3"] | None = None
+    if ranges.tiles and tiled:
+        kind, image = PrintKind.IMAGE, ranges.tiles[tile % len(ranges.tiles)]
+    plain, colours = draw_cloth_colour(rng, blue=look.blue), draw_print_colours(rng)
+    if kind is PrintKind.PLAIN:
+        return Print(kind, (plain,) * 4)
+    if look.blue:
+        colours = (plain, nudged(rng, plain, 0.15), nudged(rng, plain, 0.15), colours[3])
+    return Print(
+        kind=kind,
+        colours=colours,
+        period=math.exp(rng.uniform(*np.log(PERIODS[kind]))),
+        fill=_fill(rng, kind),
+        angle=_angle(rng, kind),
+        jitter=float(rng.random()) if rng.random() < 0.5 else 0.0,
+        matched=bool(rng.random() < 0.3),
+        seed=int(rng.integers(1 << 20)),
+        image=image,
+    )
+
+
+def _fill(rng: np.random.Generator, kind: PrintKind) -> float:
+    low, high = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}.get(kind, (0.15, 0.6))
+    return 0.5 if kind is PrintKind.CHECKS else float(rng.uniform(low, high))
+
+
+def _angle(rng: np.random.Generator, kind: PrintKind) -> float:
+    """Stripes run along, across or, seldom, on the bias; flowers any way; the rest with the grain."""
+    straight, bias, any_way = (0.0, 0.5 * math.pi)[int(rng.integers(2))], rng.random() < 0.08, rng.uniform(0, math.tau)
+    if kind in (PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN):
+        return 0.25 * math.pi if bias else straight
+    return float(any_way) if kind in (PrintKind.FLORAL, PrintKind.NOISE, PrintKind.DOTS) else 0.0
+
+
+def _draw_stitching(rng: np.random.Generator, look: Look, motif: Print) -> Stitching:
+    ground = motif.colours[0]
+    contrast, top, other = rng.random() < look.contrast, rng.random() < look.top_stitch, draw_cloth_colour(rng)
+    thread = (0.72, 0.45, 0.18) if look.blue else other
+    if not contrast:
+        step = 0.10 if luminance(ground) < 0.25 else -0.08
+        thread = tuple(min(1.0, max(0.0, channel + step)) for channel in ground)  # type: ignore[assignment]
+    return Stitching(
+        colour=thread,
+        length=float(rng.uniform(0.22, 0.4)),
+        seam=float(rng.uniform(0.3, 0.8)) if top else 0.0,
+        hem=float(rng.uniform(0.8, 3.0)),
+    )
