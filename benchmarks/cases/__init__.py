@@ -23,6 +23,7 @@ CASES: Mapping[str, str] = {
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
     "reconstruction": "benchmarks.cases.reconstruction",
+    "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
 }
 """Case to its module, imported on use: each has heavy dependencies of its own."""

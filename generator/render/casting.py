@@ -208,9 +208,7 @@ def _shade(up: Uploaded, shots: wp.array, materials: Materials, size: int, devic
     return picture
 
 
-def _truths(
-    up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, device: str
-) -> dict[str, wp.array]:
+def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, device: str) -> dict[str, wp.array]:
     """The maps by name (shot, h, w[, channels])."""
     if not maps:
         return {}

@@ -35,7 +35,9 @@ def nudged(rng: np.random.Generator, colour: RGB, amount: float = 0.04) -> RGB:
     hue, saturation, value = colorsys.rgb_to_hsv(*colour)
     shift = rng.normal(size=3) * [0.5 * amount, amount, amount]
     return colorsys.hsv_to_rgb(
-        (hue + shift[0]) % 1.0, float(np.clip(saturation + shift[1], 0, 1)), float(np.clip(value + shift[2], 0.04, 0.97))
+        (hue + shift[0]) % 1.0,
+        float(np.clip(saturation + shift[1], 0, 1)),
+        float(np.clip(value + shift[2], 0.04, 0.97)),
     )
 
 

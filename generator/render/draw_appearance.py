@@ -26,6 +26,7 @@ from gcd_dataset.generator.render.scene import Scene
 
 __all__ = ["AppearanceRanges", "draw_appearance", "parts_of"]
 
+
 @dataclass(frozen=True)
 class AppearanceRanges:
     """What appearances are drawn from; hold out prints or looks for a test by leaving them out."""
@@ -135,7 +136,9 @@ def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Sk
     hair = HAIRS[int(rng.integers(darkest))]
     eyes = IRISES[int(rng.integers(len(IRISES) if tone <= 5 else 2))]
     grey = float(rng.uniform(0.08, 0.9))
-    plain = nudged(rng, (grey, grey, grey), 0.05) if rng.random() < 0.7 else nudged(rng, skin.colour, 0.05)
+    if abs(grey**2.2 - luminance(skin.colour)) < 0.08:
+        grey = 0.9 if luminance(skin.colour) < 0.4 else 0.15  # else the figure would look bare
+    plain = nudged(rng, (grey, grey, grey), 0.05)
     return skin, Hair(nudged(rng, hair, 0.02)), eyes, Underwear(plain)
 
 

@@ -97,13 +97,13 @@ def _shifted(rng: np.random.Generator, colour: RGB, amount: float) -> RGB:
 
 
 def _gradient(rng: np.random.Generator) -> Environment:
-    bottom = _colour(rng, (0.0, 0.45), (0.35, 1.0))
+    bottom = _colour(rng, (0.0, 0.4), (0.35, 0.97))
     top = _shifted(rng, bottom, 0.3)
     return Environment(EnvironmentKind.PLAIN, (top, bottom, bottom), _light(top, bottom))
 
 
 def _sweep(rng: np.random.Generator) -> Environment:
-    wall = _colour(rng, (0.0, 0.5), (0.55, 0.97))
+    wall = _colour(rng, (0.0, 0.35), (0.5, 0.97))
     floor = _shifted(rng, wall, 0.06)
     size = float(rng.uniform(180.0, 420.0))
     return Environment(EnvironmentKind.SWEEP, (wall, floor, floor), _light(wall, floor), size=size)

@@ -89,7 +89,10 @@ def eyeballs(body: Body) -> Eyes:
     corners = [(body.vertices[rows].min(axis=0), body.vertices[rows].max(axis=0)) for rows in sockets]
     radius = float(np.mean([EYE_SIZE * (high[0] - low[0]) for low, high in corners]))
     centres = np.array(
-        [[0.5 * (low[0] + high[0]), low[1] + EYE_LEVEL * (high[1] - low[1]), high[2] - EYE_DEPTH * radius] for low, high in corners]
+        [
+            [0.5 * (low[0] + high[0]), low[1] + EYE_LEVEL * (high[1] - low[1]), high[2] - EYE_DEPTH * radius]
+            for low, high in corners
+        ]
     )
     ball, faces = _ball()
     vertices = np.concatenate([centre + radius * ball for centre in centres])

@@ -130,9 +130,7 @@ def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray
     return seam
 
 
-def _lengths_along(
-    ends: Int[np.ndarray, "b 2"], uv: Float[np.ndarray, "c 2"], rows: int
-) -> Float[np.ndarray, " b"]:
+def _lengths_along(ends: Int[np.ndarray, "b 2"], uv: Float[np.ndarray, "c 2"], rows: int) -> Float[np.ndarray, " b"]:
     """Length of the outline from a fixed point of it up to each segment [cm], by pointer doubling."""
     number = np.full(rows, -1)
     number[ends[:, 0]] = np.arange(len(ends))

@@ -46,7 +46,7 @@ class LightRanges:
     """Angular radius of the key light [rad]."""
     kelvin: tuple[float, float] = (3600.0, 8000.0)
     """Colour temperature of the key light [K]; the camera is balanced for ``WHITE``."""
-    contrast: tuple[float, float] = (0.8, 3.5)
+    contrast: tuple[float, float] = (1.0, 5.0)
     """Key light over the light of the surroundings."""
     fill: tuple[float, float] = (0.0, 0.35)
     """Fill light over key light."""
@@ -74,7 +74,7 @@ def draw_lights(rng: np.random.Generator, camera: Camera | None = None, *, range
         key_size=size,
         fill_direction=_direction(front + math.radians(side), math.radians(rng.uniform(0.0, 30.0))),
         fill=(fill, fill, fill),
-        sky=1.0 / (1.0 + 0.7 * contrast) + 0.15,
+        sky=1.0 / (1.0 + 0.7 * contrast) + 0.12,
         exposure=2.0 ** rng.uniform(*ranges.exposure),
     )
 

@@ -9,7 +9,6 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.appearance import Appearance, Cloth
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
-from gcd_dataset.generator.render.geometry import Solid
 from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.plain_batch import linear_light
@@ -18,6 +17,8 @@ from gcd_dataset.generator.render.scene import Scene
 __all__ = ["Materials", "pack_views"]
 
 CLOTH, SHOT = records.Cloth.numpy_dtype(), records.Shot.numpy_dtype()
+# A swatch is the colour of skin as seen, highlights and all: as an albedo, the lightest would be chalk and the darkest coal.
+SKIN_GAIN, SKIN_GAMMA = np.array([0.86, 0.78, 0.71]), 0.82
 SHEER = 1e-3  # translucency below this is none
 
 
@@ -128,7 +129,8 @@ def _pack_place(shot: np.void, place: Environment, texels: _Texels) -> None:
 
 
 def _pack_figure(shot: np.void, look: Appearance) -> None:
-    shot["skin"], shot["gloss"] = linear_light(np.array(look.skin.colour)), look.skin.gloss
+    swatch = linear_light(np.array(look.skin.colour))
+    shot["skin"], shot["gloss"] = SKIN_GAIN * swatch**SKIN_GAMMA, look.skin.gloss
     shot["hair"], shot["eyes"] = linear_light(np.array([look.hair.colour, look.eyes]))
     shot["bare"] = int(look.underwear is None)
     if look.underwear is not None:

@@ -23,6 +23,7 @@ wp.set_module_options({"enable_backward": False})
 
 LIFT = 0.25  # cm from a surface to the start of a shadow ray
 SHADOW_RAYS = 2  # of each sample
+GRAIN = 0.02  # of the light of a pixel
 
 
 @wp.kernel
@@ -126,5 +127,8 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
             shown = wp.cw_mul(b.colour, shot.key * (cosine * lit) + around + shot.fill * (0.5 * clear))
             light += wp.lerp(b.colour, shown, b.lit) * weight
         total += developed(light * shot.exposure)
+    # Less than a step of the darkest greys: smooth walls would show bands without it.
+    word = mixed(mixed(wp.uint32(shot.seed), wp.uint32(row)), mixed(wp.uint32(column), wp.uint32(77)))
+    total = total * (1.0 + GRAIN * (unit(word) - 0.5))
     for channel in range(3):
         picture[number, row, column, channel] = to_srgb(total[channel] / float(hit_face.shape[3]), least)

@@ -243,8 +243,10 @@ def blurred_colours(shot: Shot, d: wp.vec3) -> wp.vec3:
             i = x + di
             j = y + dj
             if random2(i, j, shot.place_seed, 20) < 0.3:
-                centre = wp.vec2(float(i) + random2(i, j, shot.place_seed, 21), float(j) + random2(i, j, shot.place_seed, 22))
+                centre = wp.vec2(
+                    float(i) + random2(i, j, shot.place_seed, 21), float(j) + random2(i, j, shot.place_seed, 22)
+                )
                 radius = 0.25 + 0.4 * random2(i, j, shot.place_seed, 23)
-                disc = 1.0 - ramp(0.85 * radius, radius, wp.length(cell - centre))
+                disc = 1.0 - ramp(0.5 * radius, radius, wp.length(cell - centre))
                 colour = wp.lerp(colour, wp.vec3(0.9, 0.85, 0.75), 0.25 * disc * random2(i, j, shot.place_seed, 24))
     return colour

@@ -171,9 +171,7 @@ def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.arr
     gap = 0.45 * band(wp.min(border[0], border[2]), -0.08, 0.08, width)
     colour = colour * (1.0 - gap)
     colour = wp.lerp(colour, cloth.stitch_colour, stitches(cloth, border, width))
-    s.colour = wp.vec3(
-        wp.clamp(colour[0], 0.0, 0.95), wp.clamp(colour[1], 0.0, 0.95), wp.clamp(colour[2], 0.0, 0.95)
-    )
+    s.colour = wp.vec3(wp.clamp(colour[0], 0.0, 0.95), wp.clamp(colour[1], 0.0, 0.95), wp.clamp(colour[2], 0.0, 0.95))
     s.roughness = cloth.roughness
     s.specular = cloth.specular
     s.sheen = cloth.sheen
@@ -250,8 +248,8 @@ def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weig
         + scenes.mask[corners[2] + shift] * weights[2]
     )
     s.colour = body_colour(shot, mask, s.point, width)
-    s.roughness = 0.42
-    s.specular = 0.028 * (0.3 + shot.gloss)
+    s.roughness = 0.5
+    s.specular = 0.024 * (0.2 + shot.gloss)
     s.sheen = 0.04
     s.scatter = 0.22
     s.warmth = 1.0

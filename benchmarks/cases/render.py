@@ -1,0 +1,182 @@
+"""Pictures per second with materials, soft shadows and truths, and their agreement with Embree.
+
+Garments are made, then rendered in batches that are new to the renderer: preparing and uploading the meshes, building
+their trees and copying the pictures back are part of the time. ``mask_agreement`` is the share of pixels whose
+silhouette agrees with trimesh's caster (Embree) on the same meshes and cameras, in the worst picture;
+``depth_agreement`` the share of the pixels that both hit whose depths differ by less than 0.05 cm.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from benchmarks.cases.figures import Figure, Measured
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator.body import build_body, neutral_shape
+from gcd_dataset.generator.drape import resolve_device
+from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.render import (
+    MAPS,
+    Camera,
+    HairStyle,
+    PendingPictures,
+    Scene,
+    View,
+    draw_views,
+    render,
+    scene_of_sample,
+    start_pictures,
+)
+from gcd_dataset.generator.render.geometry import solid_of
+from gcd_dataset.records import Body, Sample
+
+__all__ = ["add_arguments", "run"]
+
+SIZES = (256, 512)  # pixels
+DEPTH = 0.05  # cm
+CHECKED = 256  # pixels of the pictures that are compared with Embree
+TILE = 320  # pixels of a picture of the sheet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the case."""
+    parser.add_argument("--count", type=int, default=64, help="garments (default: 64)")
+    parser.add_argument("--views", type=int, default=4, help="pictures of each garment (default: 4)")
+    parser.add_argument("--batch", type=int, default=0, help="garments at once (default: 16 on a GPU, 1 on a CPU)")
+    parser.add_argument("--seed", type=int, default=18)
+    parser.add_argument("--resolution", type=float, default=2.0, help="edge length of the meshes [cm] (default: 2)")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8)")
+    parser.add_argument("--sheet", type=Path, metavar="FILE", help="write a JPEG of 64 pictures")
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Make the garments, render them at both sizes, compare some with Embree."""
+    if options.count < 2:
+        raise ConfigError(f"--count {options.count}: give 2 or more, since the first batch warms up")
+    device = resolve_device(options.device)
+    scenes = list(_scenes(options, device))
+    views = [draw_views(options.seed, k, scene, options.views) for k, scene in enumerate(scenes)]
+    figures = []
+    for size in SIZES:
+        rate = _images_per_second(scenes, views, size, options.batch or (1 if device == "cpu" else 16), device)
+        figures.append(Figure("images_per_s" if size == SIZES[0] else f"images_per_s_{size}", rate, f"of {size}²"))
+    figures.append(Figure("prepare_ms", _prepare_ms(scenes), "CPU-ms a garment"))
+    rows = [
+        _compared(scene, own[0], number, device)
+        for number, (scene, own) in enumerate(zip(scenes[: options.checked], views, strict=False))
+    ]
+    figures.append(Figure("mask_agreement", min(row["mask"] for row in rows), "of pixels, worst picture"))
+    figures.append(Figure("depth_agreement", min(row["depth"] for row in rows), f"within {DEPTH} cm, worst picture"))
+    if options.sheet is not None:
+        write_whole(options.sheet, jpeg_bytes(_sheet(scenes, options.seed, device)))
+    return Measured(figures, rows)
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _scenes(options: argparse.Namespace, device: str) -> Iterator[Scene]:
+    config = MakeConfig(resolution=options.resolution, device=device, picture=0, points=0)
+    for index, sample in enumerate(produce(options.seed, range(options.count), config)):
+        yield scene_of_sample(sample, _body(sample), hair=HairStyle(index % len(HairStyle)))
+
+
+def _body(sample: Sample) -> Body:
+    return build_body(sample.shape if sample.shape is not None else neutral_shape())
+
+
+def _images_per_second(
+    scenes: Sequence[Scene], views: Sequence[Sequence[View]], size: int, batch: int, device: str
+) -> float:
+    """Rate after the first batch of a GPU; one batch is prepared while the device renders the one before."""
+    batch = min(batch, max(1, len(scenes) // 2))
+    starts = range(batch if device != "cpu" else 0, len(scenes), batch)
+    warm = range(batch) if device != "cpu" else range(1)
+    _start(scenes, views, warm, size if device != "cpu" else SIZES[0] // 4, device).pictures()
+    begun, pictures = time.perf_counter(), 0
+    waiting: PendingPictures | None = None
+    for start in starts:
+        rows = range(start, min(start + batch, len(scenes)))
+        started = _start(scenes, views, rows, size, device)
+        if waiting is not None:
+            pictures += len(waiting.pictures())
+        waiting = started
+    if waiting is not None:
+        pictures += len(waiting.pictures())
+    return pictures / (time.perf_counter() - begun)
+
+
+def _start(
+    scenes: Sequence[Scene], views: Sequence[Sequence[View]], rows: Sequence[int], size: int, device: str
+) -> PendingPictures:
+    placed = [_at(view, k) for k, row in enumerate(rows) for view in views[row]]
+    return start_pictures([scenes[row] for row in rows], placed, size=size, maps=MAPS, device=device)
+
+
+def _at(view: View, row: int) -> View:
+    return View(row, view.appearance, view.camera, view.lights, view.environment, view.seed)
+
+
+def _prepare_ms(scenes: Sequence[Scene]) -> float:
+    begun = time.process_time()
+    for scene in scenes:
+        solid_of(scene)
+    return 1e3 * (time.process_time() - begun) / len(scenes)
+
+
+def _compared(scene: Scene, view: View, number: int, device: str) -> dict[str, float]:
+    """Agreement of one picture with Embree: shares of its pixels."""
+    [picture] = render([scene], [_at(view, 0)], size=CHECKED, maps=("depth", "silhouette"), device=device)
+    solid = solid_of(scene)
+    expected = embree_depth(solid.position, solid.faces, view.camera, CHECKED)
+    ours, seen = picture.maps["silhouette"] > 0, np.isfinite(expected)
+    both = ours & seen
+    apart = np.abs(picture.maps["depth"][both] - expected[both])
+    return {
+        "garment": number,
+        "covered": float(ours.mean()),
+        "mask": float((ours == seen).mean()),
+        "depth": float((apart < DEPTH).mean()),
+        "depth_p99_cm": float(np.percentile(apart, 99)),
+    }
+
+
+def embree_depth(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Camera, size: int
+) -> Float[np.ndarray, "h w"]:
+    """Depth along the optical axis [cm] by Embree, infinite for the background.
+
+    Raises ``ConfigError`` where Embree is not installed.
+    """
+    import trimesh
+
+    if not trimesh.ray.has_embree:
+        raise ConfigError("the comparison needs Embree: pip install 'gcd-dataset[bench]'")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    column, row = np.meshgrid(np.arange(size), np.arange(size))
+    seen = np.stack([column.ravel(), row.ravel(), np.ones(size * size)], axis=1)
+    inverse = np.linalg.inv(camera.intrinsics(size))
+    directions = seen @ inverse.T @ camera.rotation  # of unit depth
+    origins = np.broadcast_to(camera.eye, directions.shape)
+    face = np.asarray(mesh.ray.intersects_first(origins, directions))
+    hit = face >= 0
+    depth = np.full(size * size, np.inf)
+    corner, normal = mesh.triangles[face[hit], 0], np.cross(*np.diff(mesh.triangles[face[hit]], axis=1).swapaxes(0, 1))
+    depth[hit] = ((corner - origins[hit]) * normal).sum(axis=1) / (directions[hit] * normal).sum(axis=1)
+    return depth.reshape(size, size)
+
+
+def _sheet(scenes: Sequence[Scene], seed: int, device: str) -> np.ndarray:
+    """64 pictures of the garments in turn."""
+    rows = [k % len(scenes) for k in range(64)]
+    views = [draw_views(seed, 1000 + k, scenes[row], 1, row=row)[0] for k, row in enumerate(rows)]
+    pictures = render(scenes, views, size=TILE, device=device)
+    return contact_sheet([picture.rgb for picture in pictures], columns=8)

@@ -1,0 +1,95 @@
+"""Borders of panels, hair and underwear lie where the garment and the body have them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.generator.body import build_body, draw_shape, neutral_shape
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.render import HairStyle, scene_of
+from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
+from gcd_dataset.generator.render.geometry import HEM, solid_of
+from gcd_dataset.records import BodyPart
+from tests.helpers import body_from, far_ball, napkins, patch, tube
+
+
+def test_the_border_of_a_patch_is_its_perimeter() -> None:
+    mesh = patch(5, 3, spacing=2.0)
+    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+    assert len(borders.ends) == 2 * (5 + 3)
+    assert (borders.seam == HEM).all()
+    # The last segment of the loop begins one spacing before the end.
+    assert borders.along.max() == pytest.approx(2 * (10.0 + 6.0) - 2.0)
+    assert sorted(borders.along.tolist()) == pytest.approx(np.arange(0.0, 32.0, 2.0).tolist())
+
+
+def test_seams_are_found_on_both_panels() -> None:
+    """Napkins of 20 × 10 cm, sewn along 10 cm."""
+    mesh = build_box_mesh(napkins(), spacing=1.0)
+    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+    lengths = np.linalg.norm(mesh.uv[borders.ends[:, 1]] - mesh.uv[borders.ends[:, 0]], axis=1)
+    assert lengths[borders.seam == 0].sum() == pytest.approx(2 * 10.0, rel=1e-3)
+    assert lengths[borders.seam == HEM].sum() == pytest.approx(2 * 50.0, rel=1e-3)
+    assert borders.first.tolist() == [0, (borders.first[1]), len(borders.ends)]
+
+
+def test_a_tube_without_a_listed_seam_has_one_all_the_same() -> None:
+    """Its two long edges share their vertices: a seam whose row is not known, and hems above and below."""
+    mesh = tube(12, 4, radius=5.0)
+    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+    assert (borders.seam == -1).sum() == 2 * 4
+    assert (borders.seam == HEM).sum() == 2 * 12
+
+
+def test_edge_flags_mark_the_edges_of_faces() -> None:
+    mesh = patch(1, 1)
+    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+    assert sum(int(flag).bit_count() for flag in borders.flags) == 4
+    assert all(flag & 0b111 == 0 for flag in borders.flags.tolist())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_underwear_covers_hips_and_breasts_of_any_body(seed: int) -> None:
+    body = build_body(draw_shape(np.random.default_rng(seed)))
+    masks = body_masks(body)
+    x, y, z = body.vertices.T
+    trunk = body.parts == BodyPart.TRUNK.value
+    crotch = y[trunk].min()
+    assert (masks.briefs[trunk & (y < crotch + 4.0)] > 0).all()
+    limbs = np.isin(body.parts, [BodyPart.HANDS.value, BodyPart.FEET.value, BodyPart.HEAD.value])
+    assert (masks.briefs[limbs] < 0).all() and (masks.top[limbs] < 0).all()
+    from gcd_dataset.generator.body.landmarks import model_landmarks
+
+    for name in ("bust_right", "bust_left"):
+        nearest = np.linalg.norm(body.vertices - model_landmarks(body.vertices).points[name], axis=1).argmin()
+        assert masks.top[nearest] > 2.0
+
+
+def test_hair_lies_on_the_head_and_leaves_the_face_free() -> None:
+    body = build_body(neutral_shape())
+    assert len(hair_shell(body, HairStyle.NONE).faces) == 0
+    depths = []
+    for style in (HairStyle.CROPPED, HairStyle.SHORT, HairStyle.FULL):
+        shell = hair_shell(body, style)
+        head = body.vertices[body.parts == BodyPart.HEAD.value]
+        depths.append(shell.vertices[:, 1].max() - head[:, 1].max())
+        nose = head[head[:, 2].argmax()]
+        assert np.linalg.norm(shell.vertices - nose, axis=1).min() > 5.0
+    assert 0.3 < depths[0] < depths[1] < depths[2] < 3.0
+
+
+def test_eyes_lie_in_the_sockets_of_any_body() -> None:
+    for seed in range(3):
+        body = build_body(draw_shape(np.random.default_rng(seed)))
+        eyes = eyeballs(body)
+        (right, left), ball = eyes.centres, trimesh.Trimesh(eyes.vertices, eyes.faces, process=False)
+        assert right[0] < -1.5 < 1.5 < left[0]
+        assert right[1] == pytest.approx(left[1], abs=0.2)
+        assert np.linalg.norm(eyes.vertices[: len(eyes.vertices) // 2] - right, axis=1) == pytest.approx(eyes.radius)
+        assert ball.volume == pytest.approx(2 * 4 / 3 * np.pi * eyes.radius**3, rel=0.25)
+
+
+def test_a_body_without_a_head_has_neither_hair_nor_eyes() -> None:
+    ball = body_from(trimesh.creation.icosphere())
+    assert len(hair_shell(ball, HairStyle.FULL).faces) == 0
+    assert len(eyeballs(ball).faces) == 0
