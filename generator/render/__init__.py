@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
     from gcd_dataset.generator.render.draw import Ranges, draw_view, draw_views
-    from gcd_dataset.generator.render.draw_appearance import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
         draw_environment,
     )
     from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights
+    from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, View
     from gcd_dataset.generator.render.plain import (
         ColouredMesh,
@@ -116,7 +116,7 @@ _NAMES_OF_MODULE = {
     "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
     "casting": ("PendingPictures", "render", "start_pictures"),
     "draw": ("Ranges", "draw_view", "draw_views"),
-    "draw_appearance": ("AppearanceRanges", "draw_appearance"),
+    "materials": ("AppearanceRanges", "draw_appearance"),
     "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
     "lights": ("LightRanges", "Lights", "draw_lights"),
     "pictures": ("MAPS", "Picture", "View"),

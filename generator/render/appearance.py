@@ -39,7 +39,7 @@ class PrintKind(IntEnum):
     NOISE = 6
     """Marbled or camouflage blotches."""
     GRADIENT = 7
-    """Dip dye: from ``colours[0]`` to ``colours[1]`` along the grain."""
+    """Dip dye: the garment's lowest ``period`` fades from ``colours[1]`` to ``colours[0]``."""
     IMAGE = 8
     """A tile that repeats."""
     PANELS = 9

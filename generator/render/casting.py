@@ -1,7 +1,7 @@
 """Rendering of batches: scenes and views in, pictures and truths out; a GPU works in the background."""
 
 from collections.abc import Iterator, Sequence
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import warp as wp
@@ -35,7 +35,7 @@ MAP_TYPES: dict[str, tuple[type, int, float]] = {
     "silhouette": (np.uint8, 0, 0),
 }
 """Type, channels and background of each map, in the order of the kernel's arguments."""
-WARP_TYPES = {np.float32: wp.float32, np.uint8: wp.uint8, np.int16: wp.int16}
+WARP_TYPES: dict[type, Any] = {np.float32: wp.float32, np.uint8: wp.uint8, np.int16: wp.int16}
 
 
 def render(
@@ -217,8 +217,8 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
     for name, (kind, channels, background) in MAP_TYPES.items():
         asked = name in maps
         setattr(wanted, FLAGS.get(name, name), int(asked))
-        shape = (len(shots), size, size) if asked else (1, 1, 1)
-        shape = (*shape, channels) if channels else shape
+        pixels = (len(shots), size, size) if asked else (1, 1, 1)
+        shape = (*pixels, channels) if channels else pixels
         arrays[name] = wp.full(shape, WARP_TYPES[kind](background), dtype=WARP_TYPES[kind], device=device)
     rays = (len(shots), size, size)
     inputs = [up.scenes, shots, wanted, size]

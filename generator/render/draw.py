@@ -6,9 +6,9 @@ import numpy as np
 
 from gcd_dataset.generator.render.appearance import Appearance
 from gcd_dataset.generator.render.cameras import CameraRanges, draw_camera
-from gcd_dataset.generator.render.draw_appearance import AppearanceRanges, draw_appearance
 from gcd_dataset.generator.render.environment import EnvironmentRanges, draw_environment
 from gcd_dataset.generator.render.lights import LightRanges, draw_lights
+from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
 from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.seeding import Stage, rng

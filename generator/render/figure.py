@@ -175,7 +175,7 @@ class _Face:
         return np.where(self._inner, 2.0, field)
 
     def hairline(self, *, nape: float) -> Float[np.ndarray, " v"]:
-        """Height above a plane from the forehead to the nape, which lies at ``nape`` of the head from its crown [cm]."""
+        """Height above a plane from the forehead to the nape [cm]; the nape is ``nape`` heads below the crown."""
         x, y, z, head = self._x, self._y, self._z, self._head
         if not head.any():
             return np.full(len(y), FAR)

@@ -52,18 +52,18 @@ class Solid(Record):
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
-    parts = [scene, scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)]
-    begins = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    body, hair, eyes = scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)
+    parts = [(one.vertices, one.faces) for one in (scene, body, hair, eyes)]  # type: ignore[attr-defined]
+    begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     panel_of_row = np.zeros(len(scene.uv), np.int32)
     panel_of_row[scene.corners] = scene.panel_id[:, None]
-    garment, body, hair, eyes = parts
     return Solid(
-        position=np.concatenate([part.vertices for part in parts]),
-        faces=np.concatenate([part.faces + begin for part, begin in zip(parts, begins[:-1], strict=True)]),
-        garment_faces=len(garment.faces),
+        position=np.concatenate([vertices for vertices, _ in parts]),
+        faces=np.concatenate([faces + begin for (_, faces), begin in zip(parts, begins[:-1], strict=True)]),
+        garment_faces=len(scene.faces),
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
-        garment_vertices=len(garment.vertices),
+        garment_vertices=len(scene.vertices),
         borders=panel_borders(scene, panel_of_row),
         panel_of_row=panel_of_row,
         masks=body_masks(scene.body),

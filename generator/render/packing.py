@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,8 +17,9 @@ from gcd_dataset.generator.render.scene import Scene
 
 __all__ = ["Materials", "pack_views"]
 
-CLOTH, SHOT = records.Cloth.numpy_dtype(), records.Shot.numpy_dtype()
-# A swatch is the colour of skin as seen, highlights and all: as an albedo, the lightest would be chalk and the darkest coal.
+CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
+SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
+# A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
 SKIN_GAIN, SKIN_GAMMA = np.array([0.86, 0.78, 0.71]), 0.82
 SHEER = 1e-3  # translucency below this is none
 

@@ -33,5 +33,5 @@ def points_of(scene: Scene, camera: Camera, size: int) -> Points:
     marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
     positions = np.concatenate([corners, marks])
     pixels = camera.project(positions, size)
-    inside = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
+    inside = np.asarray((np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1))
     return Points(positions, pixels, inside, len(corners), scene.panel_corners, tuple(scene.landmarks))

@@ -74,6 +74,8 @@ def _upload_cloth(up: Scenes, scenes: Sequence[Scene], solids: Sequence[Solid], 
     up.first_cloth_face = _ints(_starts([len(scene.faces) for scene in scenes])[:-1], device)
     corners = _joined(staging, [scene.corners for scene in scenes], np.int32, 3, first_row)
     up.uv_corner = to_device(corners.reshape(-1), wp.int32, device)
+    lowest = [float(scene.vertices[:, 1].min(initial=1e6)) for scene in scenes]
+    up.lowest = wp.array(np.array(lowest, np.float32), dtype=float, device=device)
     up.panel = to_device(_joined(staging, [scene.panel_id for scene in scenes], np.int32), wp.int32, device)
     up.edge_flags = to_device(_joined(staging, [border.flags for border in borders], np.int32), wp.int32, device)
     up.uv = to_device(_joined(staging, [scene.uv for scene in scenes], np.float32, 2), wp.vec2, device)

@@ -29,7 +29,8 @@ GRAIN = 0.02  # of the light of a pixel
 @wp.kernel
 def cast_rays(scenes: Scenes, shots: wp.array(dtype=Shot), side: int,
               # out
-              hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2), seen: wp.array2d(dtype=int)):  # fmt: skip
+              hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2),
+              seen: wp.array2d(dtype=int)):  # fmt: skip
     """The face that each ray hits, counted within its scene, with barycentric coordinates; -1 for a miss.
 
     A pixel has ``side`` × ``side`` rays. ``seen`` (side of the surface, v): the scene of the vertices of such faces.
@@ -78,7 +79,7 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
         if face != -1:
             bary = hit_uv[number, row, column, k]
         under = float(0.0)
-        for layer in range(LAYERS):
+        for _layer in range(LAYERS):
             if face == -1 or weight < 0.01:
                 break
             s = surface_at(scenes, shot, cloth_of_panel, cloths, texel, sky, face, bary, direction, pixel)

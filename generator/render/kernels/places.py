@@ -127,8 +127,13 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
         if b.colour[0] > 1.0:
             b.lit = 0.0
     # Corners between walls, floor and ceiling are darker.
-    edge = wp.min(wp.min(half - wp.abs(p[0]) + 1.0e3 * float(wall == 0), half - wp.abs(p[2]) + 1.0e3 * float(wall == 2)),
-                  wp.min(p[1], CEILING - p[1]) + 1.0e3 * float(wall == 1))  # fmt: skip
+    edge = float(1.0e3)
+    if wall != 0:
+        edge = wp.min(edge, half - wp.abs(p[0]))
+    if wall != 1:
+        edge = wp.min(edge, wp.min(p[1], CEILING - p[1]))
+    if wall != 2:
+        edge = wp.min(edge, half - wp.abs(p[2]))
     b.colour = b.colour * (1.0 - 0.35 * b.lit * wp.exp(-edge / 35.0))
     for k in range(BOXES):
         lower = furniture(shot, k, 0, half)

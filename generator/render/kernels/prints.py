@@ -23,8 +23,9 @@ PANELS = wp.constant(9)
 
 
 @wp.func
-def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, width: float, texel: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Linear colour of the right side of the cloth."""
+def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, rise: float, width: float,
+                 texel: wp.array(dtype=wp.vec3)) -> wp.vec3:  # fmt: skip
+    """Linear colour of the right side of the cloth; ``rise`` is the height above the garment's lowest point [cm]."""
     kind = cloth.print_kind
     if kind == 0:
         return cloth.ground
@@ -49,8 +50,8 @@ def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, width: float, texel: wp.
     if kind == NOISE:
         return blotches(cloth, wp.vec2(x, y), width)
     if kind == GRADIENT:
-        share = ramp(-0.5, 0.5, uv[1] / cloth.period + 0.15 * fractal2(uv * (2.0 / cloth.period), 3, cloth.seed))
-        return wp.lerp(cloth.ground, cloth.first, share)
+        share = ramp(0.1, 0.9, rise / cloth.period + 0.15 * fractal2(uv * (2.0 / cloth.period), 3, cloth.seed))
+        return wp.lerp(cloth.first, cloth.ground, share)
     if kind == IMAGE:
         return bilinear(texel, cloth.texels, cloth.width, cloth.height, x / cloth.period, -y / cloth.period, 1)
     return cloth.ground

@@ -99,6 +99,7 @@ class Scenes:
     position: wp.array(dtype=wp.vec3)
     normal: wp.array(dtype=wp.vec3)
     # of the garments' faces; ``first_cloth_face`` is the row of a scene's first
+    lowest: wp.array(dtype=float)  # height of each garment's lowest point [cm]
     first_cloth_face: wp.array(dtype=int)
     uv_corner: wp.array(dtype=int)  # rows of ``uv``, three a face
     panel: wp.array(dtype=int)

@@ -152,7 +152,9 @@ def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.arr
     cloth = cloths[cloth_of_panel[shot.first_panel + panel]]
     uv = uv_at(scenes, row, weights)
     border = border_at(scenes, row, weights, uv)
-    colour = print_colour(cloth, uv, panel, width, texel) * yarn_variation(cloth, uv, width)
+    colour = print_colour(cloth, uv, panel, s.point[1] - scenes.lowest[shot.scene], width, texel) * yarn_variation(
+        cloth, uv, width
+    )
     if s.wrong == 1:
         colour = wp.lerp(cloth.ground * 0.85, colour * 0.8, cloth.wrong_side)
     slope = weave_slope(cloth, uv, width) + wrinkle_slope(cloth, uv, panel)

@@ -28,9 +28,9 @@ DARK = Environment(EnvironmentKind.PLAIN, ((0.0, 0.0, 0.0),) * 3)
 FRONT_LIGHT = Lights(np.array([0.0, 0.0, 1.0]), key=(0.8, 0.8, 0.8), sky=0.2)
 
 
-def cloth_of(motif: Print, **options: float) -> Cloth:
+def cloth_of(motif: Print, *, translucency: float = 0.0, transmission: float = 0.05) -> Cloth:
     """Matt cloth without stitches, wrinkles and threads."""
-    return Cloth(motif, FLAT, BARE, **options)
+    return Cloth(motif, FLAT, BARE, translucency=translucency, transmission=transmission)
 
 
 def plain(*colours: tuple[float, float, float]) -> Print:

@@ -166,7 +166,7 @@ def test_an_image_tile_lies_upright_and_unmirrored() -> None:
     upper, left, right = picture[26, 30], picture[70, 26], picture[70, 70]
     assert upper[0] > 2 * upper[2]
     assert left[2] > 150
-    assert right.max() < 90
+    assert right.max() < left.min() - 60
 
 
 @pytest.mark.parametrize("kind", list(PrintKind))
@@ -187,7 +187,7 @@ def test_every_place_fills_the_picture(kind: EnvironmentKind) -> None:
     image = np.full((8, 16, 3), 0.4)
     place = Environment(kind, ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4)), image=image)
     picture = shot(scene, replace(view_of(scene, camera=ahead(400.0, focal=1.5)), environment=place))
-    assert picture.min() > 20
+    assert picture.min() > 8
     assert picture[:3].std() < 60
 
 

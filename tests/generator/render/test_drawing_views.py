@@ -17,9 +17,9 @@ from gcd_dataset.generator.render import (
     draw_views,
 )
 from gcd_dataset.generator.render.appearance import MONK_TONES
-from gcd_dataset.generator.render.draw_appearance import parts_of
 from gcd_dataset.generator.render.lights import tint
 from gcd_dataset.generator.render.looks import LOOKS, LOOKS_OF_FABRIC
+from gcd_dataset.generator.render.materials import parts_of
 from tests.generator.render.scenes import ball_scene, hung_patch, patch_scene
 from tests.helpers import joined
 

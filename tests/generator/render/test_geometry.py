@@ -52,7 +52,7 @@ def test_edge_flags_mark_the_edges_of_faces() -> None:
 def test_underwear_covers_hips_and_breasts_of_any_body(seed: int) -> None:
     body = build_body(draw_shape(np.random.default_rng(seed)))
     masks = body_masks(body)
-    x, y, z = body.vertices.T
+    y = body.vertices[:, 1]
     trunk = body.parts == BodyPart.TRUNK.value
     crotch = y[trunk].min()
     assert (masks.briefs[trunk & (y < crotch + 4.0)] > 0).all()

@@ -129,7 +129,7 @@ def test_fixed_cameras_frame_as_the_plain_renderer_does() -> None:
     plain = render_garment(cloth.vertices, cloth, body, size=96, device="cpu")
     for side, expected in zip(("front", "back"), plain, strict=True):
         ours = picture_of(scene, fixed_camera(scene, side), 96).maps["silhouette"] > 0
-        assert (ours == ~is_paper(expected)).mean() > 0.985
+        assert (ours == ~is_paper(expected)).mean() > 0.975  # any of a pixel's rays against its middle
 
 
 def test_landmarks_and_parts_of_the_body() -> None:
