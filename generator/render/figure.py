@@ -49,6 +49,18 @@ class Shell(Record):
 
 
 @dataclass(frozen=True, eq=False)
+class _HairPlan(Record):
+    """The scalp of a body, and how far hair stands off it."""
+
+    rows: Int[np.ndarray, " h"]
+    """Vertices of the body."""
+    faces: Int[np.ndarray, "g 3"]
+    """Rows of ``rows``."""
+    rise: Float[np.ndarray, " h"]
+    """[cm]"""
+
+
+@dataclass(frozen=True, eq=False)
 class Eyes(Shell):
     """Both eyeballs."""
 
@@ -67,18 +79,9 @@ def body_masks(body: Body) -> BodyMasks:
 
 def hair_shell(body: Body, style: HairStyle) -> Shell:
     """The scalp moved outwards by the depth of the hair, and into the skin past its edge."""
-    depth, masks = HAIR_DEPTH[style], body_masks(body)
-    field = masks.mane if style is HairStyle.FULL else masks.scalp
-    kept = (field[body.faces] > 0.0).any(axis=1)
-    if depth == 0.0 or not kept.any():
-        return Shell(np.zeros((0, 3)), np.zeros((0, 3), int))
-    rows, faces = np.unique(body.faces[kept], return_inverse=True)
-    faces = faces.reshape(-1, 3)
-    normals = _vertex_normals(body.vertices[rows], faces)
-    # A quarter circle at the edge, as cut hair stands off the skin; outside, the shell dips under the skin.
-    share = np.clip(field[rows] / (1.5 * depth), 0.0, 1.0)
-    rise = np.where(field[rows] > 0.0, depth * np.sqrt(1.0 - (1.0 - share) ** 2), np.maximum(field[rows], -1.0))
-    return Shell(body.vertices[rows] + rise[:, None] * normals, faces)
+    plan = _model_hair(style) if len(body.parts) == _model_vertices() else _hair_plan(body, style)
+    points = body.vertices[plan.rows]
+    return Shell(points + plan.rise[:, None] * _vertex_normals(points, plan.faces), plan.faces)
 
 
 def eyeballs(body: Body) -> Eyes:
@@ -107,6 +110,26 @@ def _model_vertices() -> int:
     from gcd_dataset.generator.body.asset import body_model
 
     return len(body_model().parts)
+
+
+@cache
+def _model_hair(style: HairStyle) -> _HairPlan:
+    from gcd_dataset.generator.body import build_body, neutral_shape
+
+    return _hair_plan(build_body(neutral_shape()), style)
+
+
+def _hair_plan(body: Body, style: HairStyle) -> _HairPlan:
+    depth, masks = HAIR_DEPTH[style], body_masks(body)
+    field = masks.mane if style is HairStyle.FULL else masks.scalp
+    kept = (field[body.faces] > 0.0).any(axis=1)
+    if depth == 0.0 or not kept.any():
+        return _HairPlan(np.zeros(0, int), np.zeros((0, 3), int), np.zeros(0))
+    rows, faces = np.unique(body.faces[kept], return_inverse=True)
+    # A quarter circle at the edge, as cut hair stands off the skin; outside, the shell dips under the skin.
+    share = np.clip(field[rows] / (1.5 * depth), 0.0, 1.0)
+    rise = np.where(field[rows] > 0.0, depth * np.sqrt(1.0 - (1.0 - share) ** 2), np.maximum(field[rows], -1.0))
+    return _HairPlan(rows, faces.reshape(-1, 3), rise)
 
 
 @cache

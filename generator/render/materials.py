@@ -76,13 +76,16 @@ def draw_appearance(
 
 def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Garment and part of each panel: panels that are sewn together are one garment, parts go by the panel's name."""
+    panel_of_row = np.zeros(len(scene.uv), int)
+    panel_of_row[scene.corners] = scene.panel_id[:, None]
+    some_panel = np.zeros(len(scene.vertices), int)
+    some_panel[scene.uv_vertex] = panel_of_row
+    sewn = np.unique(np.stack([panel_of_row, some_panel[scene.uv_vertex]], axis=1), axis=0)
     garment = np.arange(len(scene.panel_names))
-    shared = np.full(len(scene.vertices), -1)
     for _ in range(len(garment)):
         before = garment.copy()
-        shared[:] = len(garment)
-        np.minimum.at(shared, scene.faces, garment[scene.panel_id][:, None])
-        np.minimum.at(garment, scene.panel_id, shared[scene.faces].min(axis=1))
+        for one, other in sewn.tolist():
+            garment[one] = garment[other] = min(garment[one], garment[other])
         if (garment == before).all():
             break
     _, garment = np.unique(garment, return_inverse=True)

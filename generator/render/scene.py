@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -58,6 +59,11 @@ class Scene(Record):
 
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Lowest and highest corner of the box round body and garment [cm]."""
+        return self._box
+
+    @cached_property
+    def _box(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        # C-ordered rows: NumPy reduces them 20 times as fast as columns.
         points = [mesh.T.astype(float, order="C") for mesh in (self.vertices, self.body.vertices) if len(mesh)]
         return np.min([p.min(axis=1) for p in points], axis=0), np.max([p.max(axis=1) for p in points], axis=0)
 

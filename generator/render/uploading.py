@@ -17,6 +17,7 @@ from gcd_dataset.generator.render.staging import StagingBuffers, to_device
 __all__ = ["Uploaded", "upload"]
 
 LEAF = 1  # faces in a leaf of the BVH on a GPU, as in the plain renderer
+TREE = "lbvh"  # built by the GPU; Warp's default is built by a CPU core, 3.1 ms for 95,000 faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +53,9 @@ def upload(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuf
     _upload_bodies(up, scenes, solids, staging)
     # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
     # would make the picture of a scene depend on the other scenes.
-    leaf = LEAF if staging.locked else None
+    leaf, tree = (LEAF, TREE) if staging.locked else (None, None)
     meshes = [
-        wp.Mesh(points=up.position, indices=up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf)
+        wp.Mesh(points=up.position, indices=up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf, bvh_constructor=tree)
         for begin, end in pairwise(first_face.tolist())
     ]
     up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)

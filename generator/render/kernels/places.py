@@ -243,8 +243,9 @@ def blurred_colours(shot: Shot, d: wp.vec3) -> wp.vec3:
     cell = q * 2.2
     x = int(wp.floor(cell[0]))
     y = int(wp.floor(cell[1]))
-    for dj in range(-1, 2):
-        for di in range(-1, 2):
+    before = int(-1)  # a variable: loops of constant length are unrolled
+    for dj in range(before, 2):
+        for di in range(before, 2):
             i = x + di
             j = y + dj
             if random2(i, j, shot.place_seed, 20) < 0.3:

@@ -136,13 +136,14 @@ def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
     """Dots in rows set off by half a period, or scattered with jitter."""
     period = cloth.period
     radius = 0.5 * cloth.fill * period
+    before = int(-1)  # a variable: loops of constant length are unrolled
     row = int(wp.floor(p[1] / period))
     colour = cloth.ground
-    for dj in range(-1, 2):
+    for dj in range(before, 2):
         j = row + dj
         offset = 0.5 * float(j - 2 * int(wp.floor(0.5 * float(j))))
         column = int(wp.floor(p[0] / period - offset))
-        for di in range(-1, 2):
+        for di in range(before, 2):
             i = column + di
             centre = wp.vec2(
                 (float(i) + 0.5 + offset + 0.5 * cloth.jitter * (random2(i, j, cloth.seed, 1) - 0.5)) * period,
@@ -160,13 +161,14 @@ def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 def floral(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
     """Flowers with leaves, scattered: one in most cells, two layers of different size."""
     colour = cloth.ground
+    before = int(-1)  # a variable: loops of constant length are unrolled
     for layer in range(2):
         scale = cloth.period
         if layer == 0:
             scale = 0.53 * cloth.period
         cell = wp.vec2(wp.floor(p[0] / scale), wp.floor(p[1] / scale))
-        for dj in range(-1, 2):
-            for di in range(-1, 2):
+        for dj in range(before, 2):
+            for di in range(before, 2):
                 i = int(cell[0]) + di
                 j = int(cell[1]) + dj
                 seed = cloth.seed + 977 * layer
