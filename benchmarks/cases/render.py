@@ -25,10 +25,10 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import (
     MAPS,
     Camera,
-    HairStyle,
     PendingPictures,
     Scene,
     View,
+    draw_hair,
     draw_views,
     render,
     scene_of_sample,
@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> Measured:
 def _scenes(options: argparse.Namespace, device: str) -> Iterator[Scene]:
     config = MakeConfig(resolution=options.resolution, device=device, picture=0, points=0)
     for index, sample in enumerate(produce(options.seed, range(options.count), config)):
-        yield scene_of_sample(sample, _body(sample), hair=HairStyle(index % len(HairStyle)))
+        yield scene_of_sample(sample, _body(sample), hair=draw_hair(options.seed, index))
 
 
 def _body(sample: Sample) -> Body:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
-    from gcd_dataset.generator.render.draw import Ranges, draw_view, draw_views
+    from gcd_dataset.generator.render.draw import Ranges, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
@@ -85,6 +85,7 @@ __all__ = [
     "draw_appearance",
     "draw_camera",
     "draw_environment",
+    "draw_hair",
     "draw_lights",
     "draw_view",
     "draw_views",
@@ -115,7 +116,7 @@ _NAMES_OF_MODULE = {
     ),
     "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
     "casting": ("PendingPictures", "render", "start_pictures"),
-    "draw": ("Ranges", "draw_view", "draw_views"),
+    "draw": ("Ranges", "draw_hair", "draw_view", "draw_views"),
     "materials": ("AppearanceRanges", "draw_appearance"),
     "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
     "lights": ("LightRanges", "Lights", "draw_lights"),

@@ -98,13 +98,14 @@ def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges 
     focal = math.exp(rng.uniform(*np.log(ranges.focal))) / FILM
     fill, (right, down) = rng.uniform(*ranges.fill), rng.uniform(*ranges.offset, size=2)
     whole = rng.random() >= ranges.crop
-    points = scene.vertices if len(scene.vertices) and not whole else np.concatenate(scene.bounds()).reshape(2, 3)
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, reach = 0.5 * (low + high), high - low
-    across = abs(math.cos(yaw)) * reach[0] + abs(math.sin(yaw)) * reach[2]
-    deep = abs(math.sin(yaw)) * reach[0] + abs(math.cos(yaw)) * reach[2]
-    distance = focal * max(float(reach[1]), float(across)) / fill + 0.5 * float(deep)
+    framed = [scene.vertices] if len(scene.vertices) and not whole else [scene.vertices, scene.body.vertices]
+    points = np.concatenate([mesh[::FRAMED_STEP] for mesh in framed])
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     away = np.array([math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)])
+    axes = look_at(middle + away, middle, focal=focal, roll=roll).rotation
+    across, along = np.abs((points - middle) @ axes[:2].T).max(axis=1), (points - middle) @ axes[2]
+    # A point at (x, z) from the middle is drawn at focal · x / (distance + z), at most half of the filled part.
+    distance = float((2.0 * focal / fill * across - along).max())
     eye = middle + distance * away
     eye[1] = max(float(eye[1]), EYE_ABOVE_FLOOR)
     return look_at(eye, middle, focal=focal, roll=roll, shift=(float(right), float(down)))
@@ -125,4 +126,5 @@ def fixed_camera(scene: Scene, side: str = "front") -> Camera:
 
 # ------------------------------------------------------------------------------------------------------------- helpers
 
+FRAMED_STEP = 5  # every fifth vertex is framed
 EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it

@@ -10,12 +10,13 @@ from gcd_dataset.generator.render.environment import EnvironmentRanges, draw_env
 from gcd_dataset.generator.render.lights import LightRanges, draw_lights
 from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
 from gcd_dataset.generator.render.pictures import View
-from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.generator.render.scene import HairStyle, Scene
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["Ranges", "draw_view", "draw_views"]
+__all__ = ["Ranges", "draw_hair", "draw_view", "draw_views"]
 
 VIEWS_PER_EPOCH = 1 << 16  # stream numbers of one epoch
+HAIR_SHARES = (0.06, 0.24, 0.35, 0.35)  # of ``HairStyle``: none, cropped, short, full
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,12 @@ class Ranges:
     camera: CameraRanges = field(default_factory=CameraRanges)
     lights: LightRanges = field(default_factory=LightRanges)
     environment: EnvironmentRanges = field(default_factory=EnvironmentRanges)
+
+
+def draw_hair(seed: int, index: int, *, epoch: int = 0) -> HairStyle:
+    """The shape of the hair for the scene of sample ``index``; views of one scene share it."""
+    stream = rng(seed, index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + VIEWS_PER_EPOCH - 1)
+    return HairStyle(int(stream.choice(len(HairStyle), p=HAIR_SHARES)))
 
 
 def draw_views(

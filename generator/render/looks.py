@@ -38,7 +38,7 @@ class Look:
 LOOKS: Mapping[str, Look] = MappingProxyType(
     {
         "poplin": Look(Weave(WeaveKind.PLAIN, 0.04, 0.2, 0.75, 0.035, 0.06, 0.02, 0.22), printed=1.2),
-        "linen": Look(Weave(WeaveKind.PLAIN, 0.09, 0.4, 0.85, 0.03, 0.08, 0.14, 0.5), printed=0.6),
+        "linen": Look(Weave(WeaveKind.PLAIN, 0.09, 0.4, 0.85, 0.03, 0.08, 0.12, 0.4), printed=0.6),
         "voile": Look(
             Weave(WeaveKind.PLAIN, 0.05, 0.2, 0.8, 0.03, 0.10, 0.03, 0.2),
             translucency=(0.25, 0.6),
@@ -75,7 +75,7 @@ LOOKS: Mapping[str, Look] = MappingProxyType(
         "crepe": Look(Weave(WeaveKind.CREPE, 0.06, 0.3, 0.8, 0.03, 0.12, 0.02, 0.12)),
         "jersey": Look(Weave(WeaveKind.JERSEY, 0.08, 0.35, 0.88, 0.025, 0.12, 0.05, 0.12), prints=KNIT_PRINTS),
         "melange": Look(
-            Weave(WeaveKind.JERSEY, 0.08, 0.35, 0.9, 0.02, 0.14, 0.3, 0.12), prints=KNIT_PRINTS, printed=0.3
+            Weave(WeaveKind.JERSEY, 0.08, 0.35, 0.9, 0.02, 0.14, 0.16, 0.12), prints=KNIT_PRINTS, printed=0.3
         ),
         "rib": Look(
             Weave(WeaveKind.RIB, 0.35, 0.5, 0.9, 0.02, 0.14, 0.05, 0.05),

@@ -139,7 +139,7 @@ def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Sk
     hair = HAIRS[int(rng.integers(darkest))]
     eyes = IRISES[int(rng.integers(len(IRISES) if tone <= 5 else 2))]
     grey = float(rng.uniform(0.08, 0.9))
-    if abs(grey**2.2 - luminance(skin.colour)) < 0.08:
+    if abs(grey**2.2 - luminance(skin.colour)) < 0.15:
         grey = 0.9 if luminance(skin.colour) < 0.4 else 0.15  # else the figure would look bare
     plain = nudged(rng, (grey, grey, grey), 0.05)
     return skin, Hair(nudged(rng, hair, 0.02)), eyes, Underwear(plain)

@@ -20,7 +20,7 @@ __all__ = ["Materials", "pack_views"]
 CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
 SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
-SKIN_GAIN, SKIN_GAMMA = np.array([0.86, 0.78, 0.71]), 0.82
+SKIN_GAIN, SKIN_GAMMA = np.array([0.75, 0.65, 0.57]), 0.76
 SHEER = 1e-3  # translucency below this is none
 
 

@@ -79,10 +79,12 @@ def scene_of(
     """The scene of a garment at ``vertices`` [cm] on ``body``; with ``pattern``, its panel corners are found.
 
     Landmarks are those of the body model; a body with another mesh has none. Raises ``ConfigError`` where ``vertices``
-    are not those of ``mesh``.
+    are not those of ``mesh``, or not finite.
     """
     if vertices.shape != mesh.vertices.shape:
         raise ConfigError(f"{len(vertices)} positions for a mesh of {len(mesh.vertices)} vertices: give one for each")
+    if not np.isfinite(vertices).all():
+        raise ConfigError("some positions of the garment are not numbers: its drape diverged; leave it out")
     ids, rows = _corners_in_mesh(mesh, pattern)
     return Scene(
         vertices=vertices,

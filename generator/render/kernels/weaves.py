@@ -45,20 +45,20 @@ def weave_slope(cloth: Cloth, uv: wp.vec2, width: float) -> wp.vec2:
 @wp.func
 def wrinkle_slope(cloth: Cloth, uv: wp.vec2, panel: int) -> wp.vec2:
     """Slope of wrinkles of a few centimetres: crossing creases with flat cloth between them."""
-    q = uv * 0.22
+    q = uv * 0.16
     bend = wp.vec2(fractal2(q * 0.6, 2, 101 + panel), fractal2(q * 0.6, 2, 211 + panel))
     a = q + bend * 0.8
     step = 0.08
     here = ridge(a, panel)
     slope = wp.vec2(ridge(a + wp.vec2(step, 0.0), panel) - here, ridge(a + wp.vec2(0.0, step), panel) - here)
-    return slope * (cloth.wrinkles / step * 0.35)
+    return slope * (cloth.wrinkles / step * 0.22)
 
 
 @wp.func
 def ridge(p: wp.vec2, panel: int) -> float:
     """Height of creases: noise whose zero lines are ridges."""
     n = noise2(p, 307 + panel)
-    return wp.exp(-6.0 * n * n) * (0.5 + 0.5 * noise2(p * 0.7, 401 + panel))
+    return wp.exp(-3.0 * n * n) * (0.5 + 0.5 * noise2(p * 0.7, 401 + panel))
 
 
 @wp.func

@@ -258,3 +258,30 @@ def test_the_background_of_a_dark_place_is_black() -> None:
     scene = patch_scene()
     picture = shot(scene, replace(view_of(scene), environment=DARK))
     assert picture[2, 2].max() == 0
+
+
+def test_a_body_without_a_garment_can_be_rendered() -> None:
+    scene = ball_scene()
+    nothing = replace(
+        scene,
+        vertices=np.zeros((0, 3)),
+        faces=np.zeros((0, 3), int),
+        uv=np.zeros((0, 2)),
+        corners=np.zeros((0, 3), int),
+        uv_vertex=np.zeros(0, int),
+        panel_id=np.zeros(0, int),
+        panel_names=(),
+        panel_labels=(),
+    )
+    [view] = draw_views(0, 0, nothing, 1)
+    [picture] = render([nothing], [view], size=32, maps=MAPS, device="cpu")
+    assert (picture.maps["panel_id"] == -1).all()
+    assert (picture.maps["silhouette"] > 0).any()
+
+
+def test_a_diverged_drape_is_refused() -> None:
+    mesh = hung_patch()
+    broken = mesh.vertices.copy()
+    broken[3] = np.nan
+    with pytest.raises(ConfigError, match="its drape diverged"):
+        scene_of(mesh, broken, far_ball())

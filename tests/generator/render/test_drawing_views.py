@@ -8,11 +8,13 @@ from gcd_dataset.generator.drape import FABRICS
 from gcd_dataset.generator.render import (
     AppearanceRanges,
     CameraRanges,
+    HairStyle,
     PrintKind,
     Ranges,
     View,
     draw_appearance,
     draw_camera,
+    draw_hair,
     draw_lights,
     draw_views,
 )
@@ -89,7 +91,7 @@ def test_drawn_cameras_hold_the_whole_figure() -> None:
     for k in range(40):
         camera = draw_camera(np.random.default_rng(k), scene, ranges=CameraRanges(crop=0.0, offset=(0.0, 0.0)))
         pixels = camera.project(np.concatenate([scene.vertices, scene.body.vertices]), 100)
-        assert np.abs(pixels - 49.5).max() < 56, k
+        assert 30 < np.abs(pixels - 49.5).max() < 50, k
         assert camera.rotation @ camera.rotation.T == pytest.approx(np.eye(3), abs=1e-9)
 
 
@@ -117,3 +119,10 @@ def test_ranges_may_be_given_together() -> None:
     [view] = draw_views(0, 0, scene, 1, ranges=ranges)
     assert view.appearance.skin.tone == 3
     assert view.camera.eye[2] > 0
+
+
+def test_hair_is_a_function_of_seed_index_and_epoch() -> None:
+    drawn = [draw_hair(3, index) for index in range(60)]
+    assert drawn == [draw_hair(3, index) for index in range(60)]
+    assert set(drawn) == set(HairStyle)
+    assert drawn != [draw_hair(3, index, epoch=1) for index in range(60)]
