@@ -149,7 +149,7 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
                 near = wp.min(first, second)
                 face = axis
             far = wp.min(far, wp.max(first, second))
-        if near < far and near > 150.0 and near < t:
+        if near < far and near > 0.9 * wp.length(eye) and near < t:  # not before the figure
             t = near
             p = eye + d * t
             normal = wp.vec3(0.0, 0.0, 0.0)
@@ -235,7 +235,10 @@ def floor_boards(shot: Shot, p: wp.vec3) -> wp.vec3:
 @wp.func
 def blurred_colours(shot: Shot, d: wp.vec3) -> wp.vec3:
     """A place far out of focus: patches of colour and discs of light."""
-    q = wp.vec2(wp.atan2(d[0], d[2]), wp.asin(wp.clamp(d[1], -1.0, 1.0))) * 4.0
+    # The azimuth jumps behind the camera, where nobody sees it.
+    ahead = wp.atan2(shot.forward[0], shot.forward[2])
+    aside = wp.atan2(d[0] * shot.forward[2] - d[2] * shot.forward[0], d[0] * shot.forward[0] + d[2] * shot.forward[2])
+    q = wp.vec2(ahead + aside, wp.asin(wp.clamp(d[1], -1.0, 1.0))) * 4.0
     a = fractal2(q, 3, shot.place_seed)
     b = fractal2(q * 1.7 + wp.vec2(5.0, 9.0), 2, shot.place_seed + 40)
     colour = wp.lerp(shot.wall, shot.floor, ramp(-0.35, 0.35, a - 0.25 * q[1]))
