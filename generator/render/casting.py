@@ -67,8 +67,7 @@ def start_pictures(
     _check(scenes, views, size, maps)
     device = resolve_device(device)
     load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
-    with launch_lock:
-        return PendingPictures(scenes, views, size, maps, device)
+    return PendingPictures(scenes, views, size, maps, device)
 
 
 class PendingPictures:
@@ -81,15 +80,18 @@ class PendingPictures:
         self._staging = StagingBuffers(device)
         self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
         self._results: dict[str, np.ndarray] = {}
+        self._rendered: wp.Event | None = None
+        self._kept: object = None
         if not views:
-            self._rendered = None
             return
         used = sorted({view.scene for view in views})
         kept = [scenes[row] for row in used]
-        uploaded = upload(kept, [solid_of(scene) for scene in kept], self._staging)
+        solids = [solid_of(scene) for scene in kept]
         materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
-        self._kept = uploaded, self._launch(uploaded, materials, device)
-        self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
+        with launch_lock:
+            uploaded = upload(kept, solids, self._staging)
+            self._kept = uploaded, self._launch(uploaded, materials, device)
+            self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""
@@ -101,6 +103,7 @@ class PendingPictures:
         with launch_lock:
             if self._rendered is not None:
                 wp.synchronize_event(self._rendered)
+            self._kept = None  # frees the meshes
         pictures = list(self._finished())
         self._staging.release()
         return pictures
