@@ -3,7 +3,8 @@
 Garments are made, then rendered in batches that are new to the renderer: preparing and uploading the meshes, building
 their trees and copying the pictures back are part of the time. ``mask_agreement`` is the share of pixels whose
 silhouette agrees with trimesh's caster (Embree) on the same meshes and cameras, in the worst picture;
-``depth_agreement`` the share of the pixels that both hit whose depths differ by less than 0.05 cm.
+``depth_agreement`` the share of the pixels that both hit whose depths differ by less than 0.05 cm; ``shadow_agreement``
+the share of these that both find lit, or both in shadow.
 """
 
 import argparse
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
@@ -41,6 +42,7 @@ __all__ = ["add_arguments", "run"]
 
 SIZES = (256, 512)  # pixels
 DEPTH = 0.05  # cm
+LIFT = 0.25  # cm from a surface to the start of a shadow ray, as in the renderer
 CHECKED = 256  # pixels of the pictures that are compared with Embree
 TILE = 320  # pixels of a picture of the sheet
 
@@ -74,6 +76,7 @@ def run(options: argparse.Namespace) -> Measured:
         for number, (scene, own) in enumerate(zip(scenes[: options.checked], views, strict=False))
     ]
     figures.append(Figure("mask_agreement", min(row["mask"] for row in rows), "of pixels, worst picture"))
+    figures.append(Figure("shadow_agreement", min(row["lit"] for row in rows), "of pixels, worst picture"))
     figures.append(Figure("depth_agreement", min(row["depth"] for row in rows), f"within {DEPTH} cm, worst picture"))
     if options.sheet is not None:
         write_whole(options.sheet, jpeg_bytes(_sheet(scenes, options.seed, device)))
@@ -134,9 +137,9 @@ def _prepare_ms(scenes: Sequence[Scene]) -> float:
 
 def _compared(scene: Scene, view: View, number: int, device: str) -> dict[str, float]:
     """Agreement of one picture with Embree: shares of its pixels."""
-    [picture] = render([scene], [_at(view, 0)], size=CHECKED, maps=("depth", "silhouette"), device=device)
+    [picture] = render([scene], [_at(view, 0)], size=CHECKED, maps=("depth", "silhouette", "lit"), device=device)
     solid = solid_of(scene)
-    expected = embree_depth(solid.position, solid.faces, view.camera, CHECKED)
+    expected, light = embree_maps(solid.position, solid.faces, view.camera, view.lights.key_direction, CHECKED)
     ours, seen = picture.maps["silhouette"] > 0, np.isfinite(expected)
     both = ours & seen
     apart = np.abs(picture.maps["depth"][both] - expected[both])
@@ -145,14 +148,19 @@ def _compared(scene: Scene, view: View, number: int, device: str) -> dict[str, f
         "covered": float(ours.mean()),
         "mask": float((ours == seen).mean()),
         "depth": float((apart < DEPTH).mean()),
+        "lit": float(((picture.maps["lit"] > 0) == light)[both].mean()),
         "depth_p99_cm": float(np.percentile(apart, 99)),
     }
 
 
-def embree_depth(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Camera, size: int
-) -> Float[np.ndarray, "h w"]:
-    """Depth along the optical axis [cm] by Embree, infinite for the background.
+def embree_maps(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    camera: Camera,
+    light: Float[np.ndarray, "3"],
+    size: int,
+) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Depth along the optical axis [cm], infinite for the background, and whether a light far away is seen: by Embree.
 
     Raises ``ConfigError`` where Embree is not installed.
     """
@@ -168,10 +176,15 @@ def embree_depth(
     origins = np.broadcast_to(camera.eye, directions.shape)
     face = np.asarray(mesh.ray.intersects_first(origins, directions))
     hit = face >= 0
-    depth = np.full(size * size, np.inf)
+    depth, lit = np.full(size * size, np.inf), np.zeros(size * size, bool)
     corner, normal = mesh.triangles[face[hit], 0], np.cross(*np.diff(mesh.triangles[face[hit]], axis=1).swapaxes(0, 1))
     depth[hit] = ((corner - origins[hit]) * normal).sum(axis=1) / (directions[hit] * normal).sum(axis=1)
-    return depth.reshape(size, size)
+    normal *= -np.sign((normal * directions[hit]).sum(axis=1, keepdims=True))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    start = camera.eye + depth[hit, None] * directions[hit] + LIFT * normal
+    hidden = mesh.ray.intersects_any(start, np.broadcast_to(light, start.shape))
+    lit[hit] = ~hidden & (normal @ light > 0.0)
+    return depth.reshape(size, size), lit.reshape(size, size)
 
 
 def _sheet(scenes: Sequence[Scene], seed: int, device: str) -> np.ndarray:

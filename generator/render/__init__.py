@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         EnvironmentRanges,
         draw_environment,
     )
+    from gcd_dataset.generator.render.images import read_picture
     from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, View
@@ -92,6 +93,7 @@ __all__ = [
     "fixed_camera",
     "garment_scene",
     "look_at",
+    "read_picture",
     "render",
     "render_garment",
     "render_sample",
@@ -119,6 +121,7 @@ _NAMES_OF_MODULE = {
     "draw": ("Ranges", "draw_hair", "draw_view", "draw_views"),
     "materials": ("AppearanceRanges", "draw_appearance"),
     "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
+    "images": ("read_picture",),
     "lights": ("LightRanges", "Lights", "draw_lights"),
     "pictures": ("MAPS", "Picture", "View"),
     "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),

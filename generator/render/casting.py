@@ -33,6 +33,7 @@ MAP_TYPES: dict[str, tuple[type, int, float]] = {
     "seam": (np.int16, 0, -1),
     "uv": (np.float32, 2, np.nan),
     "silhouette": (np.uint8, 0, 0),
+    "lit": (np.uint8, 0, 0),
 }
 """Type, channels and background of each map, in the order of the kernel's arguments."""
 WARP_TYPES: dict[type, Any] = {np.float32: wp.float32, np.uint8: wp.uint8, np.int16: wp.int16}

@@ -112,7 +112,7 @@ def _sweep(rng: np.random.Generator) -> Environment:
 def _room(rng: np.random.Generator) -> Environment:
     wall = _colour(rng, (0.0, 0.25), (0.55, 0.95))
     wood = colorsys.hsv_to_rgb(rng.uniform(0.04, 0.11), rng.uniform(0.15, 0.6), rng.uniform(0.3, 0.8))
-    accent = _colour(rng, (0.05, 0.6), (0.25, 0.8))
+    accent = _colour(rng, (0.05, 0.4), (0.25, 0.8))
     size = float(rng.uniform(230.0, 420.0))
     return Environment(EnvironmentKind.ROOM, (wall, wood, accent), _light(wall, wood), size=size)
 

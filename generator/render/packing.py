@@ -10,9 +10,9 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.appearance import Appearance, Cloth
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
+from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import View
-from gcd_dataset.generator.render.plain_batch import linear_light
 from gcd_dataset.generator.render.scene import Scene
 
 __all__ = ["Materials", "pack_views"]

@@ -19,7 +19,7 @@ from gcd_dataset.records import Record
 
 __all__ = ["BACKGROUND", "GARMENT", "HAIR", "MAPS", "MapName", "Picture", "View"]
 
-MapName = Literal["depth", "normals", "part", "panel_id", "seam", "uv", "silhouette"]
+MapName = Literal["depth", "normals", "part", "panel_id", "seam", "uv", "silhouette", "lit"]
 MAPS: tuple[MapName, ...] = get_args(MapName)
 """The maps that ``render`` can return; each describes the surface at the centre of a pixel."""
 BACKGROUND = 255
@@ -60,7 +60,8 @@ class Picture(Record):
     ``depth`` float32, along the optical axis [cm]; ``normals`` float32 (h, w, 3), in camera axes, towards the camera;
     ``part`` uint8, ``BodyPart`` value, ``GARMENT``, ``HAIR`` or ``BACKGROUND``; ``panel_id`` int16; ``seam`` int16, row
     of the pattern's seams on pixels that a seam line covers, -2 on hems; ``uv`` float32 (h, w, 2), panel plane [cm];
-    ``silhouette`` uint8, 255 where the pixel's centre is covered by garment, hair or body.
+    ``silhouette`` uint8, 255 where the pixel's centre is covered by garment, hair or body; ``lit`` uint8, 255 where that
+    point sees the middle of the key light, whatever the cloth between them.
     """
     panel_corners: Int[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2), int))
     """(panel, corner) of each row of ``corner_pixels``."""

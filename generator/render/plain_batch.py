@@ -14,6 +14,7 @@ from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.render import plain_kernels
+from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.plain_kernels import (
     LEVELS,
     Camera,
@@ -36,7 +37,6 @@ __all__ = [
     "Picture",
     "Scene",
     "View",
-    "linear_light",
     "start_render",
     "thresholds",
     "vertex_normals",
@@ -189,8 +189,3 @@ def thresholds(device: str) -> wp.array:
     """The smallest linear value of each sRGB byte from 1 to 255."""
     least = linear_light((np.arange(LEVELS) + 0.5) / LEVELS)
     return wp.array(least.astype(np.float32), dtype=float, device=device)
-
-
-def linear_light(srgb: np.ndarray) -> np.ndarray:
-    """sRGB to linear light, 0 to 1; IEC 61966-2-1."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

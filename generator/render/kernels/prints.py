@@ -77,13 +77,17 @@ def band(x: float, low: float, high: float, width: float) -> float:
 
 @wp.func
 def repeated(x: float, period: float, fill: float, width: float) -> float:
-    """Share of a pixel covered by bands of ``fill`` × ``period`` that repeat: the exact mean over the pixel."""
+    """Share of a pixel covered by bands of ``fill`` × ``period`` that repeat: the exact mean over the pixel.
+
+    Near two pixels a period it fades to ``fill``: pixels would beat with the bands.
+    """
     w = wp.max(width, 1.0e-3 * period)
     low = (x - 0.5 * w) / period
     high = (x + 0.5 * w) / period
     below = wp.floor(low) * fill + wp.min(wp.frac(low), fill)
     above = wp.floor(high) * fill + wp.min(wp.frac(high), fill)
-    return wp.clamp((above - below) * period / w, 0.0, 1.0)
+    share = wp.clamp((above - below) * period / w, 0.0, 1.0)
+    return wp.lerp(share, fill, ramp(0.25, 0.55, width / period))
 
 
 @wp.func

@@ -13,6 +13,7 @@ PART_HAIR = 33  # as ``pictures.HAIR``
 INTERNAL = 8  # as ``BodyPart.INTERNAL``
 SEAM_LINE = 0.3  # cm; least half width of a seam's line
 HEM = -2  # as ``geometry.HEM``
+LIFT = 0.25  # cm from a surface to the start of a shadow ray, as in ``cast``
 TOLERANCE = 0.15  # cm; a surface nearer than this to a point does not hide it
 
 
@@ -27,6 +28,7 @@ class Wanted:
     seam: int
     uv: int
     silhouette: int
+    lit: int
 
 
 @wp.kernel
@@ -34,7 +36,7 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
                 # out
                 depth: wp.array3d(dtype=float), normals: wp.array4d(dtype=float), part: wp.array3d(dtype=wp.uint8),
                 panel: wp.array3d(dtype=wp.int16), seam: wp.array3d(dtype=wp.int16), uv: wp.array4d(dtype=float),
-                silhouette: wp.array3d(dtype=wp.uint8)):  # fmt: skip
+                silhouette: wp.array3d(dtype=wp.uint8), lit: wp.array3d(dtype=wp.uint8)):  # fmt: skip
     """The maps of ``Picture.maps``; they hold the values of the background when the kernel starts."""
     number, row, column = wp.tid()
     shot = shots[number]
@@ -49,6 +51,14 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
         silhouette[number, row, column] = wp.uint8(255)
     if wanted.depth == 1:
         depth[number, row, column] = hit.t * wp.dot(direction, shot.forward)
+    if wanted.lit == 1:
+        away = wp.normalize(hit.normal)
+        if wp.dot(away, direction) > 0.0:
+            away = -away
+        start = shot.eye + direction * hit.t + away * LIFT
+        if wp.dot(away, shot.key_direction) > 0.0:
+            if not wp.mesh_query_ray_anyhit(scenes.mesh[shot.scene], start, shot.key_direction, FAR):
+                lit[number, row, column] = wp.uint8(255)
     if wanted.normals == 1:
         normal = wp.vec3(0.0, 0.0, 0.0)
         for k in range(3):

@@ -12,6 +12,7 @@ from gcd_dataset.generator.render import (
     MAPS,
     Camera,
     HairStyle,
+    Lights,
     Picture,
     Scene,
     fixed_camera,
@@ -152,3 +153,21 @@ def test_landmarks_and_parts_of_the_body() -> None:
 def test_a_body_of_another_mesh_has_no_landmarks() -> None:
     cloth = patch(2, 2)
     assert scene_of(cloth, cloth.vertices, body_from(trimesh.creation.box())).landmarks == {}
+
+
+def test_lit_is_the_side_of_the_light_without_what_stands_before_it() -> None:
+    """A ball under light from its right; a sheet to the right of its upper half shades that half."""
+    ball = ball_scene(20.0)
+    from_right = Lights(np.array([1.0, 0.0, 0.0]))
+    [free] = render(
+        [ball], [view_of(ball, camera=ahead(200.0), lights=from_right)], size=65, maps=("lit",), device="cpu"
+    )
+    sheet = patch(30, 15, spacing=2.0)
+    upright = np.column_stack([np.full(len(sheet.uv), 40.0), sheet.uv[:, 1] + 100.0, sheet.uv[:, 0] - 30.0])
+    shaded = scene_of(sheet, upright, ball.body)
+    view = view_of(shaded, camera=ahead(200.0), lights=from_right)
+    [behind] = render([shaded], [view], size=65, maps=("lit",), device="cpu")
+    above, below = (22, 42), (42, 42)
+    assert free.maps["lit"][above] == free.maps["lit"][below] == 255
+    assert free.maps["lit"][32, 20] == 0
+    assert (behind.maps["lit"][above], behind.maps["lit"][below]) == (0, 255)
