@@ -60,8 +60,8 @@ class Picture(Record):
     ``depth`` float32, along the optical axis [cm]; ``normals`` float32 (h, w, 3), in camera axes, towards the camera;
     ``part`` uint8, ``BodyPart`` value, ``GARMENT``, ``HAIR`` or ``BACKGROUND``; ``panel_id`` int16; ``seam`` int16, row
     of the pattern's seams on pixels that a seam line covers, -2 on hems; ``uv`` float32 (h, w, 2), panel plane [cm];
-    ``silhouette`` uint8, 255 where the pixel's centre is covered by garment, hair or body; ``lit`` uint8, 255 where that
-    point sees the middle of the key light, whatever the cloth between them.
+    ``silhouette`` uint8, 255 where the pixel's centre is covered by garment, hair or body; ``lit`` uint8, 255 where
+    that point sees the middle of the key light, whatever the cloth between them.
     """
     panel_corners: Int[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2), int))
     """(panel, corner) of each row of ``corner_pixels``."""
