@@ -98,12 +98,12 @@ def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges 
     focal = math.exp(rng.uniform(*np.log(ranges.focal))) / FILM
     fill, (right, down) = rng.uniform(*ranges.fill), rng.uniform(*ranges.offset, size=2)
     whole = rng.random() >= ranges.crop
-    framed = [scene.vertices] if len(scene.vertices) and not whole else [scene.vertices, scene.body.vertices]
-    points = np.concatenate([mesh[::FRAMED_STEP] for mesh in framed])
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    points = scene.figure_points if whole or not len(scene.vertices) else scene.garment_points
+    middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
     away = np.array([math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)])
     axes = look_at(middle + away, middle, focal=focal, roll=roll).rotation
-    across, along = np.abs((points - middle) @ axes[:2].T).max(axis=1), (points - middle) @ axes[2]
+    aside, below, along = axes @ (points - middle[:, None])
+    across = np.maximum(np.abs(aside), np.abs(below))
     # A point at (x, z) from the middle is drawn at focal · x / (distance + z), at most half of the filled part.
     distance = float((2.0 * focal / fill * across - along).max())
     eye = middle + distance * away
@@ -126,5 +126,4 @@ def fixed_camera(scene: Scene, side: str = "front") -> Camera:
 
 # ------------------------------------------------------------------------------------------------------------- helpers
 
-FRAMED_STEP = 5  # every fifth vertex is framed
 EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it

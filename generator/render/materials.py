@@ -80,9 +80,11 @@ def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]
     panel_of_row[scene.corners] = scene.panel_id[:, None]
     some_panel = np.zeros(len(scene.vertices), int)
     some_panel[scene.uv_vertex] = panel_of_row
-    sewn = np.unique(np.stack([panel_of_row, some_panel[scene.uv_vertex]], axis=1), axis=0)
-    garment = np.arange(len(scene.panel_names))
-    for _ in range(len(garment)):
+    count = len(scene.panel_names)
+    pairs = np.bincount(count * panel_of_row + some_panel[scene.uv_vertex], minlength=count * count)
+    sewn = np.argwhere(pairs.reshape(count, count) > 0)
+    garment = np.arange(count)
+    for _ in range(count):
         before = garment.copy()
         for one, other in sewn.tolist():
             garment[one] = garment[other] = min(garment[one], garment[other])

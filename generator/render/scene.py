@@ -62,6 +62,16 @@ class Scene(Record):
         return self._box
 
     @cached_property
+    def garment_points(self) -> Float[np.ndarray, "3 n"]:
+        """Every fifth vertex of the garment, in rows of x, y and z [cm]."""
+        return np.ascontiguousarray(self.vertices[::5].T, float)
+
+    @cached_property
+    def figure_points(self) -> Float[np.ndarray, "3 n"]:
+        """Every fifth vertex of the garment and of the body, in rows of x, y and z [cm]."""
+        return np.concatenate([self.garment_points, self.body.vertices[::5].T], axis=1)
+
+    @cached_property
     def _box(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         # C-ordered rows: NumPy reduces them 20 times as fast as columns.
         points = [mesh.T.astype(float, order="C") for mesh in (self.vertices, self.body.vertices) if len(mesh)]
