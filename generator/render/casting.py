@@ -185,8 +185,12 @@ def _shade(up: Uploaded, shots: wp.array, materials: Materials, size: int, devic
     """The pictures (shot, h, w, 3)."""
     rays = (len(shots), size, size, SIDE**2)
     hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
-    sides = (2, up.vertices)
+    sides = (2, up.first_vertex[-1])
     seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.full(sides, 1.0, dtype=float, device=device)
+    for number in np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist():
+        # What lies behind sheer cloth is not among the first hits: all of the scene counts as seen.
+        for row in (seen[0], seen[1]):
+            row[up.first_vertex[number] : up.first_vertex[number + 1]].fill_(number)
     cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
     floor = wp.empty(cells, dtype=float, device=device)
     picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)

@@ -29,7 +29,8 @@ class Uploaded:
     """Where each figure stands on the floor [cm]."""
     meshes: list[wp.Mesh]
     """Must outlive the launches."""
-    vertices: int
+    first_vertex: list[int]
+    """Row of each scene's first vertex, and the number of all."""
 
 
 def upload(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> Uploaded:
@@ -60,7 +61,7 @@ def upload(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuf
     ]
     up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
     middle = wp.array(np.array([_stand(scene) for scene in scenes], np.float32), dtype=wp.vec3, device=device)
-    return Uploaded(up, middle, meshes, int(first_vertex[-1]))
+    return Uploaded(up, middle, meshes, first_vertex.tolist())
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

@@ -19,6 +19,7 @@ from gcd_dataset.generator.render import (
     View,
     draw_environment,
     draw_views,
+    look_at,
     render,
     scene_of,
 )
@@ -58,6 +59,18 @@ def test_a_view_has_the_same_bytes_alone_and_in_any_batch() -> None:
     for view, one, other in zip(views, together, backwards[::-1], strict=True):
         [alone] = render([scenes[view.scene]], [replace(view, scene=0)], size=32, maps=MAPS, device="cpu")
         assert bytes_of(alone) == bytes_of(one) == bytes_of(other)
+
+
+def test_what_sheer_cloth_covers_does_not_depend_on_views_that_see_it_bare() -> None:
+    front, back = hung_patch(), hung_patch()
+    both = joined(front, back)
+    scene = scene_of(both, np.concatenate([front.vertices + [0, 0, 6.0], back.vertices]), far_ball())
+    voile = cloth_of(plain(WHITE), translucency=0.6)
+    through = view_of(scene, voile, cloth_of(plain(RED)))
+    aside = view_of(scene, voile, camera=look_at(np.array([90.0, 100.0, 12.0]), np.array([0.0, 100.0, 0.0]), focal=4.0))
+    [alone] = render([scene], [through], size=48, device="cpu")
+    beside, _ = render([scene], [through, aside], size=48, device="cpu")
+    assert np.array_equal(alone.rgb, beside.rgb)
 
 
 def test_maps_do_not_change_the_picture() -> None:
