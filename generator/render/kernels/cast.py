@@ -3,7 +3,7 @@
 import warp as wp
 
 from gcd_dataset.generator.render.kernels.lighting import developed, irradiance, reflected
-from gcd_dataset.generator.render.kernels.noise import mixed, unit
+from gcd_dataset.generator.render.kernels.noise import fraction, mixed, unit
 from gcd_dataset.generator.render.kernels.places import place_behind
 from gcd_dataset.generator.render.kernels.prepare import floor_at
 from gcd_dataset.generator.render.kernels.rays import (
@@ -32,7 +32,7 @@ def spread_noise(row: int, column: int) -> float:
 
     Interleaved gradient noise (Jimenez, Next generation post processing in Call of Duty, SIGGRAPH 2014).
     """
-    return wp.frac(52.9829189 * wp.frac(0.06711056 * float(column) + 0.00583715 * float(row)))
+    return fraction(52.9829189 * fraction(0.06711056 * float(column) + 0.00583715 * float(row)))
 
 
 @wp.kernel
@@ -79,7 +79,7 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
         x = float(column) + offset[0]
         y = float(row) + offset[1]
         direction = ray_through(shot, x, y, size)
-        turn = wp.frac(spread_noise(row, column) + float(k) * 0.618034)
+        turn = fraction(spread_noise(row, column) + float(k) * 0.618034)
         light = wp.vec3(0.0, 0.0, 0.0)
         weight = float(1.0)
         face = hit_face[number, row, column, k]
@@ -101,7 +101,7 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
             if toward > -0.3 or s.transmission > 0.0:
                 for r in range(SHADOW_RAYS):
                     share = (float(k * SHADOW_RAYS + r) + 0.5) / float(hit_face.shape[3] * SHADOW_RAYS)
-                    key = towards_key(shot, share, wp.frac(turn + float(r) * 0.381966))
+                    key = towards_key(shot, share, fraction(turn + float(r) * 0.381966))
                     lit += light_through(scenes, shot, cloth_of_panel, cloths, origin, key) / float(SHADOW_RAYS)
             opaque = 1.0 - s.through * wp.sqrt(wp.abs(wp.dot(s.flat, direction)))
             light += reflected(s, shot, glow, number, direction, lit) * (weight * opaque)
@@ -127,7 +127,7 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
                 arriving = float(0.0)
                 for r in range(SHADOW_RAYS):
                     share = (float(k * SHADOW_RAYS + r) + 0.5) / float(hit_face.shape[3] * SHADOW_RAYS)
-                    key = towards_key(shot, share, wp.frac(turn + float(r) * 0.381966))
+                    key = towards_key(shot, share, fraction(turn + float(r) * 0.381966))
                     arriving += light_through(scenes, shot, cloth_of_panel, cloths, start, key) / float(SHADOW_RAYS)
                 lit = wp.lerp(1.0, arriving, b.floor)
                 clear = wp.lerp(1.0, floor_at(floor, shot.scene, stand, b.point), b.floor)

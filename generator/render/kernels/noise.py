@@ -20,6 +20,12 @@ def mixed(a: wp.uint32, b: wp.uint32) -> wp.uint32:
 
 
 @wp.func
+def fraction(x: float) -> float:
+    """Distance from the next whole number below: ``wp.frac`` is negative for negative numbers."""
+    return x - wp.floor(x)
+
+
+@wp.func
 def unit(word: wp.uint32) -> float:
     """A hash as a number in [0, 1)."""
     return float(word >> wp.uint32(8)) * (1.0 / 16777216.0)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import fractal2, noise2, ramp, random2
+from gcd_dataset.generator.render.kernels.noise import fractal2, fraction, noise2, ramp, random2
 from gcd_dataset.generator.render.kernels.records import Shot
 from gcd_dataset.generator.render.kernels.texels import bilinear
 
@@ -221,11 +221,11 @@ def floor_boards(shot: Shot, p: wp.vec3) -> wp.vec3:
         piece = int(wp.floor((p[2] + shift) / 110.0))
         tone = 0.78 + 0.35 * random2(board, piece, shot.place_seed, 9)
         grain = 1.0 + 0.10 * fractal2(wp.vec2(p[0] * 0.5, p[2] * 0.03 + 7.0 * float(board)), 3, shot.place_seed)
-        gap = wp.min(wp.frac(p[0] / 14.0), 1.0 - wp.frac(p[0] / 14.0)) * 14.0
+        gap = wp.min(fraction(p[0] / 14.0), 1.0 - fraction(p[0] / 14.0)) * 14.0
         return shot.floor * (tone * grain * (0.6 + 0.4 * ramp(0.0, 0.5, gap)))
     tile = 45.0
-    x = wp.frac(p[0] / tile)
-    z = wp.frac(p[2] / tile)
+    x = fraction(p[0] / tile)
+    z = fraction(p[2] / tile)
     gap = wp.min(wp.min(x, 1.0 - x), wp.min(z, 1.0 - z)) * tile
     i = int(wp.floor(p[0] / tile))
     tone = 0.92 + 0.12 * random2(i, int(wp.floor(p[2] / tile)), shot.place_seed, 9)

@@ -5,7 +5,7 @@ Motifs whose period is below two pixels fade to their mean: stripes would alias.
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import fractal2, inside, mixed, noise2, ramp, random2, unit
+from gcd_dataset.generator.render.kernels.noise import fractal2, fraction, inside, mixed, noise2, ramp, random2, unit
 from gcd_dataset.generator.render.kernels.records import Cloth
 from gcd_dataset.generator.render.kernels.texels import bilinear
 
@@ -60,7 +60,7 @@ def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, rise: float, width: floa
 @wp.func
 def panel_colour(panel: int, seed: int) -> wp.vec3:
     """A colour of its own for each panel: hues in golden steps."""
-    hue = 6.0 * wp.frac(float(panel) * 0.618034 + unit(mixed(wp.uint32(seed), wp.uint32(7))))
+    hue = 6.0 * fraction(float(panel) * 0.618034 + unit(mixed(wp.uint32(seed), wp.uint32(7))))
     colour = wp.vec3(
         wp.clamp(wp.abs(hue - 3.0) - 1.0, 0.0, 1.0),
         wp.clamp(2.0 - wp.abs(hue - 2.0), 0.0, 1.0),
@@ -84,8 +84,8 @@ def repeated(x: float, period: float, fill: float, width: float) -> float:
     w = wp.max(width, 1.0e-3 * period)
     low = (x - 0.5 * w) / period
     high = (x + 0.5 * w) / period
-    below = wp.floor(low) * fill + wp.min(wp.frac(low), fill)
-    above = wp.floor(high) * fill + wp.min(wp.frac(high), fill)
+    below = wp.floor(low) * fill + wp.min(fraction(low), fill)
+    above = wp.floor(high) * fill + wp.min(fraction(high), fill)
     share = wp.clamp((above - below) * period / w, 0.0, 1.0)
     return wp.lerp(share, fill, ramp(0.25, 0.55, width / period))
 
@@ -117,7 +117,7 @@ def sett(cloth: Cloth, x: float, width: float) -> wp.vec3:
     """The thread colours of a tartan: bands mirrored about the middle of the sett."""
     period = cloth.period
     w = wp.max(width, 1.0e-3 * period)
-    t = wp.abs(wp.frac(x / period) - 0.5) * 2.0  # 0 in the middle, 1 at the ends
+    t = wp.abs(fraction(x / period) - 0.5) * 2.0  # 0 in the middle, 1 at the ends
     step = 2.0 * w / period
     colour = cloth.ground
     wide = 0.25 + 0.25 * cloth.fill

@@ -147,6 +147,19 @@ def test_stripes_are_measured_in_centimetres_along_the_grain() -> None:
     assert np.ptp(picture[30:170, 105]) < 30
 
 
+@pytest.mark.parametrize("kind", [PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN, PrintKind.DOTS])
+def test_prints_repeat_to_the_left_of_the_panels_origin(kind: PrintKind) -> None:
+    """Moved by 20 periods to either side, cloth looks the same."""
+    motif = Print(kind, ((0.05, 0.05, 0.05), WHITE, RED, GREY), period=4.0, fill=0.3, matched=True)
+    mesh = hung_patch()
+    pictures = [
+        shot(scene, view_of(scene, cloth_of(motif)))
+        for scene in (patch_scene(replace(mesh, uv=mesh.uv + shift)) for shift in (0.0, 80.0, -80.0))
+    ]
+    assert np.abs(pictures[0] - pictures[1]).max() <= 6
+    assert np.abs(pictures[0] - pictures[2]).max() <= 6
+
+
 def test_prints_break_between_panels_that_are_not_matched() -> None:
     one, other = hung_patch(5, 10), hung_patch(5, 10)
     both = joined(one, other)
