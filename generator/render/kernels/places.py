@@ -134,7 +134,8 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
         edge = wp.min(edge, wp.min(p[1], CEILING - p[1]))
     if wall != 2:
         edge = wp.min(edge, half - wp.abs(p[2]))
-    b.colour = b.colour * (1.0 - 0.35 * b.lit * wp.exp(-edge / 35.0))
+    # Before a camera outside, floor and walls go on.
+    b.colour = b.colour * (1.0 - 0.35 * b.lit * wp.exp(-wp.max(edge, 0.0) / 35.0))
     for k in range(BOXES):
         lower = furniture(shot, k, 0, half)
         upper = furniture(shot, k, 1, half)

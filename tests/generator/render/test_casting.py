@@ -217,6 +217,14 @@ def test_every_place_fills_the_picture(kind: EnvironmentKind) -> None:
     assert picture[:3].std() < 60
 
 
+def test_a_room_seen_from_outside_has_a_floor() -> None:
+    """The camera stands 6 m before a room of 2.4 m half width: the floor goes on to the picture's lower edge."""
+    place = Environment(EnvironmentKind.ROOM, ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4)), size=240.0)
+    scene = ball_scene()
+    picture = shot(scene, replace(view_of(scene, camera=ahead(600.0, focal=1.2)), environment=place))
+    assert picture[-4:].min() > 8
+
+
 def test_a_photograph_is_shown_as_it_is() -> None:
     """Above and below the figure; under any lights."""
     image = np.zeros((10, 10, 3))
