@@ -23,6 +23,7 @@ class Stage(IntEnum):
     ARMS = 7
     SPLIT = 8
     DRAFT = 9
+    CAPTION = 10
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:
