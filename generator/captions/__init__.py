@@ -1,19 +1,11 @@
 """Captions: a garment in plain English, at several levels of detail, from its design and its drawn pattern.
 
->>> from gcd_dataset.generator import build_body, build_pattern, measure, neutral_shape, sample_design
->>> size = measure(build_body(neutral_shape()))
->>> design = sample_design(np.random.default_rng(4), [size])
->>> captions(size, design, build_pattern(size, design), seed=0, index=0)["short"]
-''
-
-Facts come from the descriptions of garments (``garments.description``), which stand beside the code that draws them, and
-from the pattern: gathers, darts, symmetry. Numbers become words at thresholds named in those files. Which wording a
-fact gets is drawn from ``(seed, index)``.
+Facts come from the descriptions of garments (``garments.description``), beside the code that draws them, and from the
+pattern: gathers, darts, symmetry. Numbers become words at thresholds that those files name. ``(seed, index)`` chooses
+among the wordings of a fact.
 """
 
 from collections.abc import Mapping
-
-import numpy as np
 
 from gcd_dataset.captions import LEVELS, caption_text
 from gcd_dataset.errors import ConfigError

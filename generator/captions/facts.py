@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.captions.lengths import leg_words, shirt_words, skirt_words
-from gcd_dataset.generator.garments.description import NO_WORDS, Description, Detail, Place, Setting, Words
+from gcd_dataset.generator.garments.description import ASYMMETRIC, NO_WORDS, Description, Detail, Place, Setting, Words
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
@@ -23,7 +23,6 @@ LOOSE = 1.15  # least girth of a loose waistband over the body's
 AT_WAIST, BELOW_WAIST = 0.95, 0.7  # least rise of a top at the waist, and of one just below it
 SEAM_RAISED, SEAM_DROPPED = 0.92, 1.1  # depth of a waist seam over nape to waist: raised below, dropped above
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
-ASYMMETRIC: Words = ("asymmetric",)
 KNEE_LENGTH: Words = ("knee-length",)
 PLAIN_HEM: Words = ("a plain hem", "an even hem")
 PLAIN_LEGS: Words = ("plain leg ends", "plain hems")
@@ -69,13 +68,10 @@ def outfit_facts(size: Measurements, design: OutfitDesign, pattern: Pattern) -> 
     order = list(Place)
     details = sorted(found, key=lambda detail: order.index(detail.place))
     symmetrical = not any(detail.sided for detail in details) and _is_symmetrical(pattern)
-    differs = any(detail.sided for detail in details) or (_halves_differ(design) and not symmetrical)
-    traits = facts.traits if not differs or ONE_SHOULDER in facts.traits else (ASYMMETRIC, *facts.traits)
-    return replace(facts, traits=traits, details=tuple(details), is_symmetrical=symmetrical)
-
-
-def _halves_differ(design: OutfitDesign) -> bool:
-    return len(design.halves()) > 1
+    traits = facts.traits if symmetrical or len(design.halves()) < 2 else (*facts.traits, ASYMMETRIC)
+    if ONE_SHOULDER in traits:  # says so itself
+        traits = tuple(words for words in traits if words != ASYMMETRIC)
+    return replace(facts, traits=tuple(dict.fromkeys(traits)), details=tuple(details), is_symmetrical=symmetrical)
 
 
 def _kind(
@@ -84,22 +80,23 @@ def _kind(
     """Names, lengths and parts, with the details of upper and bottom."""
     if bottom is None:
         assert upper is not None
-        length, nouns = shirt_words(size, _hem_below_waist(size, design))
-        nouns = nouns if upper.noun == ("top",) else upper.noun
-        return OutfitFacts(length, nouns, upper.traits, upper.cut, (), "", upper.details, False)
+        length, tops = shirt_words(size, _hem_below_waist(size, design))
+        tops = tops if upper.noun == ("top",) else upper.noun
+        return OutfitFacts(length, tops, upper.traits, upper.cut, (), "", upper.details, False)
     depth = (_hem_below_waist(size, design) - size.hips_line) / size.leg_length
     legs = bottom.noun == ("trousers",)
     length, names = leg_words(size, depth) if legs else (skirt_words(size, depth), bottom.noun)
     lower = names[0] if legs else "skirt"
     if upper is None:
         return OutfitFacts(length, names, bottom.traits, bottom.cut, (), lower, bottom.details, False)
-    parts = (_prefixed(bottom.cut, names),)
+    parts: tuple[Words, ...] = (_prefixed(bottom.cut, names),)
     if upper.cut:  # halves of different cut have no common word
         parts = (_prefixed(upper.cut, ("bodice",)), *parts)
     nouns: Words = ("jumpsuit",) if legs else ("dress",)
     if lower == "shorts" and length != KNEE_LENGTH:
         length, nouns = NO_WORDS, ("playsuit", "short jumpsuit")
-    return OutfitFacts(length, nouns, upper.traits, (), parts, lower, (*upper.details, *bottom.details), False)
+    traits, details = (*upper.traits, *bottom.traits), (*upper.details, *bottom.details)
+    return OutfitFacts(length, nouns, traits, (), parts, lower, details, False)
 
 
 def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
@@ -143,7 +140,9 @@ def _gather_below(pattern: Pattern) -> float:
     Collars and sleeves are sewn to the torso too, so the torso counts only without sleeves' and collars' seams: by the
     names of the bottoms' panels.
     """
-    trunk = replace(pattern, seams=tuple(seam for seam in pattern.seams if _is_below(seam.left.panel, seam.right.panel)))
+    trunk = replace(
+        pattern, seams=tuple(seam for seam in pattern.seams if _is_below(seam.left.panel, seam.right.panel))
+    )
     has_band = any(panel.name in BAND for panel in pattern.panels)
     return _gather(trunk, "band" if has_band else "torso", "other")
 
@@ -157,10 +156,14 @@ def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     darts = [seam.left.panel for seam in pattern.seams if seam.left.panel == seam.right.panel]
     found = []
     if bust := darts.count("right_ftorso"):
-        found.append(Detail(Place.BODY, ("bust and waist darts", "darts at bust and waist") if bust > 1 else ("bust darts",)))
+        found.append(
+            Detail(Place.BODY, ("bust and waist darts", "darts at bust and waist") if bust > 1 else ("bust darts",))
+        )
     if any(name.startswith(("skirt_", "pant_")) for name in darts):
         front = any(name.startswith(("skirt_front", "pant_f")) for name in darts)
-        found.append(Detail(Place.LOWER, ("waist darts", "darts at the waist") if front else ("darts at the back waist",)))
+        found.append(
+            Detail(Place.LOWER, ("waist darts", "darts at the waist") if front else ("darts at the back waist",))
+        )
     return tuple(found)
 
 
@@ -172,7 +175,11 @@ def _waist(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[
         if meta.upper and _gather(pattern, "band", "torso") >= RUFFLES:
             found.append(Detail(Place.WAIST, ("a bodice gathered into the band",)))
     if meta.bottom and meta.upper is None:
-        top = band_rise(design.waistband, bottom_rise(design)) + design.waistband.width if meta.wb else bottom_rise(design)
+        top = (
+            band_rise(design.waistband, bottom_rise(design)) + design.waistband.width
+            if meta.wb
+            else bottom_rise(design)
+        )
         if top >= AT_WAIST:
             words: Words = ("a natural waistline", "a top edge at the natural waist")
         elif top >= BELOW_WAIST:
@@ -206,11 +213,15 @@ def _band(size: Measurements, design: OutfitDesign, kind: Waistband) -> Detail:
 
 
 def _is_symmetrical(pattern: Pattern) -> bool:
-    """Whether every panel is its own mirror image or has one on the other side of the body."""
+    """Whether every panel is its own mirror image or has one on the other side of the body.
+
+    Godets, bands and the panels of a panelled skirt are alike on all sides; their edges may be divided unevenly, where
+    a seam of another part ends.
+    """
     panels = {panel.name: panel for panel in pattern.panels}
     for name, panel in panels.items():
-        if name.startswith("ins_"):
-            continue  # godets are alike
+        if name.startswith(("ins_", "wb_", "skirt_panel_")):
+            continue
         other = _mirror_name(name, panels)
         if not _mirrored_alike(panel, panels[other]):
             return False

@@ -1,8 +1,7 @@
 """Words for the height of a hem on a wearer.
 
-A depth is the distance of a hem below the hips, as a fraction of hips to floor, as ``style.hem_depth``. The words divide
-the tags' classes (``tags.HEMS``) further at the wearer's knee: every "mini" skirt has the tag ``mini``, every "midi" and
-"maxi" its own.
+A depth is the distance of a hem below the hips, as a fraction of hips to floor, as ``style.hem_depth``. Words divide
+the classes of the tags (``tags.HEMS``) further at the wearer's knee: a "mini", "midi" or "maxi" skirt has that tag.
 """
 
 from gcd_dataset.generator.garments.description import Words
@@ -40,7 +39,7 @@ def leg_words(size: Measurements, depth: float) -> tuple[Words, Words]:
     """Adjectives for the length of trousers, and names of trousers of this length."""
     knee = knee_depth(size)
     if depth < knee - AT_KNEE:
-        return (("short",) if depth <= _mid_thigh(size) else ()), ("shorts",)
+        return (("very short",) if depth <= _mid_thigh(size) else ("above-the-knee",)), ("shorts",)
     if depth <= knee + AT_KNEE:
         return ("knee-length",), ("shorts",)
     if depth <= HEMS[2]:

@@ -1,6 +1,6 @@
 """Sentences from the facts of an outfit, at three lengths. Random choices decide wordings and forms, never facts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
 
@@ -90,10 +90,9 @@ def _chosen(facts: OutfitFacts, rng: np.random.Generator) -> _Outfit:
 def _short(outfit: _Outfit) -> Said:
     """The name with its parts, or with its first main detail that is short enough."""
     head, named = outfit.head(), outfit.named
+    options: list[tuple[str, ...]] = [(detail.text,) for detail in outfit.details if detail.main]
     if outfit.parts:
         options = [outfit.parts, outfit.parts[-1:]]
-    else:
-        options = [(detail.text,) for detail in outfit.details if detail.main]
     for most in (USUAL_SHORT_WORDS, MOST_SHORT_WORDS):
         for option in options:
             text = f"{head} with {joined(map(_noun_phrase, option) if outfit.parts else option)}"
@@ -127,6 +126,8 @@ def _full(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> Said
         verb = "have" if subject in ("They", "The trousers", "The shorts") else "has"
         if subject == "It" and number == 0:
             verb = str(rng.choice(["has", "features"]))
+        elif number:
+            verb = f"also {verb}" if subject in ("It", "They") else verb
         sentences.append(f"{subject} {verb} {joined(listed)}")
     sentences[-1] += _symmetry(facts, outfit, rng)
     said = chain.from_iterable(listed for _, listed in _paragraph(outfit))
@@ -151,6 +152,8 @@ def _paragraph(outfit: _Outfit) -> list[tuple[str, list[str]]]:
         groups = [(it, at(Place.WAIST, Place.LOWER)), (it, at(Place.HEM))]
     else:
         groups = [(it, at(Place.NECK, Place.SLEEVES)), (it, at(Place.BODY, Place.WAIST, Place.HEM))]
+        if len(outfit.details) <= MOST_LISTED:
+            groups = [(it, at(*Place))]
     return [(subject, listed) for subject, listed in groups if listed]
 
 

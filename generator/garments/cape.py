@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import pi
 
 from gcd_dataset.curves import Arc, Point
-from gcd_dataset.generator.garments.description import Description, Detail, Place
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Words
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
 from gcd_dataset.generator.garments.overgarment import (
@@ -87,11 +87,12 @@ def _level_arc(side: Point, low: float) -> Arc:
 def _describe(design: CapeDesign) -> Description:
     noun = "half-circle cape" if design.circle < HALF_CIRCLE else "circle cape"
     if design.closed >= 1:
-        front = ("a front sewn shut from neck to hem",)
+        front: Words = ("a front sewn shut from neck to hem",)
+    elif design.closed < 0.5:
+        front = ("a front that is open below the neck", "a front opening")
     else:
-        front = ("a front that is open below the neck", "a front opening") if design.closed < 0.5 else (
-            "a front that is open towards the hem", "a front sewn shut over most of its length")  # fmt: skip
-    return Description(("cape", noun), (), (Detail(Place.BODY, front, main=True),))
+        front = ("a front that is open towards the hem",)
+    return Description((noun,), (), (Detail(Place.BODY, front, main=True),))
 
 
 CAPE = SimpleUpper(

@@ -131,7 +131,7 @@ def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
 
 def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Description:
     nouns = ("off-centre circle skirt", "circle skirt cut off centre")
-    hem = ("a hem that is longer behind than in front", "a high-low hem, shorter in front")
+    hem = ("a hem that is longer behind than in front", "a high-low hem")
     return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *_cut_details(setting, design)))
 
 
@@ -144,7 +144,7 @@ def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ..
     share = design.cut.place if design.cut.place > 0 else 1 + design.cut.place  # from the wearer's right
     side = next((name for most, name in CUT_SIDES if share <= most), "left")
     deep = "deep " if design.cut.depth > 0.5 else ""
-    at = f"in the middle of the {where} hem" if side == "middle" else f"in the {where} hem, on the {side}"
+    at = f"in the middle of the {where} hem" if side == "middle" else f"on the {side} of the {where} hem"
     words = (f"a {deep}triangular notch {at}", f"a {deep}V-shaped cut {at}")
     return (Detail(Place.HEM, words, main=True, sided=side != "middle"),)
 

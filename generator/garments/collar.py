@@ -64,7 +64,7 @@ def collar_words(design: CollarDesign, *, near_neck: bool) -> tuple[str, ...]:
         case Collar.LAPEL:
             wide = "wide " if design.depth >= WIDE else "narrow " if design.depth <= LOW else ""
             return (f"{wide}lapels", f"a {wide}lapel collar") if not design.lapel_standing else (
-                f"{wide}lapels with a collar that stands at the nape",)  # fmt: skip
+                f"{wide}lapels rising to a standing collar at the nape",)  # fmt: skip
         case Collar.TURTLENECK:
             if not near_neck:
                 return ("a standing collar round a wide neckline",)

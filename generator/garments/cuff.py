@@ -102,12 +102,10 @@ def cuff_words(design: CuffDesign, kind: Cuff, length: float, *, limb: str) -> t
     frill = "frills" if design.skirt_ruffle >= RUFFLES else "flounces"
     if kind is Cuff.SKIRT:
         return (f"{deep}flared cuffs {ends}",) if frill == "flounces" else (f"{deep}gathered frills {ends}",)
-    gathered = f"{limb}s gathered into {deep}band cuffs"
-    if kind is Cuff.BAND:
-        return (gathered,) if design.top_ruffle >= RUFFLES else (f"{deep}band cuffs {ends}",)
-    if design.top_ruffle >= RUFFLES:
-        return (f"{gathered} with {frill}",)
-    return (f"{deep}band cuffs with {frill} {ends}",)
+    bands = f"{deep}band cuffs" if kind is Cuff.BAND else f"{deep}band cuffs with {frill}"
+    if design.top_ruffle < RUFFLES:
+        return (f"{bands} {ends}",)
+    return (f"{bands} that gather the {limb} ends", f"{limb} ends gathered into {bands}")
 
 
 def skirt_share(design: CuffDesign) -> float:

@@ -11,11 +11,23 @@ from typing import Self
 
 from gcd_dataset.records import Measurements
 
-__all__ = ["NO_WORDS", "Description", "Detail", "Place", "Setting", "Words", "joined", "number_word", "with_article"]
+__all__ = [
+    "ASYMMETRIC",
+    "NO_WORDS",
+    "Description",
+    "Detail",
+    "Place",
+    "Setting",
+    "Words",
+    "joined",
+    "number_word",
+    "with_article",
+]
 
 Words = tuple[str, ...]
 """Wordings of one fact; a caption chooses one of them."""
 NO_WORDS: Words = ()
+ASYMMETRIC: Words = ("asymmetric",)
 
 NUMBERS = (
     "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",

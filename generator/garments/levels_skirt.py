@@ -140,10 +140,10 @@ def _describe(setting: Setting, design: LevelsSkirtDesign, parts: tuple[Designed
     tiers = f"{number_word(design.num_levels)} {cut}{'tier' if design.num_levels == 1 else 'tiers'}"
     details = [Detail(Place.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
     if level.garment is ASYMMETRIC_CIRCLE_SKIRT and parts[0].garment is not ASYMMETRIC_CIRCLE_SKIRT:
-        words = ("tiers that are longer behind than in front", "high-low tiers, shorter in front")
+        words = ("tiers that are longer behind than in front", "high-low tiers")
         details.append(Detail(Place.HEM, words))
     tiered = number_word(design.num_levels + 1)
-    return Description(("tiered skirt", f"{tiered}-tier skirt"), (), (*details, *base.details))
+    return Description(("tiered skirt", f"{tiered}-tier skirt"), (), (*details, *base.details), base.traits)
 
 
 LEVELS_SKIRT = CombinedBottom(

@@ -133,15 +133,16 @@ def neckline_words(design: NecklineDesign, strokes: Sequence[Stroke], *, drop: f
     """
     depth = next((word for least, word in DEPTHS if drop >= least), "")
     wide = "wide " if design.width >= WIDE else ""
-    return tuple(f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes))
+    return tuple(
+        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes)
+    )
 
 
 def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ...]:
     """Noun phrases for the neckline behind, if it is low: see ``neckline_words``."""
     depth = next((word for least, word in BACK_DEPTHS if drop >= least), "")
     shape = {Neckline.V: "V-shaped ", Neckline.SQUARE: "square "}.get(design.b_collar, "")
-    return (f"a {depth}{shape}back", f"a back neckline cut {depth}") if depth and not shape else (
-        (f"a {depth}{shape}back",) if depth else ())  # fmt: skip
+    return (f"a {depth}{shape}back", f"a {depth}{shape}back neckline") if depth else ()
 
 
 def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> tuple[str, ...]:
@@ -151,7 +152,7 @@ def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> tuple[str, ...]
         case Neckline.CIRCLE:
             return ("round", "scoop")
         case Neckline.ARC:
-            return ("inward-curving",) if flipped else ("rounded",)
+            return ("inward-curving",) if flipped else ("round",)
         case Neckline.CURVY:
             return ("curved V",) if flipped else ("U-shaped",)
         case Neckline.V:

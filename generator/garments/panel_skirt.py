@@ -72,11 +72,11 @@ def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
 def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
     count, curve = number_word(design.skirt_many_panels.n_panels), design.skirt_many_panels.panel_curve
     (noun,) = flare_nouns(design)
-    details = [Detail(Place.LOWER, (f"{count} panels round the body", f"{count} sewn panels"))]
+    details = [Detail(Place.LOWER, ("seams from top to hem between the panels",))]
     if curve:
         words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
         details.append(Detail(Place.HEM, words, main=True))
-    return Description((f"{count}-panel {noun}", f"panelled {noun}"), (), tuple(details))
+    return Description((f"{count}-panel {noun}", f"{noun} of {count} panels"), (), tuple(details))
 
 
 PANEL_SKIRT = SimpleBottom(

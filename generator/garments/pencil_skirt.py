@@ -9,7 +9,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
@@ -248,18 +248,24 @@ def _tags(design: PencilSkirtDesign) -> Iterator[Tag]:
 
 def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
     below = design.length * setting.size.leg_length
-    shares = {"front": design.front_slit, "back": design.back_slit, "right": design.right_slit, "left": design.left_slit}
+    shares = {
+        "front": design.front_slit,
+        "back": design.back_slit,
+        "right": design.right_slit,
+        "left": design.left_slit,
+    }
     slits = {name: share for name, share in shares.items() if share * below >= VISIBLE_SLIT}
     details = [Detail(Place.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
-    if abs(design.low_angle) >= VISIBLE_TILT:
+    is_tilted = abs(design.low_angle) >= VISIBLE_TILT
+    if is_tilted:
         side, other = ("left", "right") if design.low_angle > 0 else ("right", "left")
-        words = (f"a hem that slants down to the {side}", f"a slanted hem, higher on the {other}")
+        words = (f"a hem that slants down to the {side}", f"a slanted hem that is higher on the {other}")
         details.append(Detail(Place.HEM, words, main=True, sided=True))
     if design.flare <= 1:
         nouns: tuple[str, ...] = ("pencil skirt",)
     else:
         nouns = ("A-line skirt",) if design.flare > SLIGHTLY_FLARED else ("slightly flared skirt",)
-    return Description(nouns, (), tuple(details))
+    return Description(nouns, (), tuple(details), (ASYMMETRIC,) if is_tilted else ())
 
 
 def _slit_words(slits: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], bool]]:

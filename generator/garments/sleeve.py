@@ -23,7 +23,7 @@ SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
 ELBOW = 0.5  # position of the elbow, as a fraction of armhole to wrist
-# Largest length of a sleeve with each word, as a fraction of armhole to wrist; the tag "short sleeves" ends at ``ELBOW``.
+# Largest length of a sleeve with each word, of armhole to wrist; the tag "short sleeves" ends at ``ELBOW``
 LENGTHS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.2, ("cap",)),
     (0.4, ("short",)),
@@ -100,7 +100,7 @@ def sleeve_words(size: Measurements, design: SleeveDesign, *, pair: bool = True)
     gathered = design.connect_ruffle >= RUFFLES
     into_cuff = design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT) and design.cuff.top_ruffle >= RUFFLES
     if gathered and into_cuff and design.length <= ELBOW:
-        return tuple(f"{length} puff {noun}" for length in lengths)
+        return (f"puffed cap {noun}",) if lengths[0] == "cap" else tuple(f"{length} puff {noun}" for length in lengths)
     share = design.end_width / design.connect_ruffle
     cut = next((word for least, word in END_WIDTHS if share >= least), "tapered ")
     cut = "" if into_cuff and cut == "flared " else cut
