@@ -27,6 +27,7 @@ __all__ = [
     "cuff",
     "cuff_tags",
     "cuff_words",
+    "single_cuff_words",
     "skirt_share",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
@@ -106,6 +107,14 @@ def cuff_words(design: CuffDesign, kind: Cuff, length: float, *, limb: str) -> t
     if design.top_ruffle < RUFFLES:
         return (f"{bands} {ends}",)
     return (f"{bands} that gather the {limb} ends", f"{limb} ends gathered into {bands}")
+
+
+def single_cuff_words(design: CuffDesign, kind: Cuff, length: float) -> str:
+    """A noun phrase for the cuff of one limb: see ``cuff_words``."""
+    deep = "deep " if length >= DEEP else ""
+    frill = "frill" if design.skirt_ruffle >= RUFFLES else "flounce"
+    noun = {Cuff.BAND: "band cuff", Cuff.BAND_SKIRT: f"band cuff with a {frill}", Cuff.SKIRT: "flared cuff"}[kind]
+    return f"a {deep}{noun}"
 
 
 def skirt_share(design: CuffDesign) -> float:

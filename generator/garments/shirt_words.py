@@ -1,7 +1,7 @@
 """A shirt in words: bodice, necklines, collar and sleeves, and the differences of its halves."""
 
 from gcd_dataset.generator.garments.collar import collar_words
-from gcd_dataset.generator.garments.cuff import cuff_words, sleeve_cuff_length
+from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Words, with_article
 from gcd_dataset.generator.garments.neckline import (
     NecklineDesign,
@@ -107,21 +107,36 @@ def _sleeves(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]
     if len(worn) == 1 and len(arms) == 2:
         side = SIDES[0 if arms[0] is worn[0] else 1]
         one = (f"one {singles[0]} on the {side} only",)
-        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_cuffs(size, worn))
+        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_single_cuffs(size, worn, [""]))
     if len(worn) == 2 and singles[0] != singles[1]:
         both = f"{with_article(singles[0])} on the right and {with_article(singles[1])} on the left"
-        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_cuffs(size, worn))
-    return (Detail(Place.SLEEVES, pairs, main=True), *_cuffs(size, worn))
+        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(size, worn))
+    return (Detail(Place.SLEEVES, pairs, main=True), *_pair_of_cuffs(size, worn))
 
 
-def _cuffs(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
-    """The cuffs, if all sleeves have the same."""
+def _pair_of_cuffs(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
+    """The cuffs of both sleeves, named one by one if they differ; ``arms``: one design if both are alike."""
     words = {
         cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm), limb="sleeve") if arm.cuff.type else ()
         for arm in arms
     }
-    found = words.pop() if len(words) == 1 else ()
+    if len(words) > 1:
+        return _single_cuffs(size, arms, [f" on the {side} sleeve" for side in SIDES])
+    found = words.pop()
     return (Detail(Place.SLEEVES, found),) if found else ()
+
+
+def _single_cuffs(size: Measurements, arms: list[SleeveDesign], where: list[str]) -> tuple[Detail, ...]:
+    """Each cuff by itself; ``where``: words after it."""
+    return tuple(
+        Detail(
+            Place.SLEEVES,
+            (single_cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm)) + place,),
+            sided=bool(place),
+        )
+        for arm, place in zip(arms, where, strict=True)
+        if arm.cuff.type
+    )
 
 
 def _one_shoulder(size: Measurements, halves: tuple[UpperHalf, ...], *, side: int) -> tuple[Detail, ...]:
@@ -130,4 +145,7 @@ def _one_shoulder(size: Measurements, halves: tuple[UpperHalf, ...], *, side: in
     if arm.sleeveless:
         return (Detail(Place.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
     single = with_article(sleeve_words(size, arm, pair=False)[0])
-    return (Detail(Place.SLEEVES, (f"{single} on the {name}",), main=True, sided=True), *_cuffs(size, [arm]))
+    return (
+        Detail(Place.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
+        *_single_cuffs(size, [arm], [""]),
+    )
