@@ -105,9 +105,8 @@ class GeneratedGarments(Garments):
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
-        self._member_of = fields_of(self._layout.members)
-        absent = absent_at_stage(self.config.stage, empty)
-        super().__init__(fields, transform, available=self._member_of, absent=absent, dtype=dtype)
+        available, absent = fields_of(self._layout.members), absent_at_stage(self.config.stage, empty)
+        super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers
         self._recipe = recipe_of(self.config)
         # Created here, so that all workers share these draping processes, which end with this process, not with a
@@ -223,9 +222,6 @@ class GeneratedGarments(Garments):
         """Whether a draping process must drape: CUDA fails in a forked process, and each CUDA context takes memory."""
         in_worker = get_worker_info() is not None or os.getpid() != self._process
         return self._address is not None and in_worker
-
-    def _load(self, position: int) -> Any:
-        return self._item(self._several([position])[0], position)
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._several([position])[0]

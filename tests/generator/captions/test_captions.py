@@ -1,8 +1,8 @@
 """Captions state what is drawn, in words that agree with the drawing's measures."""
 
 import re
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def drawn(size: Measurements, **values: object) -> Worn:
     return Worn(size, design, outfit(size, design))
 
 
-def sampled(count: int, *overlays: dict[str, object]) -> Iterator[Worn]:
+def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
     """Accepted random designs, on a woman, a man and a stout woman in turn."""
     random = np.random.default_rng(21)
     for overlay in overlays or ({},):
