@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
 from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
-from gcd_dataset.records import Measurements, Panel, Pattern
+from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 __all__ = ["OutfitFacts", "outfit_facts"]
 
@@ -119,51 +119,43 @@ def _hem_below_waist(size: Measurements, design: OutfitDesign) -> float:
 # ------------------------------------------------------------------------------------------------------- drawn pattern
 
 
-def _group(panel: str) -> str:
-    return "torso" if panel in TORSO else "band" if panel in BAND else "other"
+def _part(panel: Panel) -> str:
+    """The part of an outfit that a panel belongs to: torso, band, bottom or other."""
+    if panel.label == PanelRole.LEG:
+        return "bottom"
+    return "torso" if panel.name in TORSO else "band" if panel.name in BAND else "other"
 
 
 def _gather(pattern: Pattern, above: str, below: str) -> float:
-    """Length of the lower group's edges over the upper group's, over all seams between them; 1 without such seams."""
+    """Length of the lower part's edges over the upper part's, over all seams between them; 1 without such seams."""
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    parts = {panel.name: _part(panel) for panel in pattern.panels}
     up = down = 0.0
     for seam in pattern.seams:
-        sides = {_group(ref.panel): lengths[ref.panel][ref.edge] for ref in (seam.left, seam.right)}
+        sides = {parts[ref.panel]: lengths[ref.panel][ref.edge] for ref in (seam.left, seam.right)}
         if set(sides) == {above, below}:
             up, down = up + sides[above], down + sides[below]
     return down / up if up else 1.0
 
 
 def _gather_below(pattern: Pattern) -> float:
-    """Gathers of the bottom: on the waistband, or else on the shirt's hem.
-
-    Collars and sleeves are sewn to the torso too, so the torso counts only without sleeves' and collars' seams: by the
-    names of the bottoms' panels.
-    """
-    trunk = replace(
-        pattern, seams=tuple(seam for seam in pattern.seams if _is_below(seam.left.panel, seam.right.panel))
-    )
-    has_band = any(panel.name in BAND for panel in pattern.panels)
-    return _gather(trunk, "band" if has_band else "torso", "other")
-
-
-def _is_below(*panels: str) -> bool:
-    return any(name.startswith(("skirt_", "pant_")) for name in panels)
+    """Gathers of the bottom: on the waistband, or else on the shirt's hem."""
+    return _gather(pattern, "band" if any(panel.name in BAND for panel in pattern.panels) else "torso", "bottom")
 
 
 def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     """The darts: seams between two edges of one panel."""
-    darts = [seam.left.panel for seam in pattern.seams if seam.left.panel == seam.right.panel]
+    panels = [pattern.panel(seam.left.panel) for seam in pattern.seams if seam.left.panel == seam.right.panel]
+    bust = sum(panel.name == "right_ftorso" for panel in panels)
+    waist = [panel for panel in panels if _part(panel) == "bottom"]
     found = []
-    if bust := darts.count("right_ftorso"):
-        found.append(
-            Detail(Place.BODY, ("bust and waist darts", "darts at bust and waist") if bust > 1 else ("bust darts",))
-        )
-    if any(name.startswith(("skirt_", "pant_")) for name in darts):
-        front = any(name.startswith(("skirt_front", "pant_f")) for name in darts)
-        found.append(
-            Detail(Place.LOWER, ("waist darts", "darts at the waist") if front else ("darts at the back waist",))
-        )
+    if bust:
+        words: Words = ("bust and waist darts", "darts at bust and waist") if bust > 1 else ("bust darts",)
+        found.append(Detail(Place.BODY, words))
+    if waist:
+        in_front = any(panel.placement.translation[2] > 0 for panel in waist)
+        words = ("waist darts", "darts at the waist") if in_front else ("darts at the back waist",)
+        found.append(Detail(Place.LOWER, words))
     return tuple(found)
 
 

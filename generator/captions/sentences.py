@@ -109,8 +109,8 @@ def _medium(outfit: _Outfit) -> Said:
         first = f"{outfit.head()} with {joined(map(_noun_phrase, outfit.parts))}"
         return Said(_sentence(first, *([f"{outfit.it_has} {joined(main)}"] if main else [])), facts)
     if not main:
-        first = tuple(detail.text for detail in outfit.details[:2])  # of several, all secondary
-        return Said(_sentence(f"{outfit.head()} with {joined(first)}"), (*facts, *first))
+        secondary = tuple(detail.text for detail in outfit.details[:2])
+        return Said(_sentence(f"{outfit.head()} with {joined(secondary)}"), (*facts, *secondary))
     now, later = main[:MOST_LISTED], main[MOST_LISTED:]
     extra = [f"{outfit.it_has} {joined(later)} too"] if later else []
     return Said(_sentence(f"{outfit.head()} with {joined(now)}", *extra), facts)
