@@ -95,7 +95,7 @@ def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pyt
     assert main(["show", str(tmp_path / "data"), "--png", str(tmp_path / "garment.png")]) == 0
     assert caption in capsys.readouterr().out
     assert main(flat) == 1
-    assert "another recipe" in capsys.readouterr().err
+    assert "give the options of the first run, such as captions" in capsys.readouterr().err
 
 
 def test_workers_do_not_change_a_byte(tmp_path: Path) -> None:
