@@ -66,6 +66,8 @@ def add_options(
     ``more_choices``: option name to further values that only the command line accepts.
     """
     for entry in options_of(config):
+        if entry.kind is bool:
+            parser.add_argument(entry.flag, action=argparse.BooleanOptionalAction, help=entry.help)
         if entry.kind not in (str, int, float):
             continue
         choices = None if entry.choices is None else (*(more_choices or {}).get(entry.name, ()), *entry.choices)

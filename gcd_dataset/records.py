@@ -485,6 +485,6 @@ class Sample(Record):
     tags: tuple[str, ...] = ()
     """The tailor's names for the style, words of ``gcd_dataset.generator.garments.TAGS``; empty if unknown."""
     caption: str | None = None
-    """The garment in a sentence; either all samples of a data set have one, or none."""
+    """The garment in English, see ``gcd_dataset.captions``; either all samples of a data set have one, or none."""
     views: tuple[View, ...] = ()
     """Further pictures; the same number for every sample of a data set."""

@@ -25,6 +25,7 @@ class Stage(IntEnum):
     DRAFT = 9
     APPEARANCE = 10
     VIEW = 11
+    CAPTION = 12
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

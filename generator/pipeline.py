@@ -18,6 +18,7 @@ from jaxtyping import Float
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
+from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import (
     OutfitDesign,
@@ -332,7 +333,12 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         tags=outfit_tags(dressed.size, design.design),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
+        caption=_caption(design, dressed) if config.captions else None,
     )
+
+
+def _caption(design: DressedDesign, wearer: DressedWearer) -> str:
+    return captions_text(wearer.size, design.design, wearer.pattern, seed=design.seed, index=wearer.index)
 
 
 def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:

@@ -11,6 +11,7 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.options import Option
+from gcd_dataset.shards.layout import Layout, garments_layout
 
 __all__ = [
     "LastStage",
@@ -20,6 +21,7 @@ __all__ = [
     "device_kind",
     "devices_name",
     "devices_of",
+    "layout_of_samples",
     "named_devices",
     "recipe_of",
     "versions",
@@ -31,6 +33,7 @@ OnFail = Literal["retry", "keep"]
 KINDS = {
     str: "word",
     int: "whole number",
+    bool: "true or false",
     float: "number",
     Overlay: "design overlay, by Overlay.from_dict or read_overlay",
 }
@@ -101,6 +104,9 @@ class MakeConfig:
             "between measured fabrics"
         ),
     ] = USUAL_FABRIC
+    captions: Annotated[
+        bool, Option("describe each garment in English at three levels of detail, in the member caption.txt")
+    ] = False
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -141,6 +147,7 @@ class MakeOptions(TypedDict, total=False):
     picture: int
     max_attempts: int
     fabric: str
+    captions: bool
 
 
 def check_resolution(centimetres: float) -> float:
@@ -154,11 +161,16 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """All options that decide the bytes of a sample besides seed and index, as JSON values."""
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
-    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0}.items():
+    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False}.items():
         if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe
+
+
+def layout_of_samples(config: MakeConfig) -> Layout:
+    """The members of a sample of this config."""
+    return garments_layout(caption=config.captions)
 
 
 def device_kind(config: MakeConfig) -> str:
@@ -226,5 +238,5 @@ def _require_fabric(name: str) -> None:
 
 def _require_type(name: str, value: object, kind: type) -> None:
     allowed = (int, float) if kind is float else kind
-    if not isinstance(value, allowed) or isinstance(value, bool):
+    if not isinstance(value, allowed) or isinstance(value, bool) is not (kind is bool):
         raise ConfigError(f"{name} is {value!r}: give a {KINDS[kind]}")

@@ -37,7 +37,7 @@ from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
-from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PointNoise, Yaw
+from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
 from gcd_dataset.loaders.worker import begin_worker
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "PackedBatch",
     "PaddedBatch",
     "PartialView",
+    "PickCaption",
     "PointNoise",
     "PublishedBodies",
     "PublishedGarmentCodeData",

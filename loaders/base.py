@@ -90,6 +90,7 @@ class Garments(Dataset[Item], ABC):
         absent: Mapping[str, str] = NOTHING,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
+        self._member_of = available if isinstance(available, Mapping) else FIELDS
         self.fields = select_present_fields(fields, available, absent)
         """Names of the fields of an item; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
         self.transform = None if transform is None else require_callable("transform", transform)
@@ -152,7 +153,7 @@ class Garments(Dataset[Item], ABC):
 
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
-        return self._item(self._members(position, members_of(self.fields)), position)
+        return self._item(self._members(position, members_of(self.fields, self._member_of)), position)
 
     def _description(self) -> list[str]:
         """Words for ``repr`` and error messages, such as seed or folder."""

@@ -18,7 +18,15 @@ from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
-from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, devices_name, named_devices, recipe_of, versions
+from gcd_dataset.generator.recipe import (
+    MakeConfig,
+    MakeOptions,
+    devices_name,
+    layout_of_samples,
+    named_devices,
+    recipe_of,
+    versions,
+)
 from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
 from gcd_dataset.loaders.ranks import gpu_of_rank, gpus_of_rank
@@ -27,7 +35,7 @@ from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
+from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of, key_of, members_of, recipe_hash
 from gcd_dataset.shards.sample_cache import SampleCache
 
 __all__ = ["GeneratedGarments", "Stage"]
@@ -96,7 +104,9 @@ class GeneratedGarments(Garments):
         options["device"] = _resolved_device(options.get("device", "auto"))
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
-        super().__init__(fields, transform, absent=absent_at_stage(self.config.stage, empty), dtype=dtype)
+        self._layout = layout_of_samples(self.config)
+        available, absent = fields_of(self._layout.members), absent_at_stage(self.config.stage, empty)
+        super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers
         self._recipe = recipe_of(self.config)
         # Created here, so that all workers share these draping processes, which end with this process, not with a
@@ -105,7 +115,9 @@ class GeneratedGarments(Garments):
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
         self._sample_cache = (
-            None if self.cache is None else SampleCache(self.cache, self._n, seed=self._seed, recipe=self._recipe)
+            None
+            if self.cache is None
+            else SampleCache(self.cache, self._n, seed=self._seed, recipe=self._recipe, layout=self._layout)
         )
         self._last = LastDesign()
         self._process = os.getpid()
@@ -234,7 +246,7 @@ class GeneratedGarments(Garments):
         members = None
         try:
             if self._sample_cache is not None:
-                members = self._sample_cache.read(position, members_of(self.fields))
+                members = self._sample_cache.read(position, members_of(self.fields, self._member_of))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
         if members is None:

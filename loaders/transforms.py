@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from scipy.spatial import ConvexHull
 
+from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import (
     Garments,
@@ -30,7 +31,7 @@ from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 from gcd_dataset.shards.layout import Bytes
 
-__all__ = ["Augment", "Augmented", "Chain", "PartialView", "PointNoise", "Yaw"]
+__all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
 Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
 
@@ -78,6 +79,30 @@ class PointNoise:
         noise = torch.from_numpy(rng.normal(0.0, self.sigma, (len(points), 3)).astype(np.float32))
         moved = (points[:, :3].float() + noise).to(points.dtype)
         return {**item, "points": torch.cat([moved, points[:, 3:]], dim=1)}
+
+
+class PickCaption:
+    """Replaces ``caption``, the captions of all levels, by one of them: a string without line breaks.
+
+    >>> PickCaption("short")({"caption": "A skirt.\\nA long skirt.\\nA long skirt. It has a plain hem."})
+    {'caption': 'A skirt.'}
+
+    ``levels``: the level, or several, of which each use draws one; default: all. With one level it may serve as a
+    ``transform`` too. Raises ``ConfigError`` for an unknown level.
+    """
+
+    def __init__(self, *levels: str) -> None:
+        if unknown := [level for level in levels if level not in LEVELS]:
+            raise ConfigError(f"no caption level {unknown[0]!r:.99}: there are {', '.join(LEVELS)}")
+        self.levels = levels or LEVELS
+
+    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
+        if "caption" not in item:
+            return item
+        if rng is None and len(self.levels) > 1:
+            raise ConfigError("PickCaption of several levels draws one: give it as augment=, or name one level")
+        number = 0 if rng is None or len(self.levels) == 1 else int(rng.integers(len(self.levels)))
+        return {**item, "caption": read_captions(item["caption"])[self.levels[number]]}
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,18 @@ def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.Ca
     assert len(GarmentDataset(out)) == 5
 
 
+def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flat = ["generate", str(tmp_path / "data"), "--stage", "pattern", "--count", "3", "--seed", "8"]
+    assert main([*flat, "--captions"]) == 0
+    assert main(["info", str(tmp_path / "data")]) == 0
+    caption = GarmentDataset(tmp_path / "data", fields=["caption"])[0]["caption"]
+    assert f"  first captions:\n    {caption.splitlines()[0]}\n" in capsys.readouterr().out
+    assert main(["show", str(tmp_path / "data"), "--png", str(tmp_path / "garment.png")]) == 0
+    assert caption in capsys.readouterr().out
+    assert main(flat) == 1
+    assert "give the options of the first run, such as captions" in capsys.readouterr().err
+
+
 def test_workers_do_not_change_a_byte(tmp_path: Path) -> None:
     for name, workers in (("alone", "0"), ("two", "2")):
         assert main(["generate", str(tmp_path / name), "--count", "4", "--workers", workers, *FLAT]) == 0
@@ -270,11 +282,11 @@ class Finder:
 sys.meta_path.insert(0, Finder())
 if WHERE == "frame":
     from gcd_dataset.generator.drape.solver import Solver
-    frame = Solver.frame
+    frame = Solver.replay_frame
     def signalled(solver, *between):
         frame(solver, *between)
         send()
-    Solver.frame = signalled
+    Solver.replay_frame = signalled
 from gcd_dataset.cli import main
 code = main(sys.argv[1:])
 assert sent

@@ -266,6 +266,8 @@ def _show(options: argparse.Namespace) -> int:
     if options.svg is not None:
         write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
     print(*given.values(), sep="\n")
+    if isinstance(subject, Sample) and subject.caption is not None:
+        print(subject.caption)
     return 0
 
 

@@ -25,6 +25,7 @@ from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["faults", "info_lines"]
 
+FIRST_CAPTIONS = 3
 SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent
 BAR = 30  # characters
 
@@ -101,11 +102,13 @@ def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
 def _content_lines(reader: ShardReader) -> Iterator[str]:
     """Outcomes, wearers and types of garments, from samples at evenly spaced positions."""
     member_of = fields_of(reader.layout.members)
-    members = [member_of[field] for field in ("meta", "design") if field in member_of]
+    members = [member_of[field] for field in ("meta", "design", "caption") if field in member_of]
     chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), SAMPLED)).astype(int)).tolist()
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
-    panels, tags = [], Counter[str]()
+    panels, tags, captions = [], Counter[str](), []
     for content in reader.read_many(chosen, members):
+        if "caption" in member_of:
+            captions.append(decode_field("caption", content).partition("\n")[0])
         meta = read_meta(content["meta.json"])
         counts["outcome"][meta["drape"]["outcome"] if meta["drape"] else "not draped"] += 1
         counts["wearer"][str(meta["body"]).partition(":")[0] or "unnamed"] += 1
@@ -123,6 +126,9 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
         yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
+    if captions:
+        yield "  first captions:"
+        yield from (f"    {text}" for text in captions[:FIRST_CAPTIONS])
 
 
 def _kinds(content: Mapping[str, Bytes]) -> Mapping[str, Any]:

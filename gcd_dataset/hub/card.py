@@ -17,7 +17,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "meta": "seed, index, versions, recipe; names that the arrays refer to; outcome and figures of the drape; hashes",
     "spec": "the sewing pattern as a GarmentCode specification [cm]; JSON",
     "design": "the design's parameters; JSON",
-    "caption": "the garment in a sentence",
+    "caption": "the garment in English, three lines: short, medium and full caption",
     "measures": "the wearer's tailor's measures [cm, degrees]",
     "panels": "the pattern as arrays: one row per panel",
     "edges": "one row per edge",

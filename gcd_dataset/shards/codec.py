@@ -25,7 +25,8 @@
                      centre; -32768 for missing points of a diverged drape. Items hold f32 points in cm
 ``front.jpg``        pictures; one grey pixel if none was rendered
 ``back.jpg``
-``caption.txt``      the garment in a sentence                          } optional: in every sample of a data set,
+``caption.txt``      the garment in English, three lines: short, medium } optional: in every sample of a data set,
+                     and full caption, see ``gcd_dataset.captions``     }
 ``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none
 ``view_K.json``      its camera, light and materials                    }
 ===================  ===================================================================================================

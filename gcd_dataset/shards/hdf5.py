@@ -6,6 +6,7 @@
 ``/ptr/verts``, …           int64 [n+1]: sample i holds the rows from ``ptr[i]`` to ``ptr[i + 1]``
 ``/bytes/faces``, …         u1 [n]: size of a number in the shard's member [bytes]; the HDF5 type may be wider
 ``/spec``, ``/meta``, …     a JSON field: one text per sample
+``/caption``                the captions, if the samples have them: one text per sample
 ``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds the CRC-32 of the sample's other members
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
@@ -44,7 +45,17 @@ from gcd_dataset.files import drafted, user_path
 from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.buffers import read_buffer
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMAS, Bytes, fields_of, is_extra, member_content
+from gcd_dataset.shards.layout import (
+    CAPTION,
+    FIELDS,
+    MEMBERS,
+    SCHEMAS,
+    Bytes,
+    fields_of,
+    garments_layout,
+    is_extra,
+    member_content,
+)
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.npy import npy_header, read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
@@ -62,11 +73,12 @@ ARRAYS = tuple(field for field, member in FIELDS.items() if member.endswith(".np
 PICTURES = tuple(field for field, member in FIELDS.items() if member.endswith(".jpg"))
 RAGGED = ARRAYS + PICTURES
 TEXTS = tuple(field for field in FIELDS if field not in RAGGED)
+CAPTION_FIELD = "caption"
 
 ATTRIBUTES = ("format", "schema", "split", "count")
-NAMES = (*FIELDS, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
-"""The HDF5 data sets of a file; files of early versions lack ``crc32``."""
-MEMBER_NUMBER = {member: number for number, member in enumerate(MEMBERS)}
+NAMES = (*FIELDS, CAPTION_FIELD, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
+"""The HDF5 data sets of a file; files of early versions lack ``crc32``, files without captions ``caption``."""
+MEMBER_NUMBER = {member: number for number, member in enumerate((*MEMBERS, CAPTION))}
 
 PAIR = struct.Struct("<qq")
 PTR, SIZE, CRC = np.dtype("<i8"), np.dtype("u1"), np.dtype("<u4")
@@ -98,11 +110,12 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     """Write all samples of a split to an HDF5 file, yielding the position of each once it is stored.
 
     The file appears under its name when the iterator ends. Every sample is read twice, first for its size. Raises
-    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample. Captions and views are left
-    out, which is logged.
+    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample. Views are left out, which is
+    logged.
     """
-    if extra := [field for field, member in fields_of(reader.layout.members).items() if is_extra(member)]:
-        logger.warning("%s: without %s: an HDF5 file holds no captions and views", path, ", ".join(extra))
+    extra = {field for field, member in fields_of(reader.layout.members).items() if is_extra(member)}
+    if views := sorted(extra - {CAPTION_FIELD}):
+        logger.warning("%s: without %s: an HDF5 file holds no views", path, ", ".join(views))
     columns = _columns(reader)
     with drafted(user_path(path)) as draft, Sink(draft) as sink, ThreadPoolExecutor(1) as thread:
         # In a thread, where no KeyboardInterrupt is raised: libhdf5 would take it for a failed write.
@@ -159,6 +172,11 @@ class Hdf5Reader:
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The members of each sample, in the order of a shard."""
+        return garments_layout(caption=CAPTION_FIELD in self._columns).members
+
     def read(self, position: int, members: Iterable[str]) -> dict[str, Bytes]:
         """Members of a sample, byte for byte as in its shard.
 
@@ -180,7 +198,7 @@ class Hdf5Reader:
     def check(self, position: int) -> None:
         """Check the CRC-32 of all members of a sample. Raises ``ShardError``."""
         self._checked[position] = False
-        self.read(position, MEMBERS)
+        self.read(position, self.members)
 
     def close(self) -> None:
         """Close the file; the next read opens it again."""
@@ -225,6 +243,7 @@ class Hdf5Reader:
             **{f"ptr/{field}": (PTR.str, (count + 1,)) for field in RAGGED},
             **{f"bytes/{field}": (SIZE.str, (count,)) for field in RAGGED},
             **({META_CRC: (CRC.str, (count,))} if META_CRC in self._columns else {}),
+            **({CAPTION_FIELD: (TEXT_TYPE, (count,))} if CAPTION_FIELD in self._columns else {}),
         }
         for name in (*expected, *RAGGED):
             if name not in self._columns:
@@ -238,7 +257,7 @@ class Hdf5Reader:
     def _member(self, file: "_Descriptor", position: int, member: str) -> Bytes:
         """A member of a sample, byte for byte as in its shard."""
         field = member.split(".")[0]
-        if field in TEXTS:
+        if field in TEXTS or field == CAPTION_FIELD:
             return self._text(file, field, position)
         first, end = PAIR.unpack(self._rows(file, f"ptr/{field}", position, position + 2))
         if field in PICTURES:
@@ -324,7 +343,7 @@ class Hdf5Reader:
             )
 
     def _none_checked(self) -> Bool[np.ndarray, "n m"]:
-        return np.zeros((self._count, len(MEMBERS)), bool)
+        return np.zeros((self._count, len(MEMBER_NUMBER)), bool)
 
     # ---------------------------------------------------------------------------------------------------------- file
 
@@ -449,7 +468,7 @@ def _allocate(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Colum
         "recipe": recipe,
     }
     file.attrs.update(attributes)
-    for field in TEXTS:
+    for field in _texts(reader.layout.members):
         file.create_dataset(field, (len(reader),), h5py.string_dtype(), track_times=False)
     file.create_dataset(META_CRC, (len(reader),), CRC, track_times=False)
     for field, column in columns.items():
@@ -459,13 +478,19 @@ def _allocate(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Colum
         file.create_dataset(f"bytes/{field}", data=column.size, track_times=False)
 
 
+def _texts(members: Iterable[str]) -> tuple[str, ...]:
+    """The text fields of samples with these members."""
+    return (*TEXTS, CAPTION_FIELD) if CAPTION in members else TEXTS
+
+
 def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], columns: Mapping[str, _Column]) -> None:
     """Write the rows of one sample."""
-    for field in TEXTS:
+    for field in _texts(members):
         try:
             file[field][position] = bytes(member_content(field, members)).decode()
         except ValueError as error:  # not UTF-8, or with a NUL, which HDF5 texts cannot hold
-            raise ShardError(f"member {FIELDS[field]}: not storable as HDF5 text ({error}): {SHARD_REMEDY}") from error
+            member = FIELDS.get(field, CAPTION)
+            raise ShardError(f"member {member}: not storable as HDF5 text ({error}): {SHARD_REMEDY}") from error
     file[META_CRC][position] = zlib.crc32(members[META])
     for field, column in columns.items():
         start, end = column.ptr[position : position + 2].tolist()

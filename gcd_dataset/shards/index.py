@@ -33,6 +33,7 @@ from gcd_dataset.shards.layout import (
     Layout,
     foreign_layout,
     index_name,
+    is_extra,
     key_of,
     layout_of,
     member_name,
@@ -252,6 +253,11 @@ def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ..
         contents = f"schema {schema}, but schema {layout.schema} is written"
         if schema == layout.schema:
             contents = f"samples without {lacking}" if lacking else "samples with a caption or views"
+        if not is_foreign and schema == layout.schema and all(map(is_extra, set(layout.members) ^ set(members))):
+            return ShardError(
+                f"{path}: an index of {contents}: give the options of the first run, such as captions, or choose "
+                "another folder"
+            )
         contents = "foreign archives" if is_foreign else contents
         return ShardError(f"{path}: an index of {contents}: these are read-only: choose another folder")
     return ShardError(f"{path}: not an index of {layout.kind} (members {', '.join(members)[:60]}): {REBUILD}")

@@ -19,7 +19,7 @@ from jaxtyping import Int
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import MEMBERS, WAITING, Bytes, index_name, key_of, shard_name, shards_in
+from gcd_dataset.shards.layout import GARMENTS, WAITING, Bytes, Layout, index_name, key_of, shard_name, shards_in
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.single import read_single, write_single
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
@@ -73,17 +73,26 @@ class SampleCache:
     """
 
     def __init__(
-        self, folder: Path, count: int, *, seed: int, recipe: Mapping[str, Any], shard_size: int = SHARD_SIZE
+        self,
+        folder: Path,
+        count: int,
+        *,
+        seed: int,
+        recipe: Mapping[str, Any],
+        shard_size: int = SHARD_SIZE,
+        layout: Layout = GARMENTS,
     ) -> None:
         self.folder = folder
+        self._layout = layout
         self._count, self._seed, self._recipe, self._shard_size = count, seed, dict(recipe), shard_size
         self._shards = NO_SHARDS
 
-    def read(self, index: int, members: tuple[str, ...] = MEMBERS) -> Mapping[str, Bytes] | None:
-        """Member to content, of at least these members; ``None`` for a sample that is not cached.
+    def read(self, index: int, members: tuple[str, ...] | None = None) -> Mapping[str, Bytes] | None:
+        """Member to content, of at least these members (default: all); ``None`` for a sample that is not cached.
 
         Raises ``ShardError`` for a damaged sample.
         """
+        members = self._layout.members if members is None else members
         content = None if self._shards.reader is None else self._in_shard(index, members)
         if content is None:
             content = self._single(index)
@@ -120,7 +129,7 @@ class SampleCache:
             with self._writer() as writer:
                 for index in sorted(waiting.keys() - writer.done):
                     with _unless_damaged(waiting[index]):
-                        writer.add(index, read_single(waiting[index]))
+                        writer.add(index, read_single(waiting[index], self._layout))
             for path in waiting.values():
                 path.unlink(missing_ok=True)
             with contextlib.suppress(OSError):  # a new sample is already waiting there
@@ -130,14 +139,16 @@ class SampleCache:
         """Move the undamaged samples of a shard back to ``.waiting``, and remove the shard."""
         for index in self._written(number) - self._waiting(number).keys():
             with _unless_damaged(self._shard_path(number)):
-                content = self._from_shard(index, MEMBERS)
+                content = self._from_shard(index, self._layout.members)
                 assert content is not None
                 self._write_single(index, content)
         self._shard_path(number).unlink(missing_ok=True)
         self._shards = NO_SHARDS
 
     def _writer(self) -> ShardWriter:
-        return ShardWriter(self.folder, seed=self._seed, recipe=self._recipe, shard_size=self._shard_size)
+        return ShardWriter(
+            self.folder, seed=self._seed, recipe=self._recipe, shard_size=self._shard_size, layout=self._layout
+        )
 
     # ------------------------------------------------------------------------------------------ waiting samples
 
@@ -149,7 +160,7 @@ class SampleCache:
         while True:
             make_folder(path.parent)
             try:
-                return write_single(path, index, members)
+                return write_single(path, index, members, self._layout)
             except OutputError as error:
                 # FileNotFoundError: another process packed the shard and removed the empty folder. Try again.
                 if not isinstance(error.__cause__, FileNotFoundError):
@@ -160,7 +171,7 @@ class SampleCache:
         with reading(path):
             exists = path.exists()
         try:
-            return read_single(path) if exists else None
+            return read_single(path, self._layout) if exists else None
         except (ShardError, FileNotFoundError):
             if path.exists():
                 raise
@@ -197,7 +208,7 @@ class SampleCache:
 
     def _is_whole(self, index: int) -> bool:
         try:
-            return self._from_shard(index, MEMBERS) is not None
+            return self._from_shard(index, self._layout.members) is not None
         except ShardError:
             return False
 

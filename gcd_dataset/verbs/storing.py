@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.recipe import MakeConfig, layout_of_samples, recipe_of
 from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.records import Outcome
 from gcd_dataset.shards import ShardWriter, read_index
@@ -66,6 +66,7 @@ class GarmentWriter:
 
     def __init__(self, folder: Path, seed: int, config: MakeConfig, rule: SplitRule) -> None:
         self._folder, self._seed, self._recipe = folder, seed, recipe_of(config)
+        self._layout = layout_of_samples(config)
         self._rule = rule
         self._splits: dict[str, ShardWriter] = {}
         with contextlib.ExitStack() as self._opened:
@@ -97,7 +98,14 @@ class GarmentWriter:
     def _writer(self, split: str) -> ShardWriter:
         if split not in self._splits:
             size = self._rule.shard_sizes[split]
-            writer = ShardWriter(self._folder, split=split, seed=self._seed, recipe=self._recipe, shard_size=size)
+            writer = ShardWriter(
+                self._folder,
+                split=split,
+                seed=self._seed,
+                recipe=self._recipe,
+                shard_size=size,
+                layout=self._layout,
+            )
             self._splits[split] = self._opened.enter_context(writer)
         return self._splits[split]
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.recipe import MakeConfig, layout_of_samples, recipe_of
 from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.hub.source import Folder, Url, parse_target
@@ -191,7 +191,10 @@ def target_of(
     spools = remote.folder / "spool" if spool is None else user_path(spool)
     asked = {split: SplitRecord(seed, recipe_of(config), size) for split, size in rule.shard_sizes.items()}
     open_writer = partial(_open_writer, seed, config, rule)
-    return _UrlTarget(StoreTarget(target, asked, spools, open_writer, patience=remote.patience), range(count))
+    return _UrlTarget(
+        StoreTarget(target, asked, spools, open_writer, layout=layout_of_samples(config), patience=remote.patience),
+        range(count),
+    )
 
 
 def _open_writer(seed: int, config: MakeConfig, rule: SplitRule, folder: Path) -> _OpenWriter:

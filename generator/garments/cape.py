@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import pi
 
 from gcd_dataset.curves import Arc, Point
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Words
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
 from gcd_dataset.generator.garments.overgarment import (
@@ -24,6 +25,9 @@ from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
 
 __all__ = ["CAPE", "CapeDesign", "cape"]
+
+
+HALF_CIRCLE = 0.75  # of a circle: below, descriptions call the cape half a circle
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,17 @@ def _level_arc(side: Point, low: float) -> Arc:
     return Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)
 
 
+def _describe(design: CapeDesign) -> Description:
+    noun = "half-circle cape" if design.circle < HALF_CIRCLE else "circle cape"
+    if design.closed >= 1:
+        front: Words = ("a front sewn shut from neck to hem",)
+    elif design.closed < 0.5:
+        front = ("a front that is open below the neck", "a front opening")
+    else:
+        front = ("a front that is open towards the hem",)
+    return Description((noun,), (), (Detail(Place.BODY, front, main=True),))
+
+
 CAPE = SimpleUpper(
     name="Cape",
     section="cape",
@@ -88,5 +103,6 @@ CAPE = SimpleUpper(
     weight=0,
     carries=False,
     cut=cape,
+    description_of=_describe,
     length_of=lambda size, design: design.length * size.waist_line,
 )

@@ -5,7 +5,14 @@ from math import hypot, pi, sqrt
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length, flare_tags
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.flare_skirt import (
+    FlareSkirtDesign,
+    HemCutDesign,
+    flare_nouns,
+    flare_skirt_length,
+    flare_tags,
+)
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import sector
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
@@ -17,6 +24,8 @@ from gcd_dataset.records import Measurements
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
 LEAST_HEM = 0.01  # share of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
+VISIBLE_CUT = 3.0  # cm: descriptions leave out a shallower cut
+CUT_SIDES = ((0.4, "right"), (0.6, "middle"))  # largest share of the hem, from the wearer's right, of each name
 CUT_REMEDIES = ("cut.depth-", "cut.width-", "cut.place")
 FRONT, BACK = 15.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
@@ -116,12 +125,37 @@ def _cut_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
     return (Tag.SLIT,) if design.cut.add else ()
 
 
+def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
+    return Description(flare_nouns(design)).adding(*_cut_details(setting, design))
+
+
+def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Description:
+    nouns = ("off-centre circle skirt", "circle skirt cut off centre")
+    hem = ("a hem that is longer behind than in front", "a high-low hem")
+    return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *_cut_details(setting, design)))
+
+
+def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ...]:
+    """The hem cut, unless it is too shallow to see."""
+    length = max(flare_skirt_length(setting.size, design, setting.rise), SHORTEST)
+    if not design.cut.add or design.cut.depth * length < VISIBLE_CUT:
+        return ()
+    where = "front" if design.cut.place > 0 else "back"
+    share = design.cut.place if design.cut.place > 0 else 1 + design.cut.place  # from the wearer's right
+    side = next((name for most, name in CUT_SIDES if share <= most), "left")
+    deep = "deep " if design.cut.depth > 0.5 else ""
+    at = f"in the middle of the {where} hem" if side == "middle" else f"on the {side} of the {where} hem"
+    words = (f"a {deep}triangular notch {at}", f"a {deep}V-shaped cut {at}")
+    return (Detail(Place.HEM, words, main=True, sided=side != "middle"),)
+
+
 CIRCLE_SKIRT = SimpleBottom(
     name="SkirtCircle",
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
     length_of=flare_skirt_length,
+    description_of=_describe,
     tags_of=lambda design: (*flare_tags(design), *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
@@ -136,6 +170,7 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
     length_of=flare_skirt_length,
+    description_of=_describe_asymmetric,
     tags_of=lambda design: (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,

@@ -14,11 +14,12 @@ from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
 from gcd_dataset.generator.pattern.piece import Vector
 from gcd_dataset.records import Measurements
 
-__all__ = ["STYLES", "Collar", "CollarDesign", "with_collar"]
+__all__ = ["STYLES", "Collar", "CollarDesign", "collar_words", "with_collar"]
 
 TURTLENECK_OUT = 10.0  # cm: z of the front, and -z of the back, before sewing, GarmentCode
 LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm: z of front and back before sewing, GarmentCode
 LAPEL_EDGE = Quadratic((0.7, 0.2))  # edge frame, from the lower tip to the upper, GarmentCode
+LOW, WIDE, ROOMY = 4, 6, 1.4  # cm, depth of low and wide collars; ``hood_depth`` of a roomy hood
 LYING = (pi / 2, pi / 4, 0.0)  # rad: rotation of a collar that lies on the shoulders, GarmentCode
 
 
@@ -51,6 +52,23 @@ STYLES: Mapping[Collar, Tag] = {
     Collar.HOOD: Tag.HOODED,
 }
 """The tag of each collar."""
+
+
+def collar_words(design: CollarDesign, *, near_neck: bool) -> tuple[str, ...]:
+    """Noun phrases for a collar; ``near_neck``: whether its neckline lies close round the neck."""
+    match design.style:
+        case None:
+            return ()
+        case Collar.HOOD:
+            return ("a hood",) if design.hood_depth < ROOMY else ("a roomy hood",)
+        case Collar.LAPEL:
+            wide = "wide " if design.depth >= WIDE else "narrow " if design.depth <= LOW else ""
+            return (f"{wide}lapels", f"a {wide}lapel collar") if not design.lapel_standing else (
+                f"{wide}lapels rising to a standing collar at the nape",)  # fmt: skip
+        case Collar.TURTLENECK:
+            if not near_neck:
+                return ("a standing collar round a wide neckline",)
+            return ("a low standing collar",) if design.depth <= LOW else ("a turtleneck", "a turtleneck collar")
 
 
 def with_collar(size: Measurements, design: CollarDesign, half: Component) -> Component:

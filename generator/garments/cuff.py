@@ -26,6 +26,8 @@ __all__ = [
     "arm_girth_in_cuff",
     "cuff",
     "cuff_tags",
+    "cuff_words",
+    "single_cuff_words",
     "skirt_share",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
@@ -37,6 +39,7 @@ ON_SHOULDER = 0.12  # approximate share of shoulder to wrist above the armhole, 
 ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # positions as fractions of shoulder to wrist
 ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # over the wrist's: means of this package's bodies, ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
+DEEP = 12.0  # cm: least length of a cuff that descriptions call deep
 GAP = 2.0  # cm between sleeve, band and skirt before sewing, GarmentCode
 
 
@@ -91,6 +94,27 @@ def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
         return ()
     ruffle = max(design.top_ruffle, 1.0 if design.type is Cuff.BAND else design.skirt_ruffle)
     return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= RUFFLES else (Tag.CUFFS,)
+
+
+def cuff_words(design: CuffDesign, kind: Cuff, length: float, *, limb: str) -> tuple[str, ...]:
+    """Noun phrases for the two cuffs of a pair of limbs; ``length``: of a cuff [cm]; ``limb``: "sleeve" or "leg"."""
+    deep = "deep " if length >= DEEP else ""
+    ends = f"at the {limb} ends"
+    frill = "frills" if design.skirt_ruffle >= RUFFLES else "flounces"
+    if kind is Cuff.SKIRT:
+        return (f"{deep}flared cuffs {ends}",) if frill == "flounces" else (f"{deep}gathered frills {ends}",)
+    bands = f"{deep}band cuffs" if kind is Cuff.BAND else f"{deep}band cuffs with {frill}"
+    if design.top_ruffle < RUFFLES:
+        return (f"{bands} {ends}",)
+    return (f"{bands} that gather the {limb} ends", f"{limb} ends gathered into {bands}")
+
+
+def single_cuff_words(design: CuffDesign, kind: Cuff, length: float) -> str:
+    """A noun phrase for the cuff of one limb: see ``cuff_words``."""
+    deep = "deep " if length >= DEEP else ""
+    frill = "frill" if design.skirt_ruffle >= RUFFLES else "flounce"
+    noun = {Cuff.BAND: "band cuff", Cuff.BAND_SKIRT: f"band cuff with a {frill}", Cuff.SKIRT: "flared cuff"}[kind]
+    return f"a {deep}{noun}"
 
 
 def skirt_share(design: CuffDesign) -> float:

@@ -12,10 +12,12 @@ __all__ = [
     "FlareSkirtDesign",
     "HemCutDesign",
     "PanelSkirtDesign",
+    "flare_nouns",
     "flare_skirt_length",
     "flare_tags",
 ]
 
+VERY_FULL = 1.5  # suns
 CIRCLES = ((0.375, Tag.A_LINE), (0.75, Tag.HALF_CIRCLE))  # upper bounds of a skirt's suns
 
 
@@ -68,6 +70,14 @@ class FlareSkirtDesign(Design):
 def flare_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
     """The tag of a flared skirt by its share of a circle."""
     return (next((tag for most, tag in CIRCLES if design.suns < most), Tag.CIRCLE),)
+
+
+def flare_nouns(design: FlareSkirtDesign) -> tuple[str, ...]:
+    """Names of a flared skirt by its share of a circle: the tag, and for over a circle and a half its fullness."""
+    (tag,) = flare_tags(design)
+    if tag is Tag.A_LINE:
+        return ("A-line skirt",)
+    return ("very full circle skirt",) if design.suns >= VERY_FULL else (tag.value,)
 
 
 def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:

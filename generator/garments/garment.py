@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
+from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, part
 from gcd_dataset.generator.garments.tags import Tag
@@ -85,6 +86,10 @@ class Garment(ABC, Generic[D]):
         """The tags of the garment in an outfit's design."""
         return self.tags_of(self.section_design(design))
 
+    @abstractmethod
+    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+        """The garment of an outfit's design in words, as drawn."""
+
 
 class GarmentChoice(Enum):
     """Base of enums of garments. A member is declared by a record; its value is the record's name."""
@@ -141,12 +146,17 @@ class SimpleUpper(UpperGarment[D]):
     """Draws the component from a design of the section."""
     length_of: Callable[[Measurements, D], float]
     """Returns the length from the nape to the hem behind [cm], from a design of the section."""
+    description_of: Callable[[D], Description]
+    """Returns the garment in words, from a design of the section."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
         return self.cut(size, self.section_design(design)).labelled(PanelRole.BODY)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
         return self.length_of(size, self.section_design(design))
+
+    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+        return self.description_of(self.section_design(design))
 
 
 # ------------------------------------------------------------------------------------------------------------- bottoms
@@ -203,6 +213,10 @@ class BottomGarment(Garment[D]):
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
 
+    def drawn_length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+        """``length`` as drawn [cm]: longer if a part of the garment has a least length."""
+        return self.length(size, design, rise)
+
     def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
         """The rings of the garment in an outfit's design, its top at ``rise``: see ``rings_of``."""
         return self.rings_of(size, self.section_design(design), rise)
@@ -228,6 +242,8 @@ class SimpleBottom(BottomGarment[D]):
     """The component; it offers the ring ``top``, and ``bottom`` if levels may hang under it."""
     length_of: Callable[[Measurements, D, float], float]
     """Length from the top, at a rise, to the hem [cm]."""
+    description_of: Callable[[Setting, D], Description]
+    """The garment in words, as drawn."""
     without_slits: Callable[[D], D] = field(default=lambda design: design)
     """The design without slits and cuts, so that another part can be sewn to the hem."""
     ungathered: Callable[[D], D] = field(default=lambda design: design)
@@ -245,6 +261,9 @@ class SimpleBottom(BottomGarment[D]):
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         return self.length_of(size, self.section_design(design), rise)
+
+    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+        return self.description_of(setting, self.section_design(design))
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +287,10 @@ class DesignedBottom(Generic[D]):
         """The component without slits and cuts."""
         return self.garment.cut(size, self.garment.without_slits(self.design), cutting)
 
+    def describe(self, setting: Setting) -> Description:
+        """The component of ``cut`` in words."""
+        return self.garment.description_of(setting, self.garment.without_slits(self.design))
+
     def ungathered(self) -> "DesignedBottom[D]":
         """The part without gathers at its top."""
         return DesignedBottom(self.garment, self.garment.ungathered(self.design))
@@ -290,6 +313,10 @@ class CombinedBottom(BottomGarment[D]):
     """Position of its top: 0 at the hips, 1 at the waist."""
     length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float]
     """Length from the top, at a rise, to the hem [cm]."""
+    description_of: Callable[[Setting, D, tuple[DesignedBottom[Any], ...]], Description]
+    """The garment in words, as drawn."""
+    drawn_length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float] | None = None
+    """``length_of`` as drawn, if a part has a least length [cm]."""
     inherits_length: bool = False
     """Whether its length is the ``length`` of its uppermost part."""
 
@@ -301,6 +328,13 @@ class CombinedBottom(BottomGarment[D]):
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
+
+    def drawn_length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+        length_of = self.drawn_length_of or self.length_of
+        return length_of(size, self.section_design(design), self._designed_parts(design), rise)
+
+    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+        return self.description_of(setting, self.section_design(design), self._designed_parts(design))
 
     def parts(self, design: "OutfitDesign") -> tuple[SimpleBottom[Any], ...]:
         return self.parts_of(self.section_design(design))

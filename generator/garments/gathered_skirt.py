@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
@@ -15,6 +16,8 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GATHERED_SKIRT", "GatheredSkirtDesign", "gathered_skirt"]
 
+VISIBLE_SLIT, HIGH_SLIT = 4.0, 0.6  # cm, least slit in a description; share of the part below the hips of a high slit
+HARDLY_FLARED = 2  # cm added to each side of the hem
 FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 
 
@@ -72,6 +75,22 @@ def _tags(design: GatheredSkirtDesign) -> Iterator[Tag]:
         yield Tag.SLIT
 
 
+def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
+    """Gathered if the seam at its top gathers it: on a wide hem or band the same skirt hangs straight."""
+    details = []
+    length = _length(setting.size, design, setting.rise) - setting.rise * setting.size.hips_line
+    slit = _slit(design, length, GATHERED_SKIRT.mends)
+    if slit >= VISIBLE_SLIT:
+        high = "high " if design.bottom_cut > HIGH_SLIT else ""
+        details.append(Detail(Place.HEM, (f"{high}slits at both sides", f"{high}side slits"), main=True))
+    if setting.gather >= RUFFLES:
+        nouns = ("gathered A-line skirt",) if design.flare > HARDLY_FLARED else ("gathered skirt",)
+        seam = ("fullness gathered at the waist", "gathers at the waist")
+        return Description(nouns, (), (Detail(Place.LOWER, seam), *details))
+    noun = "A-line skirt" if design.flare > HARDLY_FLARED else "straight skirt"
+    return Description((noun,), (), tuple(details))
+
+
 GATHERED_SKIRT = SimpleBottom(
     name="Skirt2",
     section="skirt",
@@ -79,6 +98,7 @@ GATHERED_SKIRT = SimpleBottom(
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
     length_of=_length,
+    description_of=_describe,
     tags_of=_tags,
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),

@@ -5,6 +5,7 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word
 from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import Mend
@@ -148,6 +149,13 @@ def _combined(
     return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
 
 
+def _describe(setting: Setting, design: GodetSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
+    base = parts[0].describe(setting)
+    count = number_word(design.num_inserts)
+    words = (f"{count} godets in the hem", f"{count} triangular godets set into the hem")
+    return base.adding(Detail(Place.HEM, words, main=True))
+
+
 GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
@@ -157,6 +165,7 @@ GODET_SKIRT = CombinedBottom(
     combine=_combined,
     rise_of=lambda design, parts: parts[0].rise,
     length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
+    description_of=_describe,
     inherits_length=True,
     remedies=("insert_depth-", "cuts_distance-"),
     statistics_length_section="skirt",

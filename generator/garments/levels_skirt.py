@@ -7,10 +7,12 @@ from math import radians
 from typing import Any, TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word, with_article
 from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
+from gcd_dataset.generator.garments.skirt import SHORTEST
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component
@@ -18,6 +20,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["LEVELS_SKIRT", "DrawLevel", "Level", "LevelsBase", "LevelsSkirtDesign", "with_levels"]
 
+FLARED_LEVEL = 0.375  # suns: descriptions call levels of more flared
 GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 
 
@@ -124,6 +127,25 @@ def _length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float
     return base + design.num_levels * level
 
 
+def _drawn_length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float:
+    """``_length`` with each level at least ``SHORTEST`` long, as its skirt is drawn."""
+    base, level = _lengths(size, design, rise=rise, mends=ALL_MENDS)
+    return max(base, SHORTEST) + design.num_levels * max(level, SHORTEST)
+
+
+def _describe(setting: Setting, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
+    base, level = parts[0].describe(setting), parts[1]
+    is_flared = level.garment is not GATHERED_SKIRT and level.design.suns >= FLARED_LEVEL
+    cut = ("gathered " if design.level_ruffle >= RUFFLES else "") + ("flared " if is_flared else "")
+    tiers = f"{number_word(design.num_levels)} {cut}{'tier' if design.num_levels == 1 else 'tiers'}"
+    details = [Detail(Place.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
+    if level.garment is ASYMMETRIC_CIRCLE_SKIRT and parts[0].garment is not ASYMMETRIC_CIRCLE_SKIRT:
+        words = ("tiers that are longer behind than in front", "high-low tiers")
+        details.append(Detail(Place.HEM, words))
+    tiered = number_word(design.num_levels + 1)
+    return Description(("tiered skirt", f"{tiered}-tier skirt"), (), (*details, *base.details), base.traits)
+
+
 LEVELS_SKIRT = CombinedBottom(
     name="SkirtLevels",
     section="levels-skirt",
@@ -135,4 +157,6 @@ LEVELS_SKIRT = CombinedBottom(
     rise_of=lambda design, parts: design.rise,
     remedies=("level_ruffle-", "num_levels-"),
     length_of=lambda size, design, parts, rise: _length(size, design, rise),
+    drawn_length_of=lambda size, design, parts, rise: _drawn_length(size, design, rise),
+    description_of=_describe,
 )

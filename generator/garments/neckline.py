@@ -1,6 +1,6 @@
 """Necklines: half shapes from the shoulder down to the centre, to cut into the corner between the two edges."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from itertools import pairwise
@@ -19,12 +19,14 @@ __all__ = [
     "LeftNecklineDesign",
     "Neckline",
     "NecklineDesign",
+    "back_neckline_words",
     "half_neckline",
     "neckline_drop",
     "neckline_shape",
     "neckline_tags",
     "neckline_width",
     "neckline_width_parameter",
+    "neckline_words",
     "worn_neckline",
 ]
 
@@ -32,6 +34,10 @@ SHOULDER_LEFT = 1.0  # cm of shoulder beside a neckline of full width, GarmentCo
 CENTRE_LEFT = 1.0  # cm of centre edge under the deepest neckline, GarmentCode
 CURVY = Cubic((0.4, 0.3), (0.8, -0.3))  # edge frame, from shoulder to centre, GarmentCode
 CURVY_FLIPPED = Cubic((0.4, -0.3), (0.8, 0.3))
+DEPTHS = ((1.3, "plunging "), (0.85, "deep "))  # least drop, over the depth of the bust line, of each word
+BACK_DEPTHS = ((1.2, "very low "), (0.6, "low "))
+WIDE = 0.6  # least ``width`` of a wide neckline
+HARDLY_CURVED = 0.2  # distance of a Bézier neckline's control point from its chord, of the chord
 LAPEL_BEZIER = (0.5, 0.3)  # control point of a Bézier neckline under a lapel, GarmentCode
 
 
@@ -118,6 +124,47 @@ def neckline_tags(design: NecklineDesign) -> tuple[Tag, ...]:
     """The tags of a neckline: its collar, or its shape in front."""
     style = design.component.style
     return (SHAPES[design.f_collar],) if style is None else (STYLES[style],)
+
+
+def neckline_words(design: NecklineDesign, strokes: Sequence[Stroke], *, drop: float) -> tuple[str, ...]:
+    """Nouns for the neckline in front, without article, from half of it as drawn.
+
+    ``drop``: depth of its lowest point under the shoulder's outer end, over the depth of the bust line.
+    """
+    depth = next((word for least, word in DEPTHS if drop >= least), "")
+    wide = "wide " if design.width >= WIDE else ""
+    return tuple(
+        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes)
+    )
+
+
+def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ...]:
+    """Noun phrases for the neckline behind, if it is low: see ``neckline_words``."""
+    depth = next((word for least, word in BACK_DEPTHS if drop >= least), "")
+    shape = {Neckline.V: "V-shaped ", Neckline.SQUARE: "square "}.get(design.b_collar, "")
+    return (f"a {depth}{shape}back", f"a {depth}{shape}back neckline") if depth else ()
+
+
+def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> tuple[str, ...]:
+    """Adjectives for the drawn shape in front."""
+    flipped = design.f_flip_curve
+    match design.f_collar:
+        case Neckline.CIRCLE:
+            return ("round", "scoop")
+        case Neckline.ARC:
+            return ("inward-curving",) if flipped else ("round",)
+        case Neckline.CURVY:
+            return ("curved V",) if flipped else ("U-shaped",)
+        case Neckline.V:
+            return ("V",)
+        case Neckline.SQUARE:
+            return ("square",)
+        case Neckline.TRAPEZOID:
+            return ("trapezoid", "angled square") if len(strokes) > 1 else ("V",)
+        case Neckline.BEZIER:
+            if design.f_bezier_y < HARDLY_CURVED:
+                return ("softly curved V",)
+            return ("inward-curving",) if flipped else ("curved",)
 
 
 def worn_neckline(design: NecklineDesign) -> NecklineDesign:

@@ -6,7 +6,8 @@ from math import atan, atan2, cos, degrees, pi, sin, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length, flare_tags
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_nouns, flare_skirt_length, flare_tags
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
@@ -68,12 +69,23 @@ def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
     return replace(panel.at(around[0], 0, around[1]), rotation=(0, facing + turn, 0))
 
 
+def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
+    count, curve = number_word(design.skirt_many_panels.n_panels), design.skirt_many_panels.panel_curve
+    (noun,) = flare_nouns(design)
+    details = [Detail(Place.LOWER, ("seams from top to hem between the panels",))]
+    if curve:
+        words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
+        details.append(Detail(Place.HEM, words, main=True))
+    return Description((f"{count}-panel {noun}", f"{noun} of {count} panels"), (), tuple(details))
+
+
 PANEL_SKIRT = SimpleBottom(
     name="SkirtManyPanels",
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=panel_skirt,
     length_of=flare_skirt_length,
+    description_of=_describe,
     tags_of=lambda design: (Tag.PANELLED, *flare_tags(design)),
     flared=True,
     fullness_parameter="suns",

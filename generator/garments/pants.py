@@ -13,7 +13,8 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags, skirt_share
+from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags, cuff_words, skirt_share
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
@@ -34,6 +35,7 @@ HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # bend of side seam and inside leg, o
 DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg over hips to waist; outer over inner dart leg of the back, GarmentCode
 SHORTEST_LEG = 0.2  # least length of the leg without its cuff, as a fraction of hips to floor, GarmentCode
 CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the axis: crotch, front panel, back panel; GarmentCode
+WIDE_LEG, FLARED_LEG, TAPERED_LEG = 1.3, 1.07, 0.88  # limits of ``width`` and of ``flare`` for words
 CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
 LEG_LEVELS = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of the crotch's height
 LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # over leg_circ: means of this package's bodies, ± 0.05
@@ -259,12 +261,27 @@ def _rings(size: Measurements, design: PantsDesign, rise: float) -> Iterator[Rin
     yield Ring("a trouser leg", sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends), leg, "raise pants.flare")
 
 
+def _describe(setting: Setting, design: PantsDesign) -> Description:
+    """Trousers; ``captions`` calls short ones shorts."""
+    if design.width >= WIDE_LEG:
+        traits = (("wide-leg",),)
+    elif design.flare > FLARED_LEG:
+        traits = (("flared",),)
+    else:
+        traits = (("tapered",),) if design.flare < TAPERED_LEG else (("straight-leg",),)
+    if design.cuff.type is None:
+        return Description(("trousers",), traits)
+    words = cuff_words(design.cuff, design.cuff.type, _cuff_length(setting.size, design), limb="leg")
+    return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),))
+
+
 PANTS = SimpleBottom(
     name="Pants",
     section="pants",
     design=PantsDesign,
     cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    description_of=_describe,
     tags_of=lambda design: (Tag.TROUSERS, *cuff_tags(design.cuff)),
     legs=True,
     rings_of=_rings,

@@ -1,6 +1,6 @@
 """The pencil skirt: fitted to the hips with darts. Panels ``skirt_front`` and ``skirt_back``."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import radians, tan
@@ -9,6 +9,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
@@ -38,6 +39,10 @@ OUTER_DART = 0.9  # outer over inner dart leg of the back, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # position of a flared side's control point along its chord, GarmentCode
 RINGS = 9  # levels below the hips at which the skirt's girth is compared with the legs
+VISIBLE_SLIT, HIGH_SLIT = 4.0, 0.6  # cm, least slit in a description; share of the length of a high slit
+EVEN_SLITS = 0.1  # share of the length by which two side slits may differ and be called a pair
+VISIBLE_TILT = 5  # degrees
+SLIGHTLY_FLARED = 1.08  # girth of the hem over the hips
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
 
 
@@ -241,12 +246,49 @@ def _tags(design: PencilSkirtDesign) -> Iterator[Tag]:
         yield Tag.ASYMMETRIC
 
 
+def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
+    below = design.length * setting.size.leg_length
+    shares = {
+        "front": design.front_slit,
+        "back": design.back_slit,
+        "right": design.right_slit,
+        "left": design.left_slit,
+    }
+    slits = {name: share for name, share in shares.items() if share * below >= VISIBLE_SLIT}
+    details = [Detail(Place.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
+    is_tilted = abs(design.low_angle) >= VISIBLE_TILT
+    if is_tilted:
+        side, other = ("left", "right") if design.low_angle > 0 else ("right", "left")
+        words = (f"a hem that slants down to the {side}", f"a slanted hem that is higher on the {other}")
+        details.append(Detail(Place.HEM, words, main=True, sided=True))
+    if design.flare <= 1:
+        nouns: tuple[str, ...] = ("pencil skirt",)
+    else:
+        nouns = ("A-line skirt",) if design.flare > SLIGHTLY_FLARED else ("slightly flared skirt",)
+    return Description(nouns, (), tuple(details), (ASYMMETRIC,) if is_tilted else ())
+
+
+def _slit_words(slits: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], bool]]:
+    """The wordings of slits, name to share of the length, and whether they make the halves differ."""
+    if {"right", "left"} <= slits.keys() and abs(slits["right"] - slits["left"]) < EVEN_SLITS:
+        high = "high " if slits["right"] > HIGH_SLIT else ""
+        yield (f"{high}slits in both side seams", f"{high}side slits"), False
+        slits = {name: share for name, share in slits.items() if name not in ("right", "left")}
+    for name, share in slits.items():
+        high = "high " if share > HIGH_SLIT else ""
+        if name in ("front", "back"):
+            yield (f"a {high}{name} slit", f"a {high}slit in the middle of the {name}"), False
+        else:
+            yield (f"a {high}slit in the {name} side seam", f"a {high}slit on the {name}"), True
+
+
 PENCIL_SKIRT = SimpleBottom(
     name="PencilSkirt",
     section="pencil-skirt",
     design=PencilSkirtDesign,
     cut=pencil_skirt,
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    description_of=_describe,
     tags_of=_tags,
     rings_of=_rings,
     without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),

@@ -9,6 +9,7 @@ from math import tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.description import Description, Detail, Place
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
 from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, neck_hole, placed_at_neck, right_neck
@@ -70,6 +71,12 @@ def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Out
     return start.line(-wide, -sunk, name="shoulder").line(-wide, -low, name="side").line(0, -low, name="hem")
 
 
+def _describe(design: PonchoDesign) -> Description:
+    shape = "round" if design.shape is PonchoShape.CIRCLE else "rectangular"
+    neck = "a V-neckline" if design.neckline is Neckline.V else "a round neckline"
+    return Description((f"{shape} poncho",), (), (Detail(Place.NECK, (neck,), main=True),))
+
+
 PONCHO = SimpleUpper(
     name="Poncho",
     section="poncho",
@@ -78,5 +85,6 @@ PONCHO = SimpleUpper(
     weight=0,
     carries=False,
     cut=poncho,
+    description_of=_describe,
     length_of=lambda size, design: design.length * size.waist_line,
 )

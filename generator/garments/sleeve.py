@@ -15,7 +15,7 @@ from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements, PanelRole
 
-__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tags"]
+__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tags", "sleeve_words"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
@@ -23,6 +23,16 @@ SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
 ELBOW = 0.5  # position of the elbow, as a fraction of armhole to wrist
+# Largest length of a sleeve with each word, of armhole to wrist; the tag "short sleeves" ends at ``ELBOW``
+LENGTHS: tuple[tuple[float, tuple[str, ...]], ...] = (
+    (0.2, ("cap",)),
+    (0.4, ("short",)),
+    (ELBOW, ("elbow-length",)),
+    (0.8, ("three-quarter", "three-quarter-length")),
+    (1.05, ("long", "full-length")),
+)
+LONGEST = ("extra-long",)
+END_WIDTHS = ((1.25, "flared "), (0.65, ""))  # least width at the end over the gathered width at the armhole
 DOWN: Point = (0.0, -1.0)
 
 
@@ -82,6 +92,29 @@ def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
     ruffled = (Tag.RUFFLED,) if design.connect_ruffle >= RUFFLES else ()
     length = Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
     return (length, *cuff_tags(design.cuff), *ruffled)
+
+
+def sleeve_words(size: Measurements, design: SleeveDesign, *, pair: bool = True) -> tuple[str, ...]:
+    """Noun phrases for a pair of sleeves or for one, without article; a sleeve's length includes its cuff."""
+    noun, lengths = "sleeves" if pair else "sleeve", _length_words(design)
+    gathered = design.connect_ruffle >= RUFFLES
+    into_cuff = design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT) and design.cuff.top_ruffle >= RUFFLES
+    if gathered and into_cuff and design.length <= ELBOW:
+        return (f"puffed cap {noun}",) if lengths[0] == "cap" else tuple(f"{length} puff {noun}" for length in lengths)
+    share = design.end_width / design.connect_ruffle
+    cut = next((word for least, word in END_WIDTHS if share >= least), "tapered ")
+    cut = "" if into_cuff and cut == "flared " else cut
+    phrases = tuple(f"{length} {cut}{noun}" for length in lengths)
+    rest = max(radians(design.sleeve_angle), size.shoulder_incl)
+    if gathered:
+        return tuple(f"{phrase} gathered at the {'shoulders' if pair else 'shoulder'}" for phrase in phrases)
+    if design.standing_shoulder and rest > size.shoulder_incl + STANDING_FROM:
+        return tuple(f"{phrase} with {'raised shoulders' if pair else 'a raised shoulder'}" for phrase in phrases)
+    return phrases
+
+
+def _length_words(design: SleeveDesign) -> tuple[str, ...]:
+    return next((words for most, words in LENGTHS if design.length <= most), LONGEST)
 
 
 @lru_cache(maxsize=8)  # sampling draws it to measure its cuff, then the half draws it again

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.neckline import neckline_tags
 from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.shirt_words import describe_shirt
 from gcd_dataset.generator.garments.sleeve import sleeve_tags
 from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half
@@ -72,6 +74,9 @@ class Shirt(UpperGarment[ShirtDesign]):
             else:
                 yield from sleeve_tags(arm)
                 yield from neckline_tags(neck)
+
+    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+        return describe_shirt(setting.size, design.halves(), fitted=self.fitted)
 
     def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
         left = design.left_half() is not None

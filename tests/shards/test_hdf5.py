@@ -52,14 +52,33 @@ def test_every_member_equals_the_shards_byte_for_byte(folder: Path, file: Path) 
         one.check(position)
 
 
-def test_captions_and_views_left_out_of_a_file_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def captioned(folder: Path) -> Path:
+    """A file of two samples with captions and a view."""
     picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
     assert picture is not None
-    with ShardWriter(tmp_path, seed=0, recipe={}, layout=layout) as writer:
-        writer.write(replace(fake_sample(0, 0), caption="a skirt", views=(View(picture, {}),)))
-    list(write_hdf5(ShardReader(tmp_path), tmp_path / "train.h5"))
-    assert "train.h5: without caption, view_0, view_0_json: an HDF5 file holds no captions and views" in caplog.text
-    assert set(Hdf5Garments(tmp_path / "train.h5")[0]) == set(FIELDS)
+    with ShardWriter(folder, seed=0, recipe={}, layout=layout) as writer:
+        for index in range(2):
+            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=(View(picture, {}),)))
+    list(write_hdf5(ShardReader(folder), folder / "train.h5"))
+    return folder / "train.h5"
+
+
+def test_views_left_out_of_a_file_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = captioned(tmp_path)
+    assert "train.h5: without view_0, view_0_json: an HDF5 file holds no views" in caplog.text
+    assert set(Hdf5Garments(file)[0]) == {*FIELDS, "caption"}
+
+
+def test_a_file_holds_captions(tmp_path: Path, file: Path) -> None:
+    ds = Hdf5Garments(captioned(tmp_path / "captioned"), fields=["caption"])
+    assert [item["caption"] for item in ds] == ["skirt 0", "skirt 1"]
+    ds.verify(1)
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes((tmp_path / "captioned" / "train.h5").read_bytes().replace(b"skirt 1", b"skirt 9"))
+    with pytest.raises(ShardError, match=r"sample 1, member caption\.txt"):
+        Hdf5Garments(damaged).verify(1)
+    with pytest.raises(ConfigError, match="no field caption"):
+        Hdf5Garments(file, fields=["caption"])
 
 
 def test_a_damaged_sample_is_to_be_made_again_not_the_file_being_written(tmp_path: Path) -> None:

@@ -1,0 +1,176 @@
+"""Sentences from the facts of an outfit, at three lengths. Random choices decide wordings and forms, never facts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from gcd_dataset.captions import LEVELS
+from gcd_dataset.generator.captions.facts import OutfitFacts
+from gcd_dataset.generator.garments.description import Place, Words, joined, with_article
+
+__all__ = ["MOST_SHORT_WORDS", "Said", "say"]
+
+MOST_SHORT_WORDS = 12
+USUAL_SHORT_WORDS = 10
+MOST_LISTED = 4  # details in one sentence
+UPPER = (Place.NECK, Place.SLEEVES, Place.BODY)
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A caption, and the facts that it states: words and noun phrases of its text."""
+
+    text: str
+    facts: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Phrase:
+    """The chosen wording of a detail."""
+
+    text: str
+    place: Place
+    main: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Outfit:
+    """The facts of an outfit, each in its chosen wording."""
+
+    adjectives: tuple[str, ...]
+    """In their order before the noun."""
+    noun: str
+    parts: tuple[str, ...]
+    lower: str
+    details: tuple[_Phrase, ...]
+    is_plural: bool
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The facts of the outfit's name."""
+        return (*self.adjectives, self.noun)
+
+    def head(self) -> str:
+        """The outfit's name with its article."""
+        return _noun_phrase(" ".join(self.named))
+
+    @property
+    def it_has(self) -> str:
+        return "They have" if self.is_plural else "It has"
+
+
+def say(facts: OutfitFacts, rng: np.random.Generator) -> Mapping[str, Said]:
+    """The caption of each of ``LEVELS``; each states the facts of the one before, in the same words, and more."""
+    outfit = _chosen(facts, rng)
+    return dict(zip(LEVELS, (_short(outfit), _medium(outfit), _full(facts, outfit, rng)), strict=True))
+
+
+def _chosen(facts: OutfitFacts, rng: np.random.Generator) -> _Outfit:
+    """Each fact in one of its wordings."""
+
+    def pick(words: Words) -> str:
+        return words[int(rng.integers(len(words)))]
+
+    length = (facts.length,) if facts.length else ()
+    return _Outfit(
+        adjectives=tuple(pick(words) for words in (*facts.traits, *length, *facts.cut)),
+        noun=pick(facts.noun),
+        parts=tuple(pick(words) for words in facts.parts),
+        lower=facts.lower,
+        details=tuple(_Phrase(pick(detail.words), detail.place, detail.main) for detail in facts.details),
+        is_plural=facts.is_plural,
+    )
+
+
+# --------------------------------------------------------------------------------------------------------------- levels
+
+
+def _short(outfit: _Outfit) -> Said:
+    """The name with its parts, or with its first main detail that is short enough."""
+    head, named = outfit.head(), outfit.named
+    options: list[tuple[str, ...]] = [(detail.text,) for detail in outfit.details if detail.main]
+    if outfit.parts:
+        options = [outfit.parts, outfit.parts[-1:]]
+    for most in (USUAL_SHORT_WORDS, MOST_SHORT_WORDS):
+        for option in options:
+            text = f"{head} with {joined(map(_noun_phrase, option) if outfit.parts else option)}"
+            if len(text.split()) <= most:
+                return Said(_sentence(text), (*named, *option))
+    return Said(_sentence(head), named)
+
+
+def _medium(outfit: _Outfit) -> Said:
+    """The name with its parts, and the main details."""
+    main = [detail.text for detail in outfit.details if detail.main]
+    facts = (*outfit.named, *outfit.parts, *main)
+    if outfit.parts:
+        first = f"{outfit.head()} with {joined(map(_noun_phrase, outfit.parts))}"
+        return Said(_sentence(first, *([f"{outfit.it_has} {joined(main)}"] if main else [])), facts)
+    if not main:
+        secondary = tuple(detail.text for detail in outfit.details[:2])
+        return Said(_sentence(f"{outfit.head()} with {joined(secondary)}"), (*facts, *secondary))
+    now, later = main[:MOST_LISTED], main[MOST_LISTED:]
+    extra = [f"{outfit.it_has} {joined(later)} too"] if later else []
+    return Said(_sentence(f"{outfit.head()} with {joined(now)}", *extra), facts)
+
+
+def _full(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> Said:
+    """All facts, from the top down."""
+    head = outfit.head()
+    if outfit.parts:
+        head = f"{head} with {joined(map(_noun_phrase, outfit.parts))}"
+    sentences = [head]
+    for number, (subject, listed) in enumerate(_paragraph(outfit)):
+        verb = "have" if subject in ("They", "The trousers", "The shorts") else "has"
+        if subject == "It" and number == 0:
+            verb = str(rng.choice(["has", "features"]))
+        elif number:
+            verb = f"also {verb}" if subject in ("It", "They") else verb
+        sentences.append(f"{subject} {verb} {joined(listed)}")
+    sentences[-1] += _symmetry(facts, outfit, rng)
+    said = chain.from_iterable(listed for _, listed in _paragraph(outfit))
+    return Said(_sentence(*sentences), (*outfit.named, *outfit.parts, *said))
+
+
+def _paragraph(outfit: _Outfit) -> list[tuple[str, list[str]]]:
+    """Subject and details of each sentence after the first."""
+    it = "They" if outfit.is_plural else "It"
+
+    def at(*places: Place) -> list[str]:
+        return [detail.text for detail in outfit.details if detail.place in places]
+
+    if outfit.parts:
+        above = at(*UPPER, Place.WAIST)
+        if len(above) > MOST_LISTED:
+            groups = [("It", at(Place.NECK, Place.SLEEVES)), ("It", at(Place.BODY, Place.WAIST))]
+        else:
+            groups = [("It", above)]
+        groups.append((f"The {outfit.lower}", at(Place.LOWER, Place.HEM)))
+    elif outfit.lower:
+        groups = [(it, at(Place.WAIST, Place.LOWER)), (it, at(Place.HEM))]
+    else:
+        groups = [(it, at(Place.NECK, Place.SLEEVES)), (it, at(Place.BODY, Place.WAIST, Place.HEM))]
+        if len(outfit.details) <= MOST_LISTED:
+            groups = [(it, at(*Place))]
+    return [(subject, listed) for subject, listed in groups if listed]
+
+
+def _symmetry(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> str:
+    """A clause about the two sides, or nothing."""
+    if facts.is_symmetrical:
+        return str(rng.choice([", and both sides match", ", and left and right are alike"]))
+    if "asymmetric" in outfit.adjectives:
+        return str(rng.choice([", and the two sides differ", ", and left and right are cut differently"]))
+    return ""
+
+
+def _noun_phrase(noun: str) -> str:
+    """The noun with its article; a plural without."""
+    return noun if noun.endswith(("trousers", "shorts")) else with_article(noun)
+
+
+def _sentence(*clauses: str) -> str:
+    """Clauses as sentences."""
+    return " ".join(f"{clause[0].upper()}{clause[1:]}." for clause in clauses)

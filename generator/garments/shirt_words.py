@@ -1,0 +1,151 @@
+"""A shirt in words: bodice, necklines, collar and sleeves, and the differences of its halves."""
+
+from gcd_dataset.generator.garments.collar import collar_words
+from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Words, with_article
+from gcd_dataset.generator.garments.neckline import (
+    NecklineDesign,
+    back_neckline_words,
+    neckline_words,
+    worn_neckline,
+)
+from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_words
+from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
+from gcd_dataset.records import Measurements
+
+__all__ = ["ONE_SHOULDER", "describe_shirt"]
+
+LOOSE = 1.18  # least girth of the chest over the bust of a loose shirt
+FLARED, TAPERED = 1.2, 0.88  # least and largest girth of the hem over the chest of a flared and of a tapered shirt
+NEAR_NECK = (0.35, 0.6)  # largest width and front depth, as in ``NecklineDesign``, of a neckline close to the neck
+STRAPLESS: Words = ("strapless",)
+ONE_SHOULDER: Words = ("one-shoulder",)
+SLEEVELESS: Words = ("sleeveless",)
+SIDES = ("right", "left")
+
+
+def describe_shirt(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) -> Description:
+    """A shirt of one design for both halves, or of two, the right one first."""
+    bare = [fitted and shirt.strapless for shirt, _, _ in halves]
+    traits: tuple[Words, ...] = ()
+    details: tuple[Detail, ...] = ()
+    if all(bare):
+        traits = (STRAPLESS,)
+    elif any(bare):
+        traits, details = (ONE_SHOULDER,), _one_shoulder(size, halves, side=bare.index(False))
+    else:
+        traits = (SLEEVELESS,) if all(arm.sleeveless for _, _, arm in halves) else ()
+        details = (*_necks(size, halves, fitted=fitted), *_sleeves(size, [arm for _, _, arm in halves]))
+    return Description(("top",), _cut([shirt for shirt, _, _ in halves], fitted=fitted), details, traits)
+
+
+def _cut(shirts: list[ShirtDesign], *, fitted: bool) -> tuple[Words, ...]:
+    """The adjective of the cut, if both halves have the same."""
+    if fitted:
+        return (("fitted",),)
+    words = {_straight_cut(shirt) for shirt in shirts}
+    return () if len(words) > 1 else ((words.pop(),),)
+
+
+def _straight_cut(shirt: ShirtDesign) -> str:
+    if shirt.flare >= FLARED:
+        return "flared"
+    if shirt.width >= LOOSE:
+        return "loose"
+    return "tapered" if shirt.flare <= TAPERED else "straight"
+
+
+def _necks(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) -> tuple[Detail, ...]:
+    """The neckline or collar, and a low back."""
+    if len(halves) == 1:
+        ((shirt, neck, arm),) = halves
+        front, back = _neck(size, shirt, neck, arm, fitted=fitted)
+        near = neck.width <= NEAR_NECK[0] and neck.fc_depth <= NEAR_NECK[1]
+        collar = collar_words(neck.component, near_neck=near)
+        words = collar or tuple(with_article(noun) for noun in front)
+        details = [Detail(Place.NECK, words, main=True)]
+    else:
+        necks = [_neck(size, shirt, neck, arm, fitted=fitted) for shirt, neck, arm in halves]
+        (right, back), (left, left_back) = necks
+        back = back if back == left_back else ()
+        if right == left:
+            details = [Detail(Place.NECK, tuple(with_article(noun) for noun in right), main=True)]
+        else:
+            shapes = [words[0].removesuffix(" neckline").removesuffix("-neckline") for words in (right, left)]
+            phrase = f"a neckline that is {_predicate(shapes[0])} on the right and {_predicate(shapes[1])} on the left"
+            details = [Detail(Place.NECK, (phrase,), main=True, sided=True)]
+    return (*details, Detail(Place.NECK, back)) if back else tuple(details)
+
+
+def _predicate(shape: str) -> str:
+    """The adjective after "is": "V" becomes "V-shaped"."""
+    return f"{shape}-shaped" if shape.endswith("V") else shape
+
+
+def _neck(
+    size: Measurements, shirt: ShirtDesign, neck: NecklineDesign, arm: SleeveDesign, *, fitted: bool
+) -> tuple[Words, Words]:
+    """The neckline of a half in front, without article, and behind."""
+    worn = worn_neckline(neck)
+    torso = right_torso(size, shirt, neck, arm, fitted=fitted)
+    front, back = (torso.piece(name).outline.run("neck") for name in (FRONT_NAME, BACK_NAME))
+    drops = []
+    for piece, neckline in ((FRONT_NAME, front), (BACK_NAME, back)):
+        shoulder = torso.piece(piece).outline.edge("shoulder")
+        low = min(y for stroke in neckline for _, y in (stroke.start, stroke.end))
+        drops.append((min(shoulder.start[1], shoulder.end[1]) - low) / size.drawn_bust_line)
+    return neckline_words(worn, front, drop=drops[0]), back_neckline_words(worn, drop=drops[1])
+
+
+def _sleeves(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
+    """The sleeves and their cuffs; none for a sleeveless shirt, which its trait names."""
+    worn = [arm for arm in arms if not arm.sleeveless]
+    if not worn:
+        return ()
+    pairs, singles = sleeve_words(size, worn[0]), [sleeve_words(size, arm, pair=False)[0] for arm in worn]
+    if len(worn) == 1 and len(arms) == 2:
+        side = SIDES[0 if arms[0] is worn[0] else 1]
+        one = (f"one {singles[0]} on the {side} only",)
+        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_single_cuffs(size, worn, [""]))
+    if len(worn) == 2 and singles[0] != singles[1]:
+        both = f"{with_article(singles[0])} on the right and {with_article(singles[1])} on the left"
+        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(size, worn))
+    return (Detail(Place.SLEEVES, pairs, main=True), *_pair_of_cuffs(size, worn))
+
+
+def _pair_of_cuffs(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
+    """The cuffs of both sleeves, named one by one if they differ; ``arms``: one design if both are alike."""
+    words = {
+        cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm), limb="sleeve") if arm.cuff.type else ()
+        for arm in arms
+    }
+    if len(words) > 1:
+        return _single_cuffs(size, arms, [f" on the {side} sleeve" for side in SIDES])
+    found = words.pop()
+    return (Detail(Place.SLEEVES, found),) if found else ()
+
+
+def _single_cuffs(size: Measurements, arms: list[SleeveDesign], where: list[str]) -> tuple[Detail, ...]:
+    """Each cuff by itself; ``where``: words after it."""
+    return tuple(
+        Detail(
+            Place.SLEEVES,
+            (single_cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm)) + place,),
+            sided=bool(place),
+        )
+        for arm, place in zip(arms, where, strict=True)
+        if arm.cuff.type
+    )
+
+
+def _one_shoulder(size: Measurements, halves: tuple[UpperHalf, ...], *, side: int) -> tuple[Detail, ...]:
+    """The half with a shoulder of a shirt that is strapless on the other side."""
+    arm, name = halves[side][2], SIDES[side]
+    if arm.sleeveless:
+        return (Detail(Place.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
+    single = with_article(sleeve_words(size, arm, pair=False)[0])
+    return (
+        Detail(Place.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
+        *_single_cuffs(size, [arm], [""]),
+    )
