@@ -21,6 +21,10 @@ The rules that move a parameter by more than 5 %, and why:
 - ``tight_cuff``: a leg or an arm does not fit through its cuff;
 - ``too_heavy`` of ``flare-skirt.length``, ``flare-skirt.suns`` and ``levels-skirt.length``: a long or wide flared skirt
   alone needs a firm waistband, as in GarmentCode;
+- ``overloaded_hips`` and ``overloaded_straps`` of the same parameters: friction on the hips holds no more cloth, or
+  shoulder seams stretch by more than 40 % under its weight;
+- ``too_tight`` of ``shirt.length`` and ``waistband.width``: a band or bottom cut for the waist is worn at the hips, and
+  would stretch by more than 20 %;
 - ``nothing_holds`` of ``meta.bottom`` and ``meta.wb``: a skirt alone on a wearer whose waist is nearly as wide as the
   hips gets a band, or trousers are drawn;
 - ``slides_off`` and ``loose_gathers`` of ``waistband.waist``: a bottom alone may not be wider than the trunk, and

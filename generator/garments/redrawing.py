@@ -94,7 +94,8 @@ class Redrawing:
             low, high = -np.inf, np.inf
             if remedy.low or remedy.high:
                 last = value_at(self.space, trial, remedy.paths[0])
-                low, high = (low, last) if remedy.low else (last, high)
+                # Strictly beyond: a default equal to the last value would be kept with its probability.
+                low, high = (low, np.nextafter(last, -np.inf)) if remedy.low else (np.nextafter(last, np.inf), high)
             trial = self.again(design, rule, *remedy.paths, low=low, high=high)
             if trial != design:
                 yield trial

@@ -15,18 +15,20 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
+from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
     corner_angles,
     cuff_and_arm_girth,
+    girth_of_cloth,
     has_narrow_strap,
     is_mismatched,
     shortest_shoulder,
     strap_width,
 )
-from gcd_dataset.generator.garments.tightness import tightest_ring
+from gcd_dataset.generator.garments.tightness import tightest_ring, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
@@ -38,6 +40,7 @@ __all__ = [
     "DrawnOutfit",
     "Reject",
     "bottom_length",
+    "broken_by_weight",
     "check_outfit",
     "cuff_and_leg_girth",
     "garment_length",
@@ -166,7 +169,7 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     for half in design.halves():
         cuff, arm = cuff_and_arm_girth(size, design, half)
-        if 0.0 < cuff * CLOTH_GIVES < arm:
+        if 0.0 < cuff * CLOTH_GIVES < girth_of_cloth(arm):
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
     return None
@@ -179,6 +182,24 @@ def too_tight(outfit: DrawnOutfit) -> Reject | None:
         return None
     figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"
     return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
+
+
+def overloaded_straps(outfit: DrawnOutfit) -> Reject | None:
+    """The shoulder seams stretch under the weight of the outfit by more than ``STRAPS_GIVE``."""
+    stretch = strap_stretch(outfit.size, outfit.design)
+    if stretch <= STRAPS_GIVE:
+        return None
+    figures = f"the weight stretches the shoulder seams to {stretch:.2f} times their length: shorten the bottom"
+    return Reject("overloaded_straps", figures, {"stretch": stretch})
+
+
+def overloaded_hips(outfit: DrawnOutfit) -> Reject | None:
+    """A skirt alone, or a strapless dress, is heavier than friction on the hips holds: see ``hip_load``."""
+    load = hip_load(outfit.size, outfit.design)
+    if load is None or not load.slides:
+        return None
+    figures = f"{load.cloth:.2f} m² of cloth on hips that hold {load.held:.2f} m²: shorten the bottom"
+    return Reject("overloaded_hips", figures, {"cloth_m2": load.cloth, "held_m2": load.held})
 
 
 def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
@@ -250,6 +271,8 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     too_heavy,
     tight_cuff,
     too_tight,
+    overloaded_straps,
+    overloaded_hips,
     narrow_shoulder,
     mismatched_seam,
     self_crossing,
@@ -355,12 +378,22 @@ def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
 
 
 def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether a ring of cloth round trunk or legs is too tight."""
+    """Whether a ring of cloth round the trunk is too tight."""
     try:
-        ring = tightest_ring(size, design)
+        return any(ring.stretch > CLOTH_GIVES for ring in trunk_rings(size, design))
     except PatternError:  # drawing the outfit reports it
         return False
-    return ring is not None and ring.stretch > CLOTH_GIVES
+
+
+def broken_by_weight(size: Measurements, design: OutfitDesign) -> str:
+    """The rule that the weight of an outfit breaks; empty if it breaks none."""
+    try:
+        load, stretch = hip_load(size, design), strap_stretch(size, design)
+    except PatternError:  # drawing the outfit reports it
+        return ""
+    if load is not None and load.slides:
+        return "overloaded_hips"
+    return "overloaded_straps" if stretch > STRAPS_GIVE else ""
 
 
 def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:

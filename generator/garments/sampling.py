@@ -10,7 +10,9 @@ value outside the limits set by the rest of the design and by the wearers' measu
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
 - puts a skirt alone on a band, or draws trousers, for a wearer whose hips are hardly wider than the waist;
-- lowers a waistband that is too tight for the hips, and narrows a neckline that leaves too little shoulder;
+- shortens a shirt, or lowers a waistband, if a part is too tight for the hips, widens a tapered hem, and narrows a
+  neckline that leaves too little shoulder;
+- takes cloth off a bottom that is too heavy for shoulder seams or hips;
 - redraws the parameter at fault, such as the depth of a neckline or of a godet, until the panels can be sewn and legs
   and arms fit through their cuffs; all other parameters stay;
 - counts each redraw with its rule.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import cos, inf
+from math import cos, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
     "CLOTH_GIVES",
+    "CLOTH_OFF_SKIN",
     "NARROWEST_STRAP",
     "SHARPEST_CORNER",
     "SHORTEST_SHOULDER",
@@ -33,6 +34,7 @@ __all__ = [
     "bottom_fault",
     "corner_angles",
     "cuff_and_arm_girth",
+    "girth_of_cloth",
     "half_fault",
     "has_narrow_strap",
     "is_mismatched",
@@ -44,6 +46,7 @@ __all__ = [
     "widest_neckline",
 ]
 
+CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
 NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
@@ -75,7 +78,7 @@ def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fau
 
 
 def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
-    """Girth of the arm over the stretched girth of the band at the end of a half's sleeve; above 1 it is too tight.
+    """Girth of cloth on the arm over the stretched girth of the band of a half's sleeve; above 1 it is too tight.
 
     0 without a band, and for a half that cannot be drawn.
     """
@@ -84,7 +87,12 @@ def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) 
         band, arm = cuff_and_arm_girth(size, design, (shirt, NecklineDesign(), sleeve))
     except PatternError:
         return 0.0
-    return arm / (band * CLOTH_GIVES) if band else 0.0
+    return girth_of_cloth(arm) / (band * CLOTH_GIVES) if band else 0.0
+
+
+def girth_of_cloth(body: float) -> float:
+    """Girth of a ring of cloth that lies on a body of this girth [cm]: 2 cm more, a tenth on a wrist."""
+    return body + 2 * pi * CLOTH_OFF_SKIN
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:

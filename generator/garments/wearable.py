@@ -19,6 +19,7 @@ from gcd_dataset.generator.garments.rules import (
     LIGHT_LENGTH,
     LIGHT_SUNS,
     bottom_length,
+    broken_by_weight,
     garment_length,
     has_firm_band,
     has_snug_band,
@@ -49,6 +50,7 @@ __all__ = ["wearable"]
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length for such a shirt
 WIDEST_END = 2.0  # largest sleeve.end_width
 LEFT = "left."
+TRUNK = "trunk"  # the part at fault where cloth is too tight or too heavy for the wearer
 FLARED_CUFF = "sl_right_cuff_skirt_f"
 
 
@@ -90,7 +92,9 @@ def wearable(
         design = fitting.with_upper(design)
     if design.meta.bottom:
         design = fitting.with_bottom(design)
-    design = fitting.with_lower_band(design)
+    design = fitting.with_lower_band(fitting.with_room(design))
+    if design.meta.bottom:
+        design = fitting.with_light_cloth(design)
     return DrawnDesign(design, dict(redrawing.counts))
 
 
@@ -175,14 +179,64 @@ class _Fitting:
     def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
         """The design with the waistband lowered while a ring is too tight; a firm band stays firm."""
         for _ in range(TRIES if design.meta.wb else 0):
-            if not any(is_too_tight(size, design) for size in self.sizes):
+            if not self._is_tight(design):
                 break
             height = design.waistband.width
             least = FIRM_BAND if height > FIRM_BAND else -inf
             design = self.redrawing.again(design, "too_tight", "waistband.width", low=least, high=height)
         return design
 
+    def with_room(self, design: OutfitDesign) -> OutfitDesign:
+        """The design with a straight shirt that leaves room for the hips.
+
+        A shirt with a part sewn to its hem is shortened, so that the part is worn nearer to the waist, for which it is
+        cut; a free hem is widened.
+        """
+        upper = design.meta.upper
+        if upper is None or not isinstance(upper.garment, Shirt) or upper.garment.at_waist:
+            return design
+        fitting, joined = design, bool(design.meta.wb or design.meta.bottom)
+        for _ in range(TRIES):
+            if not self._is_tight(fitting):
+                break
+            if joined:
+                shorter = float(np.nextafter(fitting.shirt.length, -inf))
+                fitting = self.redrawing.again(
+                    fitting, "too_tight", "shirt.length", low=min(shorter, JOINED_SHIRT[0]), high=shorter
+                )
+            else:
+                fitting = self._with_wider_hem(fitting)
+        if fitting is design:
+            return design
+        return self.redrawing.repaired(fitting, self._shirt_fault, _shirt_remedies, limited=self._with_shoulders)
+
+    def _with_wider_hem(self, design: OutfitDesign) -> OutfitDesign:
+        """The design with more flare in the half that has less."""
+        flares = [half[0].flare for half in design.halves()]
+        least = int(np.argmin(flares))
+        path = ("shirt.flare", "left.shirt.flare")[least]
+        return self.redrawing.again(design, "too_tight", path, low=float(np.nextafter(flares[least], inf)))
+
+    def _is_tight(self, design: OutfitDesign) -> bool:
+        return any(is_too_tight(size, design) for size in self.sizes)
+
     # --------------------------------------------------------------------------------------------------------- bottoms
+
+    def with_light_cloth(self, design: OutfitDesign) -> OutfitDesign:
+        """The design with a narrower or shorter bottom while shoulder seams or hips carry too much cloth."""
+
+        def fault(trial: OutfitDesign) -> Fault | None:
+            broken = next(filter(None, (broken_by_weight(size, trial) for size in self.sizes)), "")
+            return Fault(broken, TRUNK) if broken else None
+
+        if fault(design) is None:
+            return design
+        return self.redrawing.repaired(
+            design,
+            lambda trial: fault(trial) or self._bottom_fault(trial),
+            lambda found: _load_remedies(design) if found.part == TRUNK else _bottom_remedies(design, found),
+            limited=self._hanging_in_place,
+        )
 
     def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
         """The design with a bottom that can be sewn and worn, ends above the floor and suits the waistband."""
@@ -265,6 +319,14 @@ def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
     sections = tuple(dict.fromkeys(part.section for part in parts))
     named = dict.fromkeys(f"{part.section}.{path}" for part in parts for path in part.remedies)
     return (*_remedies(*named), Remedy(sections))
+
+
+def _load_remedies(design: OutfitDesign) -> tuple[Remedy, ...]:
+    """A bottom of less cloth; if it does not suffice, straps."""
+    top = top_of_bottom(design)
+    full = (f"{top.section}.{top.fullness_parameter}-",) if top is not None and top.fullness_parameter else ()
+    straps = ("shirt.strapless",) if design.meta.upper else ()
+    return _remedies(*full, f"{_length_path(design)}-", *straps)
 
 
 def _is_plain(design: OutfitDesign) -> bool:

@@ -53,6 +53,7 @@ def test_a_remedy_draws_below_the_value_at_fault(redrawing: Redrawing) -> None:
     ]
     assert sorted(lengths, reverse=True) == lengths
     assert all(length < OutfitDesign().shirt.length for length in lengths)
+    assert len(lengths) == TRIES  # a default at fault is not kept
 
 
 def test_a_value_within_its_limits_is_not_drawn_again(redrawing: Redrawing) -> None:

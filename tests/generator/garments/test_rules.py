@@ -136,7 +136,7 @@ def polygon(corners: list[tuple[float, float]]) -> Panel:
 def test_a_cuff_too_tight_for_the_arm_is_rejected(woman: Measurements, length: float, tight: bool) -> None:
     """A narrow band fits the wrist, but not the upper arm."""
     cuff = {"type": "CuffBand", "cuff_len": 0.05, "top_ruffle": 2.0}
-    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.6, "cuff": cuff}}
+    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.8, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
 
 
