@@ -84,13 +84,15 @@ def _put_on_leg(
     The crotch is the lowest point at which both trouser legs meet.
     """
     centres = mesh.vertices[mesh.faces].mean(axis=1)
-    left, right = (trousers[mesh.panel_id] & (way * centres[:, 0] > 0.0) for way in (1.0, -1.0))
+    faces = np.bincount(mesh.panel_id, minlength=len(trousers))
+    panel_x = np.bincount(mesh.panel_id, centres[:, 0], minlength=len(trousers)) / np.maximum(faces, 1)
+    left, right = ((trousers & (way * panel_x > 0.0))[mesh.panel_id] for way in (1.0, -1.0))
     joined = np.intersect1d(mesh.faces[left], mesh.faces[right])
     if len(joined):
         crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
         below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        moved = put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
-        if moved and abs(leg.axis[1]) > UPRIGHT:
+        put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
+        if below.any() and abs(leg.axis[1]) > UPRIGHT:
             _keep_off_the_other_leg(np.unique(mesh.faces[below]), leg, side, placed)
 
 

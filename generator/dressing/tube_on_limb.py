@@ -17,6 +17,8 @@ ROOT = 10.0  # cm: nearer to its root a tube may lie beside the limb's axis
 GAP = 1.0  # cm that a cross section must reach beyond the limb on either side
 BEFORE_END = 1.0  # cm between the end of a tube and that of the limb
 LEAST_LENGTH = 0.4  # share of its length to which a tube may be compressed
+MOST_OVERLAP = 0.5  # share of a panel's length that lies beside the previous piece: more, and it belongs to that piece
+LEAST_RING = 6  # vertices of a cross section; fewer may lie on one side of the limb
 RINGS = 40  # level sets on which the distance from the root is averaged
 
 
@@ -56,6 +58,9 @@ class _Tube:
     """Positions [cm]."""
     distance: Float[np.ndarray, " n"]
     """Distance from the root [cm], averaged over each level set of a harmonic function, such as the open end."""
+    piece: Int[np.ndarray, " n"]
+    """Number of the piece of each vertex, from the root: sleeve, cuff, cuff's skirt; on their seam the piece nearer to
+    the root."""
     section: float
     """Length of a cross section along the tube [cm]."""
     end_girth: float
@@ -83,7 +88,10 @@ class _Tube:
         ends, lengths = cloth.edges
         girth = float(lengths[np.isin(ends, end).all(axis=1)].sum())
         section = SECTION * float(np.median(lengths))
-        return _Tube(rows, points, distance, section, girth, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
+        piece = _pieces(mesh.faces[own], mesh.panel_id[own], rows, distance)
+        return _Tube(
+            rows, points, distance, piece, section, girth, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]])
+        )
 
     def surrounds(self, skin: Float[np.ndarray, "s 3"], gap: float) -> bool:
         """Whether every cross section beyond ``ROOT`` surrounds the limb's skin at the same height, ``GAP`` apart."""
@@ -111,24 +119,54 @@ class _Tube:
         across, _, depth = (self.points @ self.frame.T).T
         longest = float(self.distance.max())
         shrink = np.clip((_end_of(limb) - root) / longest, LEAST_LENGTH, 1.0) if longest > ROOT else 1.0
-        distances, middles, factors = [], [], []
+        middle, factor = np.empty(len(self.rows)), np.empty(len(self.rows))
+        found: dict[int, list[tuple[float, float, float]]] = {}
         for here in self._sections():
             distance = float(self.distance[here].mean())
             beside = np.abs(skin_along - root - shrink * distance) < self.section
             low, high = float(across[here].min()), float(across[here].max())
             need = float(np.abs(skin_across[beside]).max(initial=0.0)) + GAP if beside.any() else 0.0
-            distances.append(distance)
-            middles.append(0.5 * (low + high))
-            factors.append(max(1.0, 2.0 * need / max(high - low, self.section)))
-        middle, factor = (np.interp(self.distance, distances, values) for values in (middles, factors))
+            widened = max(1.0, 2.0 * need / max(high - low, self.section))
+            found.setdefault(int(self.piece[here[0]]), []).append((distance, 0.5 * (low + high), widened))
+        for piece, sections in found.items():  # a gathered sleeve and its cuff lie beside each other in the box mesh
+            own = self.piece == piece
+            distances, middles, factors = zip(*sections, strict=True)
+            middle[own] = np.interp(self.distance[own], distances, middles)
+            factor[own] = np.interp(self.distance[own], distances, factors)
         local = np.stack([factor * (across - middle), root + shrink * self.distance, depth], axis=1)
         share = np.minimum(self.distance / ROOT, 1.0)[:, None]
         return self.points + share * (limb.origin + local @ frame - self.points)
 
     def _sections(self) -> list[Int[np.ndarray, " k"]]:
-        """The vertices of each cross section, from the root to the end."""
-        numbers = np.floor(self.distance / self.section).astype(int)
-        return [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+        """The vertices of each cross section of each piece, from the root to the end; without incomplete sections."""
+        return [section for number in np.unique(self.piece) for section in self._sections_of(number)]
+
+    def _sections_of(self, piece: int) -> list[Int[np.ndarray, " k"]]:
+        own = np.flatnonzero(self.piece == piece)
+        numbers = np.floor(self.distance[own] / self.section).astype(int)
+        sections = [own[numbers == number] for number in np.unique(numbers)]
+        return [section for section in sections if len(section) >= LEAST_RING] or [own]
+
+
+def _pieces(
+    faces: Int[np.ndarray, "f 3"],
+    panel_id: Int[np.ndarray, " f"],
+    rows: Int[np.ndarray, " n"],
+    distance: Float[np.ndarray, " n"],
+) -> Int[np.ndarray, " n"]:
+    """See ``_Tube.piece``: panels at the same distances from the root form a piece."""
+    at = np.searchsorted(rows, faces)
+    panels = [np.unique(at[panel_id == panel]) for panel in np.unique(panel_id)]
+    panels.sort(key=lambda own: float(distance[own].mean()))
+    piece = np.full(len(rows), len(panels))
+    number, reach = -1, -np.inf
+    for own in panels:
+        first, last = float(distance[own].min()), float(distance[own].max())
+        if reach - first < MOST_OVERLAP * (last - first):
+            number += 1
+        reach = max(reach, last)
+        piece[own] = np.minimum(piece[own], number)
+    return piece
 
 
 def _end_of(limb: Limb) -> float:
