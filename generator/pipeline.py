@@ -330,7 +330,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         front=front,
         back=back,
         gathers=dressed.pattern.gather_ratios(),
-        tags=outfit_tags(dressed.size, design.design),
+        tags=outfit_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
         caption=_caption(design, dressed) if config.captions else None,

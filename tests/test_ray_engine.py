@@ -1,14 +1,19 @@
 """The parts of the Ray engine that run without Ray."""
 
+import errno
 import itertools
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, DrapeError, GcdError
+from gcd_dataset.generator.drapers import DrapeRequest, ray_actor
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.records import Sample
+from gcd_dataset.verbs import ray_engine
 from gcd_dataset.verbs.ray_engine import (
     Actor,
     code_versions,
@@ -80,6 +85,88 @@ def test_versions_that_differ_are_named_with_both() -> None:
 def test_sources_count_as_a_version() -> None:
     assert len(code_versions()["sources"]) == 12
     assert code_versions() | {"sources": ""} != code_versions()
+
+
+# ----------------------------------------------------------------------------------------------------- faults of a node
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (MemoryError(), r"node 10\.0\.0\.7: out of memory: give fewer --workers, or a node with more memory"),
+        (MemoryError("Unable to allocate 3 GiB"), r"out of memory \(Unable to allocate 3 GiB\): give fewer --workers"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "out of memory .*: give fewer --workers"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room there, or remove"),
+        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied: correct this there, or remove"),
+    ],
+)
+def test_a_fault_of_a_node_is_named_with_its_remedy(
+    fault: Exception, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def finished(sample: Sample) -> None:
+        raise fault
+
+    monkeypatch.setattr(ray_engine, "_node", lambda: "10.0.0.7")
+    task = ray_engine._Task(0, 5, (0,), MakeConfig(stage="pattern"), finished, code_versions())
+    with pytest.raises(GcdError, match=f"{message}.*then give the same command again to continue"):
+        raise ray_engine._run_task(task, ()).error or AssertionError("no error")
+
+
+class FakeRay(ModuleType):
+    """Ray with actors that are lost with each garment: ``get`` raises for every reply, or for those of ``drape``."""
+
+    class RayError(Exception):
+        """Ray's base class of errors."""
+
+    def __init__(self, *, restarts: bool) -> None:
+        super().__init__("ray")
+        self.exceptions = self
+        self.restarts = restarts
+
+    def wait(self, references: list[str], **_: object) -> tuple[list[str], list[str]]:
+        return references[:1], references[1:]
+
+    def get(self, reference: str) -> str:
+        if reference.startswith("drape") or not self.restarts:
+            raise self.RayError(reference)
+        return "node"
+
+
+class FakeActor:
+    """An actor whose calls return a reference at once."""
+
+    def __init__(self) -> None:
+        self.drape = self.ready = self
+        self.calls = 0
+
+    def options(self, **_: object) -> "FakeActor":
+        return self
+
+    def remote(self, *request: object) -> str:
+        self.calls += 1
+        return f"{'drape' if request else 'ready'} {id(self)} {self.calls}"
+
+
+@pytest.mark.parametrize(
+    ("restarts", "message"),
+    [
+        (True, "a garment was sent to 4 draping actors .* in turn, and each ended before it replied, the last with "
+         r"RayError: read their logs \(.*\), then give the same command again to continue"),
+        (False, r"no draping actor of the Ray cluster replies: all 2 have ended.*\(ray status, ray list actors\)"),
+    ],
+)  # fmt: skip
+def test_lost_actors_are_reported_with_what_happened(
+    restarts: bool, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", FakeRay(restarts=restarts))
+    monkeypatch.setattr(ray_actor, "require_faces", lambda request: None)
+    draper = ray_actor.RayDraper([FakeActor(), FakeActor()])
+    draper.send(DrapeRequest(0, job=None))  # type: ignore[arg-type]
+    with pytest.raises(DrapeError, match=message):
+        draper.receive()
+
+
+# ---------------------------------------------------------------------------------------------------------------- verbs
 
 
 def test_without_ray_the_extra_is_named(

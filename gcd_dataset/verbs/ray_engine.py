@@ -10,6 +10,7 @@ retried task makes the same bytes; only this process writes, so no sample is sto
 """
 
 import contextlib
+import errno
 import hashlib
 import logging
 import math
@@ -51,6 +52,7 @@ LOOK = 30.0  # s between checks of the nodes while waiting for a result
 RETRIES = 3  # repetitions of a task after losses of its worker or node
 AHEAD = 2  # tasks submitted for each slot, so that none is idle while the writer is busy
 RANGE = 5.0  # CPU time of a task [s]: long against Ray's overhead of some milliseconds
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors of a disk without room
 EVENT = 160  # most characters of a logged event message of Ray
 SHARES = 4  # least number of tasks for each slot in a short run
 CPUS_BESIDE_GPU = 0.5  # CPUs per task if GPUs drape: while one task waits for its drapes, another uses the CPU
@@ -231,13 +233,21 @@ def _run_task(task: _Task, actors: Sequence[Actor]) -> _TaskResult:
                 for result in produce(task.seed, task.indices, task.config, draper=draper, finished=task.finished):
                     results.append(result)  # noqa: PERF402 - keeps the results before an error
         except (OSError, MemoryError) as fault:
-            error = OutputError(
-                f"node {_node()}: {fault}: make room there, or remove the node from the cluster, then give the same "
-                "command again to continue"
-            )
+            error = _node_fault(_node(), fault)
         except Exception as fault:  # noqa: BLE001 -- raised in the writing process
             error = fault
     return _TaskResult(tuple(results), error, tuple(logged))
+
+
+def _node_fault(node: str, fault: OSError | MemoryError) -> GcdError:
+    """The error for a fault of a node: too little memory, a full disk, or another one of its system."""
+    resume = "then give the same command again to continue"
+    if isinstance(fault, MemoryError) or fault.errno == errno.ENOMEM:
+        said = f" ({fault})" if str(fault) else ""
+        remedy = "give fewer --workers, or a node with more memory for each CPU"
+        return GcdError(f"node {node}: out of memory{said}: {remedy}, {resume}")
+    remedy = "make room there" if fault.errno in FULL else "correct this there"
+    return OutputError(f"node {node}: {fault}: {remedy}, or remove the node from the cluster, {resume}")
 
 
 def _draper(actors: Sequence[Actor], number: int) -> Draper:

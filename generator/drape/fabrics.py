@@ -28,7 +28,7 @@ WANG = (
     "thickness: {}"
 )
 PENAVA = "of the class: Penava et al., Fibres & Textiles in Eastern Europe 22(2), 2014, Table 1, {}"
-UNKNOWN = "not published, left at what the solver keeps between layers"
+UNKNOWN = f"not published; {Fabric().thickness} cm is assumed, the least distance of layers in a drape"
 
 
 def _measured(warp: float, weft: float, shear: float) -> Tensile:

@@ -66,8 +66,9 @@ class RayDraper:
                 raise DrapeError(f"while draping on a GPU of the Ray cluster: {reply}")
             if losses + 1 == MAX_LOSSES:
                 raise DrapeError(
-                    f"{MAX_LOSSES} draping actors of the Ray cluster died with a garment, the last by {reply.reason}: "
-                    "see their logs (ray list actors), then give the same command again: it continues from here"
+                    f"a garment was sent to {MAX_LOSSES} draping actors of the Ray cluster in turn, and each ended "
+                    f"before it replied, the last with {reply.reason}: read their logs (ray list actors, ray logs "
+                    "actor --id ID), then give the same command again to continue"
                 )
             self._find_live_actor()
             self._send(request, losses + 1)
@@ -97,8 +98,9 @@ class RayDraper:
             self._actors.appendleft(actor)
             return
         raise DrapeError(
-            "no GPU of the Ray cluster drapes any more: see ray status, then give the same command again: it continues "
-            "from here"
+            f"no draping actor of the Ray cluster replies: all {len(self._actors)} have ended, or did not restart "
+            f"within {RESTART_TIME:.0f} s: look for lost GPUs (ray status, ray list actors), then give the same "
+            "command again to continue"
         )
 
 

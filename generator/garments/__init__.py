@@ -5,7 +5,7 @@ A new garment, for example a skirt, takes one file and one line. ``gathered_skir
 1. The file, in this folder, has three parts: a frozen ``Design`` (``space.py``), each field with default, range and
    docstring; a function of the wearer's measures [cm], that design and a ``Cutting``, which returns a ``Component`` of
    ``gcd_dataset.generator.pattern``; and a record, ``SimpleBottom`` for a skirt (``garment.py``), with both and all
-   facts for outfits, sampling, rules and statistics: length, gathers, tags, words for captions, sampling weight, ….
+   facts for outfits, sampling, rules and statistics: length, gathers, tags and words for captions, sampling weight, ….
 2. The line is a member of ``Bottom`` in ``wardrobe.py``. It adds the section to the outfit's design, to design files
    and to overlays; sampling draws the garment by its weight (0: only if an overlay names it); the test battery draws it
    for all test wearers.

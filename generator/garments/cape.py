@@ -92,14 +92,13 @@ def _describe(design: CapeDesign) -> Description:
         front = ("a front that is open below the neck", "a front opening")
     else:
         front = ("a front that is open towards the hem",)
-    return Description((noun,), (), (Detail(Place.BODY, front, main=True),))
+    return Description((noun,), (), (Detail(Place.BODY, front, main=True),), tags=(Tag.CAPE, Tag.SLEEVELESS))
 
 
 CAPE = SimpleUpper(
     name="Cape",
     section="cape",
     design=CapeDesign,
-    tags_of=lambda design: (Tag.CAPE, Tag.SLEEVELESS),
     weight=0,
     carries=False,
     cut=cape,

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.flare_skirt import (
     HemCutDesign,
     flare_nouns,
     flare_skirt_length,
-    flare_tags,
+    flare_tag,
 )
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import sector
@@ -121,18 +121,17 @@ def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
     return replace(design, cut=replace(design.cut, add=False))
 
 
-def _cut_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
-    return (Tag.SLIT,) if design.cut.add else ()
-
-
 def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
-    return Description(flare_nouns(design)).adding(*_cut_details(setting, design))
+    cut = _cut_details(setting, design)
+    return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *_cut_tags(cut)))
 
 
 def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Description:
     nouns = ("off-centre circle skirt", "circle skirt cut off centre")
     hem = ("a hem that is longer behind than in front", "a high-low hem")
-    return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *_cut_details(setting, design)))
+    cut = _cut_details(setting, design)
+    tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(cut))
+    return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *cut), tags=tags)
 
 
 def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ...]:
@@ -149,6 +148,10 @@ def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ..
     return (Detail(Place.HEM, words, main=True, sided=side != "middle"),)
 
 
+def _cut_tags(cut: tuple[Detail, ...]) -> tuple[Tag, ...]:
+    return (Tag.SLIT,) if cut else ()
+
+
 CIRCLE_SKIRT = SimpleBottom(
     name="SkirtCircle",
     section="flare-skirt",
@@ -156,7 +159,6 @@ CIRCLE_SKIRT = SimpleBottom(
     cut=circle_skirt,
     length_of=flare_skirt_length,
     description_of=_describe,
-    tags_of=lambda design: (*flare_tags(design), *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
     fullness_parameter="suns",
@@ -171,7 +173,6 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     cut=asymmetric_circle_skirt,
     length_of=flare_skirt_length,
     description_of=_describe_asymmetric,
-    tags_of=lambda design: (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
     remedies=CUT_REMEDIES,

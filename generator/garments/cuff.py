@@ -15,7 +15,7 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.garments.tags import RUFFLES, Tag
+from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.pattern import Component, Interface, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -25,7 +25,6 @@ __all__ = [
     "SleeveCuffDesign",
     "arm_girth_in_cuff",
     "cuff",
-    "cuff_tags",
     "cuff_words",
     "single_cuff_words",
     "skirt_share",
@@ -86,14 +85,6 @@ class PantsCuffDesign(Design):
 
 
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
-
-
-def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
-    """The tags of a cuff, if there is one."""
-    if design.type is None:
-        return ()
-    ruffle = max(design.top_ruffle, 1.0 if design.type is Cuff.BAND else design.skirt_ruffle)
-    return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= RUFFLES else (Tag.CUFFS,)
 
 
 def cuff_words(design: CuffDesign, kind: Cuff, length: float, *, limb: str) -> tuple[str, ...]:

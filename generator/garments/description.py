@@ -1,4 +1,4 @@
-"""Descriptions: the facts of a drawn garment in a tailor's words, from which ``captions`` makes sentences.
+"""Descriptions: the facts of a drawn garment in a tailor's words, for its tags and for the sentences of ``captions``.
 
 Each garment's record describes it (``Garment.describe``), in the file that draws it. A description names only what is
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Self
 
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements
 
 __all__ = [
@@ -82,6 +83,8 @@ class Description:
     details: tuple[Detail, ...] = ()
     traits: tuple[Words, ...] = ()
     """Adjectives for the outfit that it is part of: "sleeveless"."""
+    tags: tuple[Tag, ...] = ()
+    """The tags of the same facts; ``style.outfit_tags`` adds those of the outfit as a whole."""
 
     def adding(self, *details: Detail) -> Self:
         """The description with more details."""

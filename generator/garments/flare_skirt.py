@@ -14,7 +14,7 @@ __all__ = [
     "PanelSkirtDesign",
     "flare_nouns",
     "flare_skirt_length",
-    "flare_tags",
+    "flare_tag",
 ]
 
 VERY_FULL = 1.5  # suns
@@ -67,14 +67,14 @@ class FlareSkirtDesign(Design):
     cut: HemCutDesign = part(HemCutDesign)
 
 
-def flare_tags(design: FlareSkirtDesign) -> tuple[Tag, ...]:
+def flare_tag(design: FlareSkirtDesign) -> Tag:
     """The tag of a flared skirt by its share of a circle."""
-    return (next((tag for most, tag in CIRCLES if design.suns < most), Tag.CIRCLE),)
+    return next((tag for most, tag in CIRCLES if design.suns < most), Tag.CIRCLE)
 
 
 def flare_nouns(design: FlareSkirtDesign) -> tuple[str, ...]:
     """Names of a flared skirt by its share of a circle: the tag, and for over a circle and a half its fullness."""
-    (tag,) = flare_tags(design)
+    tag = flare_tag(design)
     if tag is Tag.A_LINE:
         return ("A-line skirt",)
     return ("very full circle skirt",) if design.suns >= VERY_FULL else (tag.value,)

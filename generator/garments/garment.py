@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, part
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -69,8 +68,6 @@ class Garment(ABC, Generic[D]):
     """Sampling weight relative to the other garments; with 0, only overlays that name the garment sample it."""
     mends: frozenset[Mend] = frozenset()
     """Corrections of faults in GarmentCode's drawing of this garment."""
-    tags_of: Callable[[D], Iterable[Tag]] = field(default=lambda design: ())
-    """Returns the tags for a design of the section."""
 
     @property
     def field(self) -> str:
@@ -81,10 +78,6 @@ class Garment(ABC, Generic[D]):
         """The garment's section of an outfit's design."""
         section: D = getattr(design, self.field)
         return section
-
-    def tags(self, design: "OutfitDesign") -> Iterable[Tag]:
-        """The tags of the garment in an outfit's design."""
-        return self.tags_of(self.section_design(design))
 
     @abstractmethod
     def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
@@ -341,9 +334,6 @@ class CombinedBottom(BottomGarment[D]):
 
     def length_garment(self, design: "OutfitDesign") -> BottomGarment[Any]:
         return self.top(design) if self.inherits_length else self
-
-    def tags(self, design: "OutfitDesign") -> Iterable[Tag]:
-        return (*super().tags(design), *self.top(design).tags(design))
 
     def _designed_parts(self, design: "OutfitDesign") -> tuple[DesignedBottom[Any], ...]:
         return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

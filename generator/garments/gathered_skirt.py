@@ -1,6 +1,5 @@
 """The gathered skirt (GarmentCode's ``Skirt2``): two trapezoids. Panels ``skirt_front`` and ``skirt_back``."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
@@ -66,29 +65,25 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
     return design.bottom_cut * max(length, 0.0)
 
 
-def _tags(design: GatheredSkirtDesign) -> Iterator[Tag]:
-    if design.ruffle >= RUFFLES:
-        yield from (Tag.GATHERED, Tag.RUFFLED)
-    else:
-        yield Tag.A_LINE if design.flare else Tag.STRAIGHT
-    if design.bottom_cut:
-        yield Tag.SLIT
-
-
 def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
     """Gathered if the seam at its top gathers it: on a wide hem or band the same skirt hangs straight."""
-    details = []
+    details, tags = [], []
     length = _length(setting.size, design, setting.rise) - setting.rise * setting.size.hips_line
     slit = _slit(design, length, GATHERED_SKIRT.mends)
     if slit >= VISIBLE_SLIT:
         high = "high " if design.bottom_cut > HIGH_SLIT else ""
         details.append(Detail(Place.HEM, (f"{high}slits at both sides", f"{high}side slits"), main=True))
+        tags.append(Tag.SLIT)
+    is_flared = design.flare > HARDLY_FLARED
+    if is_flared:
+        tags.append(Tag.A_LINE)
     if setting.gather >= RUFFLES:
-        nouns = ("gathered A-line skirt",) if design.flare > HARDLY_FLARED else ("gathered skirt",)
-        seam = ("fullness gathered at the waist", "gathers at the waist")
-        return Description(nouns, (), (Detail(Place.LOWER, seam), *details))
-    noun = "A-line skirt" if design.flare > HARDLY_FLARED else "straight skirt"
-    return Description((noun,), (), tuple(details))
+        nouns = ("gathered A-line skirt",) if is_flared else ("gathered skirt",)
+        seam = Detail(Place.LOWER, ("fullness gathered at the waist", "gathers at the waist"))
+        return Description(nouns, (), (seam, *details), tags=(Tag.GATHERED, *tags))
+    if not is_flared:
+        tags.append(Tag.STRAIGHT)
+    return Description(("A-line skirt" if is_flared else "straight skirt",), (), tuple(details), tags=tuple(tags))
 
 
 GATHERED_SKIRT = SimpleBottom(
@@ -99,7 +94,6 @@ GATHERED_SKIRT = SimpleBottom(
     cut=gathered_skirt,
     length_of=_length,
     description_of=_describe,
-    tags_of=_tags,
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
     gather_parameter="ruffle",

@@ -153,13 +153,12 @@ def _describe(setting: Setting, design: GodetSkirtDesign, parts: tuple[DesignedB
     base = parts[0].describe(setting)
     count = number_word(design.num_inserts)
     words = (f"{count} godets in the hem", f"{count} triangular godets set into the hem")
-    return base.adding(Detail(Place.HEM, words, main=True))
+    return replace(base.adding(Detail(Place.HEM, words, main=True)), tags=(Tag.GODETS, *base.tags))
 
 
 GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
-    tags_of=lambda design: (Tag.GODETS,),
     design=GodetSkirtDesign,
     parts_of=lambda design: (design.base.garment,),
     combine=_combined,

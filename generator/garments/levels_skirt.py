@@ -136,14 +136,18 @@ def _drawn_length(size: Measurements, design: LevelsSkirtDesign, rise: float) ->
 def _describe(setting: Setting, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
     base, level = parts[0].describe(setting), parts[1]
     is_flared = level.garment is not GATHERED_SKIRT and level.design.suns >= FLARED_LEVEL
-    cut = ("gathered " if design.level_ruffle >= RUFFLES else "") + ("flared " if is_flared else "")
+    is_gathered = design.level_ruffle >= RUFFLES
+    cut = ("gathered " if is_gathered else "") + ("flared " if is_flared else "")
     tiers = f"{number_word(design.num_levels)} {cut}{'tier' if design.num_levels == 1 else 'tiers'}"
     details = [Detail(Place.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
+    tags = [Tag.TIERED, *base.tags, *([Tag.RUFFLED] if is_gathered else [])]
     if level.garment is ASYMMETRIC_CIRCLE_SKIRT and parts[0].garment is not ASYMMETRIC_CIRCLE_SKIRT:
         words = ("tiers that are longer behind than in front", "high-low tiers")
         details.append(Detail(Place.HEM, words))
+        tags.append(Tag.ASYMMETRIC)
     tiered = number_word(design.num_levels + 1)
-    return Description(("tiered skirt", f"{tiered}-tier skirt"), (), (*details, *base.details), base.traits)
+    nouns = ("tiered skirt", f"{tiered}-tier skirt")
+    return Description(nouns, (), (*details, *base.details), base.traits, tuple(tags))
 
 
 LEVELS_SKIRT = CombinedBottom(
@@ -153,7 +157,6 @@ LEVELS_SKIRT = CombinedBottom(
     design=LevelsSkirtDesign,
     parts_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,
-    tags_of=lambda design: (Tag.TIERED, Tag.RUFFLED) if design.level_ruffle >= RUFFLES else (Tag.TIERED,),
     rise_of=lambda design, parts: design.rise,
     remedies=("level_ruffle-", "num_levels-"),
     length_of=lambda size, design, parts, rise: _length(size, design, rise),

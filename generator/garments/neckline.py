@@ -1,10 +1,11 @@
 """Necklines: half shapes from the shoulder down to the centre, to cut into the corner between the two edges."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from itertools import pairwise
 from math import hypot, pi, radians, sin, tan
+from typing import NamedTuple
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic
 from gcd_dataset.errors import PatternError
@@ -23,7 +24,7 @@ __all__ = [
     "half_neckline",
     "neckline_drop",
     "neckline_shape",
-    "neckline_tags",
+    "neckline_tag",
     "neckline_width",
     "neckline_width_parameter",
     "neckline_words",
@@ -108,24 +109,6 @@ class LeftNecklineDesign(Design):
         return NecklineDesign(**values, fc_depth=right.fc_depth, bc_depth=right.bc_depth)
 
 
-SHAPES: Mapping[Neckline, Tag] = {
-    Neckline.CIRCLE: Tag.ROUND_NECK,
-    Neckline.CURVY: Tag.CURVED_NECK,
-    Neckline.V: Tag.V_NECK,
-    Neckline.SQUARE: Tag.SQUARE_NECK,
-    Neckline.TRAPEZOID: Tag.SQUARE_NECK,
-    Neckline.ARC: Tag.ROUND_NECK,
-    Neckline.BEZIER: Tag.CURVED_NECK,
-}
-"""The tag of each shape."""
-
-
-def neckline_tags(design: NecklineDesign) -> tuple[Tag, ...]:
-    """The tags of a neckline: its collar, or its shape in front."""
-    style = design.component.style
-    return (SHAPES[design.f_collar],) if style is None else (STYLES[style],)
-
-
 def neckline_words(design: NecklineDesign, strokes: Sequence[Stroke], *, drop: float) -> tuple[str, ...]:
     """Nouns for the neckline in front, without article, from half of it as drawn.
 
@@ -134,8 +117,14 @@ def neckline_words(design: NecklineDesign, strokes: Sequence[Stroke], *, drop: f
     depth = next((word for least, word in DEPTHS if drop >= least), "")
     wide = "wide " if design.width >= WIDE else ""
     return tuple(
-        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes)
+        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes).words
     )
+
+
+def neckline_tag(design: NecklineDesign, strokes: Sequence[Stroke]) -> Tag:
+    """The tag of a neckline: its collar, or its shape in front, from half of it as drawn."""
+    style = design.component.style
+    return _shape(design, strokes).tag if style is None else STYLES[style]
 
 
 def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ...]:
@@ -145,26 +134,36 @@ def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ..
     return (f"a {depth}{shape}back", f"a {depth}{shape}back neckline") if depth else ()
 
 
-def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> tuple[str, ...]:
-    """Adjectives for the drawn shape in front."""
+class _Shape(NamedTuple):
+    """The shape of a neckline in front."""
+
+    tag: Tag
+    words: tuple[str, ...]
+    """Adjectives."""
+
+
+def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> _Shape:
+    """The shape as drawn: the sides of a trapezoid may meet in the middle, and flipped arcs bulge inwards."""
     flipped = design.f_flip_curve
     match design.f_collar:
         case Neckline.CIRCLE:
-            return ("round", "scoop")
+            return _Shape(Tag.ROUND_NECK, ("round", "scoop"))
         case Neckline.ARC:
-            return ("inward-curving",) if flipped else ("round",)
+            return _Shape(Tag.CURVED_NECK, ("inward-curving",)) if flipped else _Shape(Tag.ROUND_NECK, ("round",))
         case Neckline.CURVY:
-            return ("curved V",) if flipped else ("U-shaped",)
+            return _Shape(Tag.CURVED_NECK, ("curved V",) if flipped else ("U-shaped",))
         case Neckline.V:
-            return ("V",)
+            return _Shape(Tag.V_NECK, ("V",))
         case Neckline.SQUARE:
-            return ("square",)
+            return _Shape(Tag.SQUARE_NECK, ("square",))
+        case Neckline.TRAPEZOID if len(strokes) > 1:
+            return _Shape(Tag.SQUARE_NECK, ("trapezoid", "angled square"))
         case Neckline.TRAPEZOID:
-            return ("trapezoid", "angled square") if len(strokes) > 1 else ("V",)
+            return _Shape(Tag.V_NECK, ("V",))
         case Neckline.BEZIER:
             if design.f_bezier_y < HARDLY_CURVED:
-                return ("softly curved V",)
-            return ("inward-curving",) if flipped else ("curved",)
+                return _Shape(Tag.CURVED_NECK, ("softly curved V",))
+            return _Shape(Tag.CURVED_NECK, ("inward-curving",) if flipped else ("curved",))
 
 
 def worn_neckline(design: NecklineDesign) -> NecklineDesign:

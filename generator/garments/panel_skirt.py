@@ -7,7 +7,7 @@ from math import atan, atan2, cos, degrees, pi, sin, tan
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_nouns, flare_skirt_length, flare_tags
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_nouns, flare_skirt_length, flare_tag
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
@@ -76,7 +76,8 @@ def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
     if curve:
         words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
         details.append(Detail(Place.HEM, words, main=True))
-    return Description((f"{count}-panel {noun}", f"{noun} of {count} panels"), (), tuple(details))
+    nouns = (f"{count}-panel {noun}", f"{noun} of {count} panels")
+    return Description(nouns, (), tuple(details), tags=(Tag.PANELLED, flare_tag(design)))
 
 
 PANEL_SKIRT = SimpleBottom(
@@ -86,7 +87,6 @@ PANEL_SKIRT = SimpleBottom(
     cut=panel_skirt,
     length_of=flare_skirt_length,
     description_of=_describe,
-    tags_of=lambda design: (Tag.PANELLED, *flare_tags(design)),
     flared=True,
     fullness_parameter="suns",
     remedies=("skirt-many-panels.panel_curve", "suns+"),

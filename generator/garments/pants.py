@@ -13,7 +13,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags, cuff_words, skirt_share
+from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import length_below_waist
@@ -270,9 +270,9 @@ def _describe(setting: Setting, design: PantsDesign) -> Description:
     else:
         traits = (("tapered",),) if design.flare < TAPERED_LEG else (("straight-leg",),)
     if design.cuff.type is None:
-        return Description(("trousers",), traits)
+        return Description(("trousers",), traits, tags=(Tag.TROUSERS,))
     words = cuff_words(design.cuff, design.cuff.type, _cuff_length(setting.size, design), limb="leg")
-    return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),))
+    return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
 
 
 PANTS = SimpleBottom(
@@ -282,7 +282,6 @@ PANTS = SimpleBottom(
     cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
-    tags_of=lambda design: (Tag.TROUSERS, *cuff_tags(design.cuff)),
     legs=True,
     rings_of=_rings,
     cuffs=cuff_and_leg_girth,

@@ -238,14 +238,6 @@ def _rings(size: Measurements, design: PencilSkirtDesign, rise: float) -> Iterat
             yield Ring("a pencil skirt", -2 * (front + back), body, "raise pencil-skirt.flare, or a slit")
 
 
-def _tags(design: PencilSkirtDesign) -> Iterator[Tag]:
-    yield Tag.A_LINE if design.flare > 1 else Tag.PENCIL
-    if any((design.front_slit, design.back_slit, design.left_slit, design.right_slit)):
-        yield Tag.SLIT
-    if design.low_angle:
-        yield Tag.ASYMMETRIC
-
-
 def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
     below = design.length * setting.size.leg_length
     shares = {
@@ -256,8 +248,10 @@ def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
     }
     slits = {name: share for name, share in shares.items() if share * below >= VISIBLE_SLIT}
     details = [Detail(Place.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
+    tags = [Tag.PENCIL if design.flare <= 1 else Tag.A_LINE, *([Tag.SLIT] if slits else [])]
     is_tilted = abs(design.low_angle) >= VISIBLE_TILT
     if is_tilted:
+        tags.append(Tag.ASYMMETRIC)
         side, other = ("left", "right") if design.low_angle > 0 else ("right", "left")
         words = (f"a hem that slants down to the {side}", f"a slanted hem that is higher on the {other}")
         details.append(Detail(Place.HEM, words, main=True, sided=True))
@@ -265,7 +259,7 @@ def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
         nouns: tuple[str, ...] = ("pencil skirt",)
     else:
         nouns = ("A-line skirt",) if design.flare > SLIGHTLY_FLARED else ("slightly flared skirt",)
-    return Description(nouns, (), tuple(details), (ASYMMETRIC,) if is_tilted else ())
+    return Description(nouns, (), tuple(details), (ASYMMETRIC,) if is_tilted else (), tuple(tags))
 
 
 def _slit_words(slits: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], bool]]:
@@ -289,7 +283,6 @@ PENCIL_SKIRT = SimpleBottom(
     cut=pencil_skirt,
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
-    tags_of=_tags,
     rings_of=_rings,
     without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
     hem_tilt=lambda design: design.low_angle,

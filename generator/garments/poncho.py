@@ -74,14 +74,14 @@ def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Out
 def _describe(design: PonchoDesign) -> Description:
     shape = "round" if design.shape is PonchoShape.CIRCLE else "rectangular"
     neck = "a V-neckline" if design.neckline is Neckline.V else "a round neckline"
-    return Description((f"{shape} poncho",), (), (Detail(Place.NECK, (neck,), main=True),))
+    detail = Detail(Place.NECK, (neck,), main=True)
+    return Description((f"{shape} poncho",), (), (detail,), tags=(Tag.PONCHO, Tag.SLEEVELESS))
 
 
 PONCHO = SimpleUpper(
     name="Poncho",
     section="poncho",
     design=PonchoDesign,
-    tags_of=lambda design: (Tag.PONCHO, Tag.SLEEVELESS),
     weight=0,
     carries=False,
     cut=poncho,

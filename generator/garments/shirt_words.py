@@ -1,16 +1,20 @@
 """A shirt in words: bodice, necklines, collar and sleeves, and the differences of its halves."""
 
+from collections.abc import Iterator
+
 from gcd_dataset.generator.garments.collar import collar_words
 from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Words, with_article
 from gcd_dataset.generator.garments.neckline import (
     NecklineDesign,
     back_neckline_words,
+    neckline_tag,
     neckline_words,
     worn_neckline,
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
-from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_words
+from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tags, sleeve_words
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
 from gcd_dataset.records import Measurements
 
@@ -37,7 +41,25 @@ def describe_shirt(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted:
     else:
         traits = (SLEEVELESS,) if all(arm.sleeveless for _, _, arm in halves) else ()
         details = (*_necks(size, halves, fitted=fitted), *_sleeves(size, [arm for _, _, arm in halves]))
-    return Description(("top",), _cut([shirt for shirt, _, _ in halves], fitted=fitted), details, traits)
+    cut = _cut([shirt for shirt, _, _ in halves], fitted=fitted)
+    return Description(("top",), cut, details, traits, tuple(_tags(size, halves, fitted=fitted)))
+
+
+def _tags(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) -> Iterator[Tag]:
+    """The tags of the cut and of the halves; half a neckline beside a strapless half has none."""
+    yield Tag.FITTED if fitted else Tag.SHIRT
+    worn = [half for half in halves if not (fitted and half[0].strapless)]
+    if len(worn) < len(halves):
+        yield Tag.STRAPLESS
+    else:
+        for shirt, neck, arm in halves:
+            front = right_torso(size, shirt, neck, arm, fitted=fitted).piece(FRONT_NAME).outline.run("neck")
+            yield neckline_tag(worn_neckline(neck), front)
+    sleeves = [arm for _, _, arm in worn if not arm.sleeveless]
+    if worn and not sleeves:
+        yield Tag.SLEEVELESS
+    for arm in sleeves:
+        yield from sleeve_tags(arm)
 
 
 def _cut(shirts: list[ShirtDesign], *, fitted: bool) -> tuple[Words, ...]:

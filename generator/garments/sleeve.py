@@ -8,7 +8,7 @@ import numpy as np
 
 from gcd_dataset.curves import Point
 from gcd_dataset.generator.garments.armhole import Armhole
-from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, cuff_tags, sleeve_cuff_length, with_sleeve_cuff
+from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.garments.tags import RUFFLES, Tag
@@ -86,12 +86,9 @@ class LeftSleeveDesign(SleeveDesign):
 
 
 def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
-    """The tags of a sleeve with its cuff, or of an armhole without one."""
-    if design.sleeveless:
-        return (Tag.SLEEVELESS,)
-    ruffled = (Tag.RUFFLED,) if design.connect_ruffle >= RUFFLES else ()
+    """The tags of a sleeve with its cuff."""
     length = Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
-    return (length, *cuff_tags(design.cuff), *ruffled)
+    return (length, Tag.CUFFS) if design.cuff.type else (length,)
 
 
 def sleeve_words(size: Measurements, design: SleeveDesign, *, pair: bool = True) -> tuple[str, ...]:

@@ -1,22 +1,39 @@
-"""The style of an outfit in words: the tags of its garments and of the outfit as a whole."""
+"""The style of an outfit as drawn: the tags of its garments and of the outfit as a whole."""
 
+from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.drawn import gather_below, most_gathered, sides_match
 from gcd_dataset.generator.garments.outfit import bottom_rise
-from gcd_dataset.generator.garments.tags import HEMS, Tag
-from gcd_dataset.records import Measurements
+from gcd_dataset.generator.garments.tags import HEMS, RUFFLES, Tag
+from gcd_dataset.records import Measurements, Pattern
 
-__all__ = ["hem_depth", "outfit_tags"]
+__all__ = ["described", "hem_below_waist", "hem_depth", "outfit_tags"]
 
 
-def outfit_tags(size: Measurements, design: OutfitDesign) -> tuple[str, ...]:
-    """The tags of an outfit for a wearer, in the order of ``TAGS``, each once."""
-    meta = design.meta
-    found = {_kind(design)} | ({Tag.WAISTBAND} if meta.wb else set())
-    for choice in (meta.upper, meta.bottom):
-        found.update(choice.garment.tags(design) if choice else ())
-    if meta.bottom:
-        found.add(_hem(size, design))
+def outfit_tags(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[str, ...]:
+    """The tags of an outfit, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
+    parts = [part for part in described(size, design, pattern) if part]
+    found = {_kind(design)} | {tag for part in parts for tag in part.tags}
+    details = [detail for part in parts for detail in part.details]
+    if most_gathered(pattern) >= RUFFLES:
+        found.add(Tag.RUFFLED)
+    if len(design.halves()) > 1 and not sides_match(details, pattern):
+        found.add(Tag.ASYMMETRIC)
+    if design.meta.bottom:
+        found.update([_hem(size, design)] + ([Tag.WAISTBAND] if design.meta.wb else []))
     return tuple(tag.value for tag in Tag if tag in found)
+
+
+def described(
+    size: Measurements, design: OutfitDesign, pattern: Pattern
+) -> tuple[Description | None, Description | None]:
+    """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
+    meta = design.meta
+    setting = Setting(size, bottom_rise(design), gather_below(pattern))
+    return (
+        meta.upper.garment.describe(Setting(size), design) if meta.upper else None,
+        meta.bottom.garment.describe(setting, design) if meta.bottom else None,
+    )
 
 
 def _kind(design: OutfitDesign) -> Tag:
@@ -36,12 +53,16 @@ def _hem(size: Measurements, design: OutfitDesign) -> Tag:
 
 
 def hem_depth(size: Measurements, design: OutfitDesign) -> float:
-    """Depth of a bottom's hem below the hips, as a fraction of hips to floor, with each part hung below the last."""
-    upper, bottom = design.meta.upper, design.meta.bottom
-    assert bottom is not None
-    rise = bottom_rise(design)
-    if upper is None:
-        return (bottom.garment.length(size, design, rise) - rise * size.hips_line) / size.leg_length
-    band = design.waistband.width * size.hips_line if design.meta.wb else 0.0
-    below_waist = upper.garment.length(size, design) - size.waist_line + band
-    return (below_waist + bottom.garment.length(size, design, rise) - size.hips_line) / size.leg_length
+    """Depth of the lowest hem below the hips, as a fraction of hips to floor."""
+    return (hem_below_waist(size, design) - size.hips_line) / size.leg_length
+
+
+def hem_below_waist(size: Measurements, design: OutfitDesign) -> float:
+    """Depth of the lowest hem below the waist, the parts hung one under the other, each as long as drawn [cm]."""
+    meta, rise = design.meta, bottom_rise(design)
+    band = design.waistband.width * size.hips_line if meta.wb else 0.0
+    if meta.upper:
+        start = meta.upper.garment.length(size, design) - size.waist_line + band
+    else:
+        start = (1.0 - rise) * size.hips_line
+    return start + (meta.bottom.garment.drawn_length(size, design, rise) if meta.bottom else 0.0)

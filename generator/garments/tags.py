@@ -1,7 +1,7 @@
 """Tags: the tailor's names for the style of an outfit, a closed vocabulary.
 
-Each garment's record names the tags of its section (``Garment.tags_of``); necklines, collars, sleeves and cuffs do so
-in their own files. ``style.outfit_tags`` collects them and adds the tags of the outfit as a whole.
+They state what is drawn. The description of a garment (``Garment.describe``) holds its tags, beside the words of the
+same facts for captions. ``style.outfit_tags`` collects them and adds the tags of the outfit as a whole.
 """
 
 from enum import Enum
@@ -39,26 +39,26 @@ class Tag(Enum):
     HALF_CIRCLE = "half-circle skirt", "from three eighths to less than three quarters of a circle"
     CIRCLE = "circle skirt", "three quarters of a circle or more, or an off-centre circle"
     PENCIL = "pencil skirt", "a narrow skirt with darts, its hem no wider than the hips"
-    STRAIGHT = "straight skirt", "a rectangle in front and behind, hardly gathered"
+    STRAIGHT = "straight skirt", "a rectangle in front and behind, hardly flared or gathered"
     GATHERED = "gathered skirt", f"a rectangle or trapezoid, gathered by {RUFFLES} or more at the waist"
     PANELLED = "panelled skirt", "four or more panels round the body"
     GODETS = "godet skirt", "triangular inserts in the hem"
     TIERED = "tiered skirt", "skirts sewn one under the other"
     SLIT = "slit", "a skirt with an open seam or a notch in its hem"
-    WAISTBAND = "with waistband", "a band at the waist"
+    WAISTBAND = "with waistband", "a band at the top of a skirt or trousers"
     STRAPLESS = "strapless", "a bodice that ends above the bust, on one side at least"
-    SLEEVELESS = "sleeveless", "no sleeve"
+    SLEEVELESS = "sleeveless", "no sleeve on either side"
     SHORT_SLEEVES = "short sleeves", "a sleeve that ends at the elbow or above, with its cuff"
     LONG_SLEEVES = "long sleeves", "a sleeve that ends below the elbow, with its cuff"
     CUFFS = "with cuffs", "cuffs at sleeves or trousers"
     ROUND_NECK = "round neck", "a round neckline in front"
-    V_NECK = "v-neck", "a pointed neckline in front"
+    V_NECK = "v-neck", "a pointed neckline in front, with straight sides"
     SQUARE_NECK = "square neck", "a neckline with corners in front, square or trapezoid"
-    CURVED_NECK = "curved neck", "a neckline in front that is a free curve"
+    CURVED_NECK = "curved neck", "a neckline in front that is a free curve, or an arc that bulges inwards"
     TURTLENECK = "turtleneck", "a standing collar"
     LAPEL = "lapel", "a turned collar"
     HOODED = "hooded", "a hood"
-    ASYMMETRIC = "asymmetric", "left and right halves differ, or front and back of an off-centre skirt"
+    ASYMMETRIC = "asymmetric", "halves of a shirt that differ, a slanted hem, or an off-centre skirt or tier"
     RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
 
 

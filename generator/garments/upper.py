@@ -1,6 +1,5 @@
 """Shirts, straight or fitted: two halves, mirror images unless the design is asymmetric."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -8,11 +7,8 @@ from typing import TYPE_CHECKING
 from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.neckline import neckline_tags
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.shirt_words import describe_shirt
-from gcd_dataset.generator.garments.sleeve import sleeve_tags
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half
 from gcd_dataset.generator.pattern import Component, backwards
 from gcd_dataset.records import Measurements
@@ -62,18 +58,6 @@ class Shirt(UpperGarment[ShirtDesign]):
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
         return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
-
-    def tags(self, design: "OutfitDesign") -> Iterator[Tag]:
-        yield Tag.FITTED if self.fitted else Tag.SHIRT
-        halves = design.halves()
-        if len(halves) > 1:
-            yield Tag.ASYMMETRIC
-        for shirt, neck, arm in halves:
-            if self.fitted and shirt.strapless:
-                yield Tag.STRAPLESS
-            else:
-                yield from sleeve_tags(arm)
-                yield from neckline_tags(neck)
 
     def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
         return describe_shirt(setting.size, design.halves(), fitted=self.fitted)

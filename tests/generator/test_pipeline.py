@@ -79,7 +79,7 @@ def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
     for config in (FLAT, MESHED):
         sample = make(5, 0, config)
         assert sample.gathers == sample.pattern.gather_ratios()
-        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design))
+        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
         assert sample.tags
 
 

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.drape import fabric_named
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import MEASURES, Grade, Measurements, NamedFabric, Outcome, Provenance, Sample, Strain, View
@@ -153,6 +154,14 @@ def test_optional_members_and_entries_are_decoded(sample: Sample) -> None:
     fields = decode_fields(members)
     assert fields["caption"] == full(sample).caption
     assert (fields["view_0"].shape, fields["view_1_json"]) == ((3, 16, 16), {"light": {"from": "left"}})
+
+
+def test_a_sample_with_an_older_wording_of_a_source_is_read_unchanged(sample: Sample) -> None:
+    """Samples store the text of their fabric's source; the text of a release need not be the present one."""
+    old = replace(fabric_named("interlock"), source="thickness: not published, left at what the solver keeps")
+    stored = replace(sample, fabric=NamedFabric("interlock", {"source": old.source, "thickness": old.thickness}))
+    assert old.source != fabric_named("interlock").source
+    assert decode_sample(encode_sample(stored)).fabric == stored.fabric
 
 
 def form(value: object) -> object:

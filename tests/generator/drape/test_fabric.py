@@ -1,5 +1,6 @@
 """Fabrics: meshed cloth has the stretch, bending and hang of its fabric, in each direction of the grain."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -164,6 +165,16 @@ def test_every_named_fabric_has_a_source() -> None:
         assert fabric.source or name == "default"
         assert 0.3 < bending_length(fabric, "warp") < 5.0  # cm: from the limpest cloth to the stiffest
     assert fabric_named("default") == Fabric()
+
+
+def test_a_fabric_without_published_thickness_says_which_is_assumed() -> None:
+    """The cloths of Wang et al. for which no class of thickness was published."""
+    assumed = [name for name, fabric in FABRICS.items() if "thickness: not published" in fabric.source]
+    assert assumed == ["interlock", "ponte_roma"]
+    for name in assumed:
+        figure = re.search(r"thickness: not published; ([\d.]+) cm is assumed, the least", FABRICS[name].source)
+        assert figure
+        assert float(figure[1]) == FABRICS[name].thickness == DrapeConfig().layer_gap
 
 
 def test_an_unknown_fabric_is_an_error_that_lists_the_known() -> None:

@@ -1,0 +1,110 @@
+"""Facts of a drawn outfit: the gathers between its parts, and whether its sides match."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from math import hypot
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.generator.garments.description import Detail
+from gcd_dataset.records import Panel, PanelRole, Pattern
+
+__all__ = ["gather", "gather_below", "most_gathered", "part_of", "sides_match"]
+
+SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
+TORSO, BAND = ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"), ("wb_front", "wb_back")
+ON_LIMBS = ("sleeve", "cuff")
+OTHER = "other"
+
+
+# ------------------------------------------------------------------------------------------------------------- gathers
+
+
+def part_of(panel: Panel) -> str:
+    """The part of an outfit that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
+    if any(name in panel.name for name in ON_LIMBS):
+        return panel.name.removesuffix("_f").removesuffix("_b")
+    if panel.label == PanelRole.LEG:
+        return "bottom"
+    return "torso" if panel.name in TORSO else "band" if panel.name in BAND else OTHER
+
+
+def gather(pattern: Pattern, above: str, below: str) -> float:
+    """Length of the lower part's edges over the upper part's, over all seams between them; 1 without such seams."""
+    up, down = _boundaries(pattern).get((above, below), (1.0, 1.0))
+    return down / up
+
+
+def gather_below(pattern: Pattern) -> float:
+    """Gathers of the bottom: on the waistband, or else on the shirt's hem."""
+    return gather(pattern, "band" if any(panel.name in BAND for panel in pattern.panels) else "torso", "bottom")
+
+
+def most_gathered(pattern: Pattern) -> float:
+    """Largest ratio of the longer to the shorter side of a boundary between parts, collars left out.
+
+    1 or more. The seams of a boundary count together, since ease moves cloth between front and back.
+    """
+    sides = (lengths for parts, lengths in _boundaries(pattern).items() if OTHER not in parts)
+    return max((own / other for own, other in sides), default=1.0)
+
+
+def _boundaries(pattern: Pattern) -> dict[tuple[str, str], tuple[float, float]]:
+    """Two parts, in either order, to the total lengths of their edges in the seams between them [cm]."""
+    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    parts = {panel.name: part_of(panel) for panel in pattern.panels}
+    found: dict[tuple[str, str], tuple[float, float]] = defaultdict(lambda: (0.0, 0.0))
+    for seam in pattern.seams:
+        for one, other in ((seam.left, seam.right), (seam.right, seam.left)):
+            pair = parts[one.panel], parts[other.panel]
+            if pair[0] != pair[1]:
+                own, others = found[pair]
+                found[pair] = own + lengths[one.panel][one.edge], others + lengths[other.panel][other.edge]
+    return dict(found)
+
+
+# ------------------------------------------------------------------------------------------------------------ symmetry
+
+
+def sides_match(details: Iterable[Detail], pattern: Pattern) -> bool:
+    """Whether left and right are drawn as mirror images, and no detail is on one side only."""
+    return not any(detail.sided for detail in details) and _is_symmetrical(pattern)
+
+
+def _is_symmetrical(pattern: Pattern) -> bool:
+    """Whether every panel is its own mirror image or has one on the other side of the body.
+
+    Godets, bands and the panels of a panelled skirt are alike on all sides; their edges may be divided unevenly, where
+    a seam of another part ends.
+    """
+    panels = {panel.name: panel for panel in pattern.panels}
+    for name, panel in panels.items():
+        if name.startswith(("ins_", "wb_", "skirt_panel_")):
+            continue
+        other = _mirror_name(name, panels)
+        if not _mirrored_alike(panel, panels[other]):
+            return False
+    return True
+
+
+def _mirror_name(name: str, panels: dict[str, Panel]) -> str:
+    """The panel on the other side of the body; the panel itself if there is none."""
+    swapped = (
+        ("right", "left"), ("left", "right"), ("pant_r_", "pant_l_"), ("pant_l_", "pant_r_"),
+        ("pant_f_r", "pant_f_l"), ("pant_f_l", "pant_f_r"), ("pant_b_r", "pant_b_l"), ("pant_b_l", "pant_b_r"),
+    )  # fmt: skip
+    return next((other for a, b in swapped if a in name and (other := name.replace(a, b)) in panels), name)
+
+
+def _mirrored_alike(panel: Panel, other: Panel) -> bool:
+    """Whether the corners of one panel are the mirror images of the other's, wherever they lie."""
+    mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(other.vertices)
+    if len(mine) != len(theirs):
+        return False
+    return all(min(hypot(x - a, y - b) for a, b in theirs.tolist()) < SAME for x, y in mine.tolist())
+
+
+def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:
+    """The corners about the middle of their bounding box."""
+    return corners - 0.5 * (corners.min(axis=0) + corners.max(axis=0))
