@@ -72,10 +72,14 @@ def contact_sheet(
 
 
 def sample_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3"]:
-    """Front, back and flat pattern of a sample side by side, each ``size`` pixels; pictures it lacks are left out."""
-    views = [picture_of(jpeg, size) for jpeg in (sample.front, sample.back) if jpeg]
-    pictures = [*views, draw_pattern(sample.pattern, size=size)]
-    return contact_sheet(pictures, columns=len(pictures))
+    """Front, back and flat pattern of a sample side by side, each ``size`` pixels, then its views in further rows.
+
+    Pictures that it lacks are left out.
+    """
+    sides = [picture_of(jpeg, size) for jpeg in (sample.front, sample.back) if jpeg]
+    pictures = [*sides, draw_pattern(sample.pattern, size=size)]
+    views = [picture_of(view.picture, size) for view in sample.views if view.picture]
+    return contact_sheet([*pictures, *views], columns=len(pictures))
 
 
 def design_sheet(patterns: Sequence[Pattern], *, columns: int, size: int = 256) -> UInt8[np.ndarray, "h w 3"]:

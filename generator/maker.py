@@ -16,7 +16,15 @@ from typing import Any, Generic, TypeVar, overload
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
-from gcd_dataset.generator.pipeline import NO_REDRAWS, DressedDesign, drape_jobs, finish, prepare, rejection
+from gcd_dataset.generator.pipeline import (
+    NO_REDRAWS,
+    DressedDesign,
+    drape_jobs,
+    finish,
+    prepare,
+    rejection,
+    view_requests,
+)
 from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Rejected, Sample
@@ -180,8 +188,8 @@ class _Pending(Generic[Made]):
     ) -> Work[int]:
         """The next accepted design for an index, as drape jobs."""
         design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
-        picture = self.config.picture if self.pictured else 0
-        return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture)
+        picture, views = (self.config.picture, view_requests(design, self.config)) if self.pictured else (0, ())
+        return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | Work[int]:
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""

@@ -32,6 +32,7 @@ from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, stored_body
 from gcd_dataset.records import (
     Body,
     BodyShape,
@@ -44,6 +45,7 @@ from gcd_dataset.records import (
     Provenance,
     Rejected,
     Sample,
+    View,
 )
 from gcd_dataset.seeding import Stage, rng
 
@@ -63,6 +65,7 @@ __all__ = [
     "rejection",
     "sample_fabric",
     "sample_key",
+    "view_requests",
 ]
 
 NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
@@ -279,6 +282,23 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
     )
 
 
+def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewRequest, ...]:
+    """The drawn views of each wearer; none if ``config.views`` is 0."""
+    if not config.views:
+        return ()
+    return tuple(
+        ViewRequest(
+            design.seed,
+            wearer.index,
+            config.views,
+            config.view_size,
+            config.fabric,
+            stored_body(wearer.shape),
+        )
+        for wearer in design.dressed
+    )
+
+
 def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> Rejected | None:
     """The first failed drape, as the reason for another attempt; ``None`` if the design is kept.
 
@@ -329,6 +349,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
+        views=() if reply is None else _views(reply, config),
         gathers=dressed.pattern.gather_ratios(),
         tags=outfit_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
@@ -339,6 +360,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
 
 def _caption(design: DressedDesign, wearer: DressedWearer) -> str:
     return captions_text(wearer.size, design.design, wearer.pattern, seed=design.seed, index=wearer.index)
+
+
+def _views(reply: "DrapeReply", config: MakeConfig) -> tuple[View, ...]:
+    """The encoded views; those of a diverged drape are empty, since every sample has the same members."""
+    if not reply.views and not np.isfinite(reply.drape.vertices).all():
+        return config.views * (MISSING_VIEW,)
+    return tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
 
 
 def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:

@@ -42,6 +42,8 @@ FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
     "points": (0, 1 << 20),  # at most 12 MB a sample
     "picture": (0, 4096),  # pixels; at most 50 MB while rendering
+    "views": (0, 100),
+    "view_size": (16, 4096),  # pixels
     "max_attempts": (1, 10_000),  # 17 of 20 designs are accepted at the first attempt
     "bodies_each": (1, 10_000),
 }
@@ -107,6 +109,11 @@ class MakeConfig:
     captions: Annotated[
         bool, Option("describe each garment in English at three levels of detail, in the member caption.txt")
     ] = False
+    views: Annotated[
+        int,
+        Option("pictures of each garment from drawn cameras, in drawn cloth, light and place, besides front and back"),
+    ] = 0
+    view_size: Annotated[int, Option("width and height of these pictures", unit="pixels")] = 256
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -127,6 +134,8 @@ class MakeConfig:
                 raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
+        if self.views and self.stage != "drape":
+            raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
 
     @property
     def wearers(self) -> int:
@@ -148,6 +157,8 @@ class MakeOptions(TypedDict, total=False):
     max_attempts: int
     fabric: str
     captions: bool
+    views: int
+    view_size: int
 
 
 def check_resolution(centimetres: float) -> float:
@@ -161,7 +172,9 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """All options that decide the bytes of a sample besides seed and index, as JSON values."""
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
-    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False}.items():
+    if not config.views:
+        del recipe["view_size"]
+    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}.items():
         if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
@@ -170,7 +183,7 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 
 def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
-    return garments_layout(caption=config.captions)
+    return garments_layout(caption=config.captions, views=config.views)
 
 
 def device_kind(config: MakeConfig) -> str:

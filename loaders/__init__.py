@@ -18,8 +18,10 @@ From data set to batch:
    seed, epoch and index (``user_code.py``, ``isolated_rng.py``). *Collate* packs or pads the items (``collate.py``).
 7. The *state* is the cursor, with seed, length and a hash of the data set, which must match on loading. Any number of
    ranks or workers and any batch size may resume from it (``states.py``).
-8. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation on ``(seed, epoch, index)``, a generated
-   garment on its ``(seed, index)``. None depends on rank, worker, batch size or time. The same holds for
+8. *Views* are pictures rendered from items: in the workers on a CPU, otherwise from whole batches by threads of the
+   training process, ahead of the loop (``views.py``).
+9. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation and views on ``(seed, epoch, index)``, a
+   generated garment on its ``(seed, index)``. None depends on rank, worker, batch size or time. The same holds for
    ``FreshGarments``, which replays garments while new ones are made (``fresh.py``, ``replay.py``).
 """
 
@@ -38,9 +40,11 @@ from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
+from gcd_dataset.loaders.views import VIEW_FIELDS, Views
 from gcd_dataset.loaders.worker import begin_worker
 
 __all__ = [
+    "VIEW_FIELDS",
     "Augment",
     "Augmented",
     "Bodies",
@@ -63,6 +67,7 @@ __all__ = [
     "PublishedBodies",
     "PublishedGarmentCodeData",
     "SeamGraph",
+    "Views",
     "Yaw",
     "begin_worker",
     "collate_list",

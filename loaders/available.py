@@ -11,7 +11,7 @@ gcd_dataset.errors.ConfigError: no field points: these garments end with stage p
 from collections.abc import Callable, Iterable, Mapping
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.layout import select_fields
+from gcd_dataset.shards.layout import JOINT, select_fields
 
 __all__ = ["absent_at_stage", "absent_when_empty", "select_present_fields"]
 
@@ -34,10 +34,13 @@ def select_present_fields(
 ) -> tuple[str, ...]:
     """The requested fields, in the order of ``available``; for ``None`` every field that is not ``absent``.
 
+    ``views`` and its cameras may be requested where the fields of single views are available.
+
     ``absent``: field to the reason why no garment holds it. Raises ``ConfigError`` with that reason and the fields to
     choose from.
     """
-    requested = select_fields(fields, available)
+    available = tuple(available)
+    requested = available if fields is None else select_fields(fields, (*available, *_joint(available)))
     present = [field for field in select_fields(None, available) if field not in absent]
     if fields is None:
         return tuple(present)
@@ -46,6 +49,13 @@ def select_present_fields(
             f"no field {', '.join(missing)}: these garments {absent[missing[0]]}: choose among {', '.join(present)}"
         )
     return requested
+
+
+def _joint(available: Iterable[str]) -> list[str]:
+    """The fields that join the available fields of single views."""
+    known = set(available)
+    first = {"jpg": "view_0", "json": "view_0_json"}
+    return [field for field, ending in JOINT.items() if first[ending] in known and field not in known]
 
 
 def absent_at_stage(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:

@@ -15,6 +15,7 @@ from gcd_dataset.loaders.order import ElasticSampler, RankShare
 from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
 from gcd_dataset.loaders.user_code import is_package_code, separate_user_code
+from gcd_dataset.loaders.views import Views
 from gcd_dataset.loaders.worker import begin_worker, with_traceback
 from gcd_dataset.prefetch import prefetch
 
@@ -25,6 +26,7 @@ Cursor: TypeAlias = Any
 """How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
 
 BATCHES_AHEAD = 2  # batches that a thread prefetches
+LONGEST_PASS = 1 << 40  # items of a stream
 END = object()  # default of ``next`` at the end of a stream
 
 
@@ -63,6 +65,12 @@ class BatchPlan(Protocol):
     def after_last(self, cursor: Cursor) -> Cursor:
         """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
 
+    def uses(self, start: Cursor, number: int, count: int) -> list[int]:
+        """For each of the ``count`` garments of a batch the number of its use; called as soon as the batch is made.
+
+        The epoch, or another number for every use of a garment where an epoch may repeat it.
+        """
+
     def annotate(self, batch: Any, start: Cursor, number: int) -> Any:
         """The batch with the entries that the plan adds, such as ``repeated``."""
 
@@ -72,6 +80,8 @@ class BatchIndices(NamedTuple):
 
     epoch: int
     indices: list[int]
+    uses: list[int] | None = None
+    """The number of each garment's use, see ``BatchPlan.uses``."""
 
 
 class IndexedPlan:
@@ -88,9 +98,10 @@ class IndexedPlan:
         *,
         drop_last: bool,
         num_workers: int,
+        views: Views | None = None,
     ) -> None:
         self._sampler, self._batch_size, self._drop_last, self._start = sampler, batch_size, drop_last, 0
-        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed), num_workers
+        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed, views), num_workers
         self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
         self.runs_in_thread = self._reads_only and num_workers == 0 and not self._maker.has_user_code
         self._rank_share = self._present_share()
@@ -115,9 +126,12 @@ class IndexedPlan:
 
     def __iter__(self) -> Iterator[BatchIndices]:
         """The indices of each batch of the current pass."""
-        epoch, indices = self.epoch(self._start), self._rank_share.indices(self._start)
-        batches = self._batch_starts(self._start, self._rank_share)
-        return (BatchIndices(epoch, list(islice(indices, self._batch_size))) for _ in batches)
+        start, indices = self._start, self._rank_share.indices(self._start)
+        chunks = (list(islice(indices, self._batch_size)) for _ in self._batch_starts(start, self._rank_share))
+        return (
+            BatchIndices(self.epoch(start), chunk, self.uses(start, number, len(chunk)))
+            for number, chunk in enumerate(chunks, 1)
+        )
 
     def epoch(self, cursor: int) -> int:
         return self._sampler.order.epoch(cursor)
@@ -144,6 +158,10 @@ class IndexedPlan:
 
     def after_last(self, cursor: int) -> int:
         return cursor
+
+    def uses(self, start: int, number: int, count: int) -> list[int]:
+        positions = self._rank_share.positions(start)[(number - 1) * self._batch_size :][:count]
+        return self._sampler.order.uses(positions, self.epoch(start))
 
     def annotate(self, batch: Any, start: int, number: int) -> Any:
         """With ``pad="repeat"`` a dict gets ``repeated``, bool [B]: true for garments that fill up the epoch."""
@@ -175,9 +193,9 @@ class BatchMaker(Dataset):
     streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are untouched.
     """
 
-    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int) -> None:
+    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: Views | None = None) -> None:
         self._plain, self._user_code = separate_user_code(dataset)
-        self._collate, self._seed = collate_fn, seed
+        self._collate, self._seed, self._views = collate_fn, seed, views
         self.is_user_dataset = not is_package_code(type(self._plain))
         """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
         self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
@@ -204,9 +222,9 @@ class BatchMaker(Dataset):
             return items
 
     def finish(self, batch: BatchIndices, items: list[Any]) -> Any:
-        """Apply users' transforms, then collate."""
+        """Apply users' transforms, add views if they are rendered here, then collate."""
         if not self.has_user_code:
-            return self._collate(items)
+            return self._collate(self._with_views(batch, items))
         with isolated_rng() as random_state:
             if self._user_code is not None:
                 items = list(items)
@@ -214,7 +232,10 @@ class BatchMaker(Dataset):
                     random_state.seed(self._seed, index, batch.epoch)
                     items[row] = self._user_code(items[row], index)
             random_state.seed(self._seed, *batch.indices[:1], batch.epoch, len(items))
-            return self._collate(items)
+            return self._collate(self._with_views(batch, items))
+
+    def _with_views(self, batch: BatchIndices, items: list[Any]) -> list[Any]:
+        return items if self._views is None else self._views.add_to_items(items, batch.uses or [])
 
 
 class _Pass(IterableDataset):
@@ -311,6 +332,11 @@ class StreamPlan(IterableDataset):
     def after_last(self, cursor: StreamCursor) -> StreamCursor:
         """The start of the next pass."""
         return StreamCursor(cursor.epoch + 1, 0)
+
+    def uses(self, start: StreamCursor, number: int, count: int) -> list[int]:
+        (rank, world_size), (epoch, after) = self._rank, self._cursor
+        first = epoch * LONGEST_PASS + after - count * world_size + rank
+        return list(range(first, first + count * world_size, world_size))
 
     def annotate(self, batch: Any, start: StreamCursor, number: int) -> Any:
         return batch

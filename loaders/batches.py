@@ -18,6 +18,7 @@ __all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "Varlen
 
 RAGGED = (
     "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
+    "panel_corners", "panel_corner_pixels", "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
 
@@ -82,6 +83,12 @@ class _Batch(dict[str, Any]):
     """Surface points [cm] and normals."""
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()
+    views: UInt8[Tensor, "b n h w 3"] = _entry()
+    """Pictures of ``Views``, or stored ones; the entries below are described there too."""
+    camera_k: Float[Tensor, "b n 3 3"] = _entry()
+    camera_rt: Float[Tensor, "b n 3 4"] = _entry()
+    landmark_pixels: Float[Tensor, "b n l 2"] = _entry()
+    landmark_visible: Bool[Tensor, "b n l"] = _entry()
     repeated: Bool[Tensor, " b"] = _entry()
     """True for garments that fill up a batch, from a loader with ``pad="repeat"``."""
 
@@ -157,6 +164,10 @@ class PackedBatch(_Batch):
     """Positions before sewing [cm]."""
     verts: Float[Tensor, "v 3"] = _entry()
     """Positions at rest [cm]."""
+    panel_corners: Int[Tensor, "k 2"] = _entry()
+    """(row of the garment's own ``panels``, corner) of each point, from ``Views``."""
+    panel_corner_pixels: Float[Tensor, "k n 2"] = _entry()
+    panel_corner_visible: Bool[Tensor, "k n"] = _entry()
     panels_ptr: Int[Tensor, " b+1"] = _entry()
     edges_ptr: Int[Tensor, " b+1"] = _entry()
     stitches_ptr: Int[Tensor, " b+1"] = _entry()
@@ -215,7 +226,7 @@ class PackedBatch(_Batch):
 
 
 class PaddedBatch(_Batch):
-    """Garments stacked to equal length; rows where the mask is false hold 0, and -1 in integer fields.
+    """Garments stacked to equal length; rows where the mask is false hold 0, or false; -1 in integer fields.
 
     Row numbers count within the garment.
     """
@@ -232,6 +243,9 @@ class PaddedBatch(_Batch):
     seams: Int[Tensor, "b n 2"] = _entry()
     box: Float[Tensor, "b v 3"] = _entry()
     verts: Float[Tensor, "b v 3"] = _entry()
+    panel_corners: Int[Tensor, "b k 2"] = _entry()
+    panel_corner_pixels: Float[Tensor, "b k n 2"] = _entry()
+    panel_corner_visible: Bool[Tensor, "b k n"] = _entry()
     panels_mask: Bool[Tensor, "b p"] = _entry()
     edges_mask: Bool[Tensor, "b e"] = _entry()
     stitches_mask: Bool[Tensor, "b s"] = _entry()

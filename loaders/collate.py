@@ -60,8 +60,8 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     """Pad ragged arrays to equal length and stack everything, for networks with inputs of fixed shape.
 
     - A ragged field becomes [B, n, …], n the rows of the longest garment of the batch; ``<field>_mask``, bool [B, n],
-      is true on real rows. Padding is 0 in floating arrays, and -1 in integer arrays: a row number that refers to
-      nothing.
+      is true on real rows. Padding is 0 in floating arrays, false in boolean ones, and -1 in integer arrays: a
+      row number that refers to nothing.
     - Row numbers count within the garment: ``faces[k]`` are rows of ``verts[k]``.
     - ``rows``: field to a fixed n for all batches: ``functools.partial(collate_padded, rows={"panels": 40})``.
     - All other fields as in ``collate_packed``.
@@ -129,7 +129,7 @@ def _pad(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, T
             f"a garment has {max(lengths)} rows of {field}, more than rows={longest}: give more, or leave rows out"
         )
     rows = _empty((len(values), longest, *values[0].shape[1:]), values[0])
-    padding = 0 if values[0].is_floating_point() else -1
+    padding = 0 if values[0].is_floating_point() or values[0].dtype == torch.bool else -1
     for value, out in zip(values, rows, strict=True):
         concatenate([value], out[: len(value)])
         fill(out[len(value) :], padding)

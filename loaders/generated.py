@@ -18,24 +18,24 @@ from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
-from gcd_dataset.generator.recipe import (
-    MakeConfig,
-    MakeOptions,
-    devices_name,
-    layout_of_samples,
-    named_devices,
-    recipe_of,
-    versions,
-)
+from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, named_devices, recipe_of, versions
 from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
-from gcd_dataset.loaders.ranks import gpu_of_rank, gpus_of_rank
+from gcd_dataset.loaders.devices import devices_of_process
 from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of, key_of, members_of, recipe_hash
+from gcd_dataset.shards.layout import (
+    SCHEMA,
+    Bytes,
+    fields_of,
+    is_view_field,
+    key_of,
+    members_of,
+    recipe_hash,
+)
 from gcd_dataset.shards.sample_cache import SampleCache
 
 __all__ = ["GeneratedGarments", "Stage"]
@@ -101,7 +101,7 @@ class GeneratedGarments(Garments):
     ) -> None:
         self._n, self._seed = require_integer("n", n), require_integer("seed", seed)
         require_options(options, MakeConfig)
-        options["device"] = _resolved_device(options.get("device", "auto"))
+        options["device"] = devices_of_process(options.get("device", "auto"))
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
@@ -215,7 +215,8 @@ class GeneratedGarments(Garments):
     @property
     def _needs_pictures(self) -> bool:
         """Whether pictures, or their checksums in ``meta``, are needed: rendering takes a second on a CPU."""
-        return self._sample_cache is not None or not {"front", "back", "meta"}.isdisjoint(self.fields)
+        pictures = any(field in ("front", "back", "meta") or is_view_field(field) for field in self.fields)
+        return self._sample_cache is not None or pictures
 
     @property
     def _drapes_elsewhere(self) -> bool:
@@ -277,20 +278,6 @@ def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:
     raise ConfigError(
         f'design={design!r:.99}: give a dict such as {{"meta": {{"bottom": "none"}}}}, or read_overlay(FILE)'
     )
-
-
-def _resolved_device(device: str) -> str:
-    """The device names, with ``auto`` resolved; for a rank, its own. Raises ``ConfigError``."""
-    if not isinstance(device, str):
-        raise ConfigError(f"device={device!r:.99}: give a name, such as auto, cpu or cuda:0")
-    # device_count() only: initialising CUDA here would break workers that are forked later.
-    count = torch.cuda.device_count()
-    gpu = gpu_of_rank(count) if count and device in ("auto", "cuda") else None
-    if gpu is not None:
-        return f"cuda:{gpu}"
-    if device != "auto":
-        return devices_name(gpus_of_rank(named_devices(device)))
-    return devices_name([f"cuda:{number}" for number in range(count)] or ["cpu"])
 
 
 def _last_stage(drape: str | None, stage: Stage | None) -> Stage:

@@ -1,9 +1,9 @@
 """``GarmentLoader``: resumable batches; after any interruption no garment is lost or repeated."""
 
-from collections.abc import Generator, Iterator, Mapping, Sized
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sized
 from contextlib import closing, nullcontext
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch.utils.data import Dataset, IterableDataset
@@ -13,6 +13,7 @@ from gcd_dataset.loaders.base import Garments, require_integer
 from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
+from gcd_dataset.loaders.views import Views, garments_in, render_ahead
 from gcd_dataset.loaders.worker import unwrap
 from gcd_dataset.prefetch import prefetch
 
@@ -39,6 +40,9 @@ class GarmentLoader:
       ``world_size`` and ``pad`` are those of ``ElasticSampler``; if not given, each ``iter()`` looks them up. With
       ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that are repeated.
       ``drop_last`` leaves out each rank's last, smaller batch.
+    - ``views``: pictures of each garment, rendered while the training works: on a CPU with workers in these, after
+      transforms and before ``collate_fn``; otherwise by a thread of this process, from batches of ``collate_packed``,
+      ``collate_padded`` or ``collate_list``.
     - ``num_workers=0``: a thread reads stored garments, two batches ahead of the loop. Worker processes cost more than
       reading does; use them for generated garments and slow transforms. They persist over epochs.
     - Your ``transform``, ``augment`` and ``collate_fn`` run in the training thread or in worker processes. Their draws
@@ -69,11 +73,16 @@ class GarmentLoader:
         world_size: int | None = None,
         drop_last: bool = False,
         pad: Pad = "none",
+        views: Views | None = None,
     ) -> None:
         self.dataset, self.batch_size = dataset, require_integer("batch_size", batch_size, least=1)
         num_workers = require_integer("num_workers", num_workers)
         if not callable(collate_fn):
             raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
+        if not (views is None or isinstance(views, Views)):
+            raise ConfigError(f"views={views!r:.99}: give Views(…), or leave it out")
+        in_workers = views if views is not None and views.device == "cpu" and num_workers else None
+        self._views = None if in_workers is not None else views
         self._plan: BatchPlan
         if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
             _require_stream_options(shuffle, num_workers, pad)
@@ -83,7 +92,13 @@ class GarmentLoader:
             sized = cast(Sized, dataset)  # torch declares no length
             sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
             self._plan = IndexedPlan(
-                sampler, dataset, batch_size, collate_fn, drop_last=drop_last, num_workers=num_workers
+                sampler,
+                dataset,
+                batch_size,
+                collate_fn,
+                drop_last=drop_last,
+                num_workers=num_workers,
+                views=in_workers,
             )
         self._batches = self._plan.loader(
             pin_memory=torch.cuda.device_count() > 0,
@@ -126,17 +141,36 @@ class GarmentLoader:
         start = self._plan.begin(self._cursor if self._is_loaded else self._plan.next_pass(self._cursor))
         source = iter(self._batches)
         with closing(_prefetched(source)) if self._plan.runs_in_thread else nullcontext(source) as batches:
-            for number, batch in enumerate(map(unwrap, batches), 1):
-                self._cursor, self._is_loaded = self._plan.after(start, number), False
-                yield self._plan.annotate(batch, start, number)
-                self._require_valid(iterator)
+            numbered = enumerate(map(unwrap, batches), 1)
+            made = ((_Made(number, self._plan.after(start, number)), batch) for number, batch in numbered)
+            with closing(made if self._views is None else self._with_views(self._views, made, start)) as finished:
+                for (number, cursor), batch in finished:
+                    self._cursor, self._is_loaded = cursor, False
+                    yield self._plan.annotate(batch, start, number)
+                    self._require_valid(iterator)
         self._cursor = self._plan.after_last(self._cursor)
+
+    def _with_views(
+        self, views: Views, made: Iterable[tuple["_Made", Any]], start: Cursor
+    ) -> Generator[tuple["_Made", Any]]:
+        """The batches with their pictures; threads render ahead of the loop."""
+        return render_ahead(
+            views,
+            ((tag, batch, self._plan.uses(start, tag.number, garments_in(batch))) for tag, batch in made),
+        )
 
     def _require_valid(self, iterator: int) -> None:
         if iterator != self._iterator:
             raise ConfigError(
                 "this iterator ended with a later iter() or load_state_dict(): take batches from the last one"
             )
+
+
+class _Made(NamedTuple):
+    """Number of a batch in its pass, from 1, and the cursor after it."""
+
+    number: int
+    cursor: Cursor
 
 
 def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:

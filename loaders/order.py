@@ -114,6 +114,10 @@ class SampleOrder:
         offsets = [position - epoch * self.length for position in positions]
         return cached_permutation(self.length, self.seed, epoch).many(offsets)
 
+    def uses(self, positions: Sequence[int], epoch: int) -> list[int]:
+        """The number of each use of a garment: its epoch; its position for data sets that repeat garments in one."""
+        return list(positions) if self._is_endless else [epoch] * len(positions)
+
     def epoch(self, position: int) -> int:
         return position // self.length
 

@@ -163,6 +163,9 @@ def test_captions_and_views_can_be_downloaded_alone(hub: Hub, tmp_path: Path) ->
     some = GarmentDataset(tmp_path / "some")
     assert some.fields == ("meta", "caption", "view_0")
     assert [item["caption"] for item in some] == ["skirt 0", "skirt 1", "skirt 2"]
+    assert main(["download", "me/garments", "--fields", "views", *options[:-1], str(tmp_path / "views")]) == 0
+    assert GarmentDataset(tmp_path / "views").fields == ("meta", "view_0")
+    assert GarmentDataset(tmp_path / "views", fields=["views"])[2]["views"].shape == (1, 16, 16, 3)
 
 
 def test_splits_that_share_designs_are_a_fault_also_without_bodies(

@@ -16,8 +16,17 @@ from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES, ShardTable, read_stored_index, scan_shard
-from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index_name
+from gcd_dataset.shards.layout import (
+    FOREIGN,
+    GARMENTS,
+    Bytes,
+    fields_of,
+    index_name,
+    is_view_field,
+    joint_fields,
+)
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
+from gcd_dataset.shards.picture import opened_picture
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.rejects import REJECTS
 from gcd_dataset.shards.store import Store
@@ -95,8 +104,17 @@ def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
     total = reader.index.table.size.sum(axis=0, dtype=np.int64)
     members = reader.layout.members
     # Foreign members may share a stem: keep their full names.
-    names = members if reader.layout.kind == FOREIGN else [member.split(".")[0] for member in members]
-    return dict(zip(names, total.tolist(), strict=True))
+    names = members if reader.layout.kind == FOREIGN else map(_stem, members)
+    amounts: Counter[str] = Counter()
+    for name, size in zip(names, total.tolist(), strict=True):
+        amounts[name] += size
+    return dict(amounts)
+
+
+def _stem(member: str) -> str:
+    """The name of a member in the plot; all views count as one."""
+    stem = member.split(".")[0]
+    return "views" if is_view_field(stem) else stem
 
 
 def _content_lines(reader: ShardReader) -> Iterator[str]:
@@ -124,11 +142,19 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
             yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
     if tags:
         yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
+    if views := joint_fields(reader.layout.members).get("views"):
+        yield f"  views: {len(views)} of each garment, {_view_size(reader, views[0])}"
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
     if captions:
         yield "  first captions:"
         yield from (f"    {text}" for text in captions[:FIRST_CAPTIONS])
+
+
+def _view_size(reader: ShardReader, member: str) -> str:
+    """Size of the first garment's view."""
+    with opened_picture(reader.read(0, [member])[member], ("JPEG",)) as picture:
+        return f"{picture.width} x {picture.height} pixels"
 
 
 def _kinds(content: Mapping[str, Bytes]) -> Mapping[str, Any]:

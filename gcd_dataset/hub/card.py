@@ -136,7 +136,7 @@ def card(release: Release) -> str:
 
 def _describe(field: str) -> str:
     if field.startswith("view_"):
-        return "camera, light and materials of that view" if field.endswith("_json") else "picture from any side"
+        return "camera, light, place and materials of that view" if field.endswith("_json") else "picture from any side"
     return FIELD_DESCRIPTIONS[field]
 
 

@@ -23,11 +23,14 @@ from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FOREIGN,
     GARMENTS,
+    JOINT,
     MOST_VIEWS,
     Layout,
     fields_of,
     garments_layout,
     index_name,
+    is_view_field,
+    joint_fields,
     lock_name,
     part_path,
     select_fields,
@@ -63,8 +66,9 @@ def download(
     mismatch. ``on_progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
     patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for one that cannot be written.
     """
-    wanted = wanted_layout(fields)
-    if completed := completed_download(folder, source, split, wanted):
+    wanted, joint = wanted_layout(fields), _joint_of(fields)
+    # The number of views is known to the server alone.
+    if not joint and (completed := completed_download(folder, source, split, wanted)):
         return completed
     site = Site(source, remote or Remote())
     source = replace(source, revision=site.revision)
@@ -72,7 +76,7 @@ def download(
     if reader.manifest is None or reader.layout.kind == FOREIGN:
         raise _foreign_error(site)
     _require_shard_names(site, reader)
-    layout = reader.layout if fields is None else _reduced_layout(site, reader.layout, wanted)
+    layout = reader.layout if fields is None else _reduced_layout(site, reader.layout, wanted, joint)
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
         if completed := completed_download(folder, source, split, layout):
@@ -104,13 +108,27 @@ def remote_splits(source: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple
 
 
 def wanted_layout(fields: Sequence[str] | None) -> Layout:
-    """The members to download, ``meta.json`` included, by their current names. Raises ``ConfigError``."""
+    """The members to download, ``meta.json`` included, by their current names. Raises ``ConfigError``.
+
+    Of fields that join all views it holds the member of the first view.
+    """
     if fields is None:
         return GARMENTS
-    views = MOST_VIEWS if any(field.startswith("view_") for field in fields) else 0
+    views = MOST_VIEWS if any(map(is_view_field, fields)) else 0
     full = garments_layout(caption=True, views=views)
-    names = {META, *select_fields(fields, fields_of(full.members))}
+    first = [_first_view(field) if field in JOINT else field for field in fields]
+    names = {META, *select_fields(first, fields_of(full.members))}
     return full.of([member for field, member in fields_of(full.members).items() if field in names])
+
+
+def _joint_of(fields: Sequence[str] | None) -> list[str]:
+    """The fields among ``fields`` that join all views."""
+    return [field for field in fields or () if field in JOINT]
+
+
+def _first_view(joint: str) -> str:
+    """The field of the first view from which a joint field is made."""
+    return "view_0" if JOINT[joint] == "jpg" else "view_0_json"
 
 
 def _require_shard_names(site: Site, reader: ShardReader) -> None:
@@ -120,9 +138,15 @@ def _require_shard_names(site: Site, reader: ShardReader) -> None:
             raise ShardError(f"{site.source}: lists a shard {name!r}, which is not a valid name: tell its publisher")
 
 
-def _reduced_layout(site: Site, layout: Layout, wanted: Layout) -> Layout:
-    """The published layout reduced to the fields of ``wanted``. Raises ``ConfigError`` for a missing field."""
-    names, available = fields_of(wanted.members).keys(), fields_of(layout.members)
+def _reduced_layout(site: Site, layout: Layout, wanted: Layout, joint: Sequence[str]) -> Layout:
+    """The published layout reduced to the fields of ``wanted``, and to those that ``joint`` fields join.
+
+    Raises ``ConfigError`` for a missing field.
+    """
+    names, available = set(fields_of(wanted.members)), fields_of(layout.members)
+    of_joint = joint_fields(layout.members)
+    joined = {member for field in joint for member in of_joint.get(field, ())}
+    names |= {field for field, member in available.items() if member in joined}
     if missing := sorted(names - available.keys()):
         raise ConfigError(f"{site.source}: its garments have no field {missing[0]}: there are {', '.join(available)}")
     return layout.of([member for field, member in available.items() if field in names])

@@ -28,8 +28,13 @@
 ``caption.txt``      the garment in English, three lines: short, medium } optional: in every sample of a data set,
                      and full caption, see ``gcd_dataset.captions``     }
 ``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none
-``view_K.json``      its camera, light and materials                    }
+``view_K.json``      its camera, light, place and materials             }
 ===================  ===================================================================================================
+
+``view_K.json`` of ``gcd generate --views`` has the same keys and types in every sample: ``camera`` with ``k`` (3 x 3,
+pixels), ``rt`` (3 x 4, world to camera, cm), ``focal_mm`` (as on 35 mm film), ``size`` (pixels) and ``convention``;
+``light``, ``place`` and ``appearance``: see ``generator.views.view_facts``. The fields ``views``, ``camera_k`` and
+``camera_rt`` join all views of a sample. A diverged drape has one grey pixel and cameras of zeros.
 
 An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
 loaded fields hold ids as int32. Readers that infer types from the first samples need the same type in the whole data
@@ -73,11 +78,13 @@ from gcd_dataset.shards.layout import (
     CAPTION,
     FIELDS,
     FIRST_NAMES,
+    JOINT,
     MEMBERS,
     MOST_VIEWS,
     SCHEMA,
     Bytes,
     fields_of,
+    joint_fields,
     member_content,
     recipe_hash,
     select_fields,
@@ -173,7 +180,7 @@ def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], Q
         name: data
         for number, view in enumerate(sample.views)
         for name, data in (
-            (f"view_{number}.jpg", view.picture),
+            (f"view_{number}.jpg", view.picture or NO_PICTURE),
             (f"view_{number}.json", json_bytes(dict(view.facts))),
         )
     }
@@ -385,6 +392,8 @@ REMEDY = "copy its shard again, or delete the shard and run gcd generate again"
 def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
     """One field, decoded as by ``decode_fields``."""
     member = FIELDS.get(field, field)
+    if field in JOINT:
+        return _decode_joint(field, members)
     try:
         if field == "points":
             return _read_points(members[member], members[FIELDS["meta"]])
@@ -458,6 +467,33 @@ def _picture(data: Bytes) -> np.ndarray:
     with opened_picture(data, ("JPEG",)) as image:
         pixels = np.asarray(image.convert("RGB"))
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _decode_joint(field: str, members: Mapping[str, Bytes]) -> np.ndarray:
+    """A field of all views: pictures u8 [n, height, width, 3], cameras f64 [n, 3, 3] and [n, 3, 4].
+
+    Raises ``ShardError`` for views of different sizes.
+    """
+    found = joint_fields(members)[field]
+    decoded = (decode_field(fields_of([member]).popitem()[0], members) for member in found)
+    if field == "views":
+        pictures = [picture.transpose(1, 2, 0) for picture in decoded]
+        if len({picture.shape for picture in pictures}) > 1:
+            sizes = ", ".join(f"{picture.shape[1]} x {picture.shape[0]}" for picture in pictures)
+            raise ShardError(
+                f"its views have the sizes {sizes}, and one array needs equal sizes: read view_0, view_1, …"
+            )
+        return np.stack(pictures)
+    entry, shape = ("k", (3, 3)) if field == "camera_k" else ("rt", (3, 4))
+    return np.stack([_matrix(member, facts, entry, shape) for member, facts in zip(found, decoded, strict=True)])
+
+
+def _matrix(member: str, facts: Mapping[str, Any], entry: str, shape: tuple[int, int]) -> np.ndarray:
+    camera: Any = facts.get("camera")
+    try:
+        return np.array(camera[entry], np.float64).reshape(shape)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
 
 
 def _object(data: Bytes) -> dict[str, Any]:
@@ -547,4 +583,8 @@ def _drape(field: Mapping[str, Any]) -> Drape:
 
 def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[View, ...]:
     count = sum(name.startswith("view_") for name in pictures)
-    return tuple(View(pictures[f"view_{number}"], field[f"view_{number}_json"]) for number in range(count))
+    encoded = [pictures[f"view_{number}"] for number in range(count)]
+    return tuple(
+        View(b"" if picture == NO_PICTURE else picture, field[f"view_{number}_json"])
+        for number, picture in enumerate(encoded)
+    )

@@ -29,6 +29,7 @@ __all__ = [
     "FIRST_NAMES",
     "FOREIGN",
     "GARMENTS",
+    "JOINT",
     "MEMBERS",
     "MOST_VIEWS",
     "SCHEMA",
@@ -42,6 +43,8 @@ __all__ = [
     "garments_layout",
     "index_name",
     "is_extra",
+    "is_view_field",
+    "joint_fields",
     "key_of",
     "layout_of",
     "lock_name",
@@ -87,6 +90,9 @@ WAITING = ".waiting"
 CAPTION = "caption.txt"
 MOST_VIEWS = 100
 VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
+
+JOINT: Mapping[str, str] = {"views": "jpg", "camera_k": "json", "camera_rt": "json"}
+"""Field decoded from a member of each view, with the ending of these members."""
 
 FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
 """Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
@@ -168,9 +174,30 @@ def fields_of(members: Iterable[str]) -> dict[str, str]:
     }
 
 
+def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """The fields of ``JOINT`` that these members hold, each with its members: those of all views.
+
+    >>> joint_fields(["verts.npy", "view_0.jpg", "view_1.jpg"])
+    {'views': ('view_0.jpg', 'view_1.jpg')}
+    """
+    views = [member for member in members if VIEW.fullmatch(member)]
+    of_ending = {ending: tuple(view for view in views if view.endswith(f".{ending}")) for ending in ("jpg", "json")}
+    return {field: found for field, ending in JOINT.items() if (found := of_ending[ending])}
+
+
+def is_view_field(field: str) -> bool:
+    """Whether a field is decoded from the views.
+
+    >>> is_view_field("views"), is_view_field("view_0_json"), is_view_field("verts")
+    (True, True, False)
+    """
+    return field in JOINT or re.fullmatch(r"view_\d+(_json)?", field) is not None
+
+
 def members_of(fields: Iterable[str], member_of: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
     """The members that decoding these fields needs; ``member_of``: field to member."""
-    wanted = dict.fromkeys(member_of[field] for field in fields)
+    joint = joint_fields(member_of.values())
+    wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (member_of[field],))
     if "points" in member_of and member_of["points"] in wanted:  # meta.json holds their scale and centre
         wanted[member_of["meta"]] = None
     return tuple(wanted)

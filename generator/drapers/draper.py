@@ -7,6 +7,13 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.views import (
+    RenderedView,
+    ViewRequest,
+    finished_view,
+    requested_scene,
+    requested_views,
+)
 from gcd_dataset.records import Drape
 from gcd_dataset.waits import Waits
 
@@ -24,9 +31,11 @@ class DrapeRequest:
     """Chosen by the sender; the reply has the same number."""
     job: "DrapeJob"
     picture: int = 0
-    """Side of the pictures [pixels]; 0 for none."""
+    """Side of front and back [pixels]; 0 for none."""
     retry: bool = False
     """A further attempt at a sample; draped before all other requests, since later samples wait for it."""
+    views: ViewRequest | None = None
+    """The drawn views to take, if any."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,8 @@ class DrapeReply:
     """Time of the batch divided by its garments; 0 from a draper that several processes share."""
     waits: Waits = field(default_factory=dict)
     """How long the draping process has waited for requests since its last reply, by device."""
+    views: tuple[RenderedView, ...] = ()
+    """The drawn views; none of a diverged drape."""
 
 
 class Draper(Protocol):
@@ -70,13 +81,26 @@ class Draper(Protocol):
 
 def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: float = 0.0) -> DrapeReply:
     """The reply to a request, with the pictures that it asks for, rendered on ``device``."""
-    if not request.picture:
-        return DrapeReply(request.number, drape, None, seconds)
-    from gcd_dataset.generator.render import render_garment
+    pictures = None
+    if request.picture:
+        from gcd_dataset.generator.render import render_garment
 
-    mesh, body = request.job.box_mesh, request.job.body
-    pictures = render_garment(drape.vertices, mesh, body, size=request.picture, device=device)
-    return DrapeReply(request.number, drape, pictures, seconds)
+        mesh, body = request.job.box_mesh, request.job.body
+        pictures = render_garment(drape.vertices, mesh, body, size=request.picture, device=device)
+    return DrapeReply(request.number, drape, pictures, seconds, views=_views(request, drape, device))
+
+
+def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedView, ...]:
+    """The drawn views that a request asks for."""
+    asked = request.views
+    scene = None if asked is None else requested_scene(asked, request.job.box_mesh, drape.vertices)
+    if asked is None or scene is None:
+        return ()
+    from gcd_dataset.generator.render import render
+
+    views = requested_views(asked, scene)
+    pictures = render([scene], views, size=asked.size, device=device)
+    return tuple(finished_view(view, picture, scene) for view, picture in zip(views, pictures, strict=True))
 
 
 def require_faces(request: DrapeRequest) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
+from gcd_dataset.generator.views import ViewRequest
 from gcd_dataset.waits import record_wait
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ class Work(Generic[Made]):
     finish: Callable[[Sequence[DrapeReply]], Union[Made, "Work[Made]"]]
     """Makes the result, or the work of another attempt, from the replies in the order of ``jobs``."""
     picture: int = 0
-    """Side of the pictures [pixels]; 0 for none."""
+    """Side of front and back [pixels]; 0 for none."""
+    views: Sequence[ViewRequest] = ()
+    """The drawn views of each job; empty for none."""
 
 
 def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
@@ -114,7 +117,8 @@ class _Dispatcher:
         for number, job in enumerate(task.work.jobs):
             assert self._draper is not None
             self._job_of[self._next_number] = task, number
-            self._draper.send(DrapeRequest(self._next_number, job, task.work.picture, retry))
+            views = task.work.views[number] if task.work.views else None
+            self._draper.send(DrapeRequest(self._next_number, job, task.work.picture, retry, views))
             self._next_number += 1
         self._finish(task)
 

@@ -1,18 +1,22 @@
 """Pictures of draped garments, rendered several at a time while the device drapes on."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
-from gcd_dataset.generator.render import garment_scene
+from gcd_dataset.generator.render import PendingPictures, garment_scene, start_pictures
+from gcd_dataset.generator.render import View as DrawnView
 from gcd_dataset.generator.render.plain_batch import PendingRender, View, start_render
+from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
 
 __all__ = ["PictureQueue"]
 
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
-VIEWS: tuple[View, View] = ("front", "back")
+SIDES: tuple[View, View] = ("front", "back")
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -31,17 +35,17 @@ class PictureQueue:
     def __init__(self, device: str) -> None:
         self._device = device
         self._pending: list[_Pending] = []
-        self._in_flight: deque[tuple[PendingRender, list[_Pending]]] = deque()
+        self._in_flight: deque[tuple[_Renderings, list[_Pending]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply`` with its pictures."""
-        if not request.picture:
+        if not request.picture and request.views is None:
             reply(DrapeReply(request.number, drape, None))
             return
-        if self._pending and self._pending[0].request.picture != request.picture:
+        if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
         self._pending.append(_Pending(request, drape, reply))
-        if len(self._pending) >= self._batch_size(request.picture):
+        if len(self._pending) >= self._batch_size(_pixels(request)):
             self._render()
 
     def advance(self) -> None:
@@ -58,19 +62,73 @@ class PictureQueue:
         while self._in_flight:
             self._reply_first()
 
-    def _batch_size(self, size: int) -> int:
-        """Garments in one rendering; a CPU renders one at a time."""
-        return 1 if self._device == "cpu" else PIXELS // (len(VIEWS) * size**2)
+    def _batch_size(self, pixels: int) -> int:
+        """Garments of ``pixels`` each in one rendering; a CPU renders one at a time."""
+        return 1 if self._device == "cpu" else max(1, PIXELS // pixels)
 
     def _render(self) -> None:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
             self._reply_first()
         batch, self._pending = self._pending, []
-        scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
-        size = batch[0].request.picture
-        self._in_flight.append((start_render(scenes, VIEWS, size=size, device=self._device), batch))
+        self._in_flight.append((_Renderings(batch, self._device), batch))
 
     def _reply_first(self) -> None:
-        render, batch = self._in_flight.popleft()
-        for pending, (front, back) in zip(batch, render.pictures(), strict=True):
-            pending.reply(DrapeReply(pending.request.number, pending.drape, (front, back)))
+        renderings, batch = self._in_flight.popleft()
+        for pending, pictures, views in zip(batch, renderings.pictures(), renderings.views(), strict=True):
+            pending.reply(DrapeReply(pending.request.number, pending.drape, pictures, views=views))
+
+
+class _Renderings:
+    """Front, back and drawn views of a batch of garments, all of the same sizes, that a device is rendering."""
+
+    def __init__(self, batch: Sequence[_Pending], device: str) -> None:
+        self._batch = batch
+        self._plain: PendingRender | None = None
+        if size := batch[0].request.picture:
+            scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
+            self._plain = start_render(scenes, SIDES, size=size, device=device)
+        self._scenes: list[Scene] = []
+        self._views: list[list[DrawnView]] = [[] for _ in batch]
+        self._drawn: PendingPictures | None = None
+        if batch[0].request.views is not None:
+            self._start_views(batch[0].request.views.size, device)
+
+    def ready(self) -> bool:
+        """Whether ``pictures`` and ``views`` return without waiting."""
+        return all(pending is None or pending.ready() for pending in (self._plain, self._drawn))
+
+    def pictures(self) -> list[Any]:
+        """Front and back of each garment; ``None`` where they were not asked for."""
+        return [None] * len(self._batch) if self._plain is None else self._plain.pictures()
+
+    def views(self) -> list[tuple[RenderedView, ...]]:
+        """The drawn views of each garment. Call once."""
+        if self._drawn is None:
+            return [()] * len(self._batch)
+        pictures = iter(self._drawn.pictures())
+        return [
+            tuple(finished_view(view, next(pictures), self._scenes[view.scene]) for view in views)
+            for views in self._views
+        ]
+
+    def _start_views(self, size: int, device: str) -> None:
+        for garment, pending in enumerate(self._batch):
+            asked = pending.request.views
+            assert asked is not None
+            scene = requested_scene(asked, pending.request.job.box_mesh, pending.drape.vertices)
+            self._views[garment] = requested_views(asked, scene, row=len(self._scenes))
+            if scene is not None:
+                self._scenes.append(scene)
+        views = [view for views in self._views for view in views]
+        self._drawn = start_pictures(self._scenes, views, size=size, device=device)
+
+
+def _sizes(request: DrapeRequest) -> tuple[int, int]:
+    """Sizes of the pictures that a request asks for; requests of the same sizes are rendered together."""
+    return request.picture, 0 if request.views is None else request.views.size
+
+
+def _pixels(request: DrapeRequest) -> int:
+    """Pixels of all pictures that a request asks for."""
+    views = request.views
+    return len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)

@@ -1,15 +1,23 @@
 """Each reply has the pictures of its own garment."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
+from gcd_dataset.generator.drapers.draper import make_reply
 from gcd_dataset.generator.drapers.pictures import PictureQueue
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.shards import decode_sample, encode_sample
+from gcd_dataset.shards.layout import garments_layout
+from tests.loaders import rendered
 
 GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
 
@@ -69,3 +77,45 @@ def test_pictures_do_not_wait_for_a_full_batch(jobs: list[DrapeJob]) -> None:
     queue.advance()
     queue.flush()
     assert len(replies) == 1
+
+
+@pytest.mark.parametrize("batch_size", [1, 3])
+def test_every_garment_gets_its_own_views(batch_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also beside a diverged drape, which has none, and beside garments that ask for none."""
+    monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: batch_size)
+    asked = rendered.requests(3)
+    asked += [replace(asked[0], number=3, picture=24), replace(asked[1], number=4, views=None)]
+    drapes = [rendered.start_of(request) for request in asked]
+    drapes[1] = rendered.diverged(asked[1])
+    replies: list[DrapeReply] = []
+    queue = PictureQueue("cpu")
+    for request, drape in zip(asked, drapes, strict=True):
+        queue.add(request, drape, replies.append)
+    queue.flush()
+    by_number = {reply.number: reply for reply in replies}
+    for request, drape in zip(asked, drapes, strict=True):
+        alone, reply = make_reply(request, drape, "cpu"), by_number[request.number]
+        assert len(reply.views) == len(alone.views) == (2 if request.number in (0, 2, 3) else 0)
+        for view, other in zip(reply.views, alone.views, strict=True):
+            assert np.array_equal(view.rgb, other.rgb)
+            assert view.facts == other.facts
+        assert (reply.pictures is None) == (not request.picture)
+    assert len({view.rgb.tobytes() for number in (0, 2) for view in by_number[number].views}) == 4
+
+
+def test_a_diverged_drape_has_members_of_the_same_kind() -> None:
+    [request, other] = rendered.requests(2)
+    lost, shown = (
+        rendered.sample_of(make_reply(*pair, "cpu"))
+        for pair in ((request, rendered.diverged(request)), (other, rendered.start_of(other)))
+    )
+    assert list(encode_sample(lost)) == list(encode_sample(shown)) == list(garments_layout(views=2).members)
+    assert kinds(lost.views[0].facts) == kinds(shown.views[0].facts)
+    assert decode_sample(encode_sample(lost)).views == lost.views
+
+
+def kinds(value: Any) -> Any:
+    """The types of a JSON value; of a list those of its first entry."""
+    if isinstance(value, Mapping):
+        return {name: kinds(entry) for name, entry in value.items()}
+    return [kinds(value[0])] if isinstance(value, list) else type(value)

@@ -1,0 +1,525 @@
+"""``Views``: pictures of garments in drawn cloth, light and places, rendered when garments are read.
+
+Where pictures are rendered:
+
+- With a CPU and worker processes, in the workers, item by item, before collate.
+- Otherwise a thread of the training process renders the next batches during the training step (``render_ahead``). A
+  GPU is never used in workers: each would open a CUDA context, and a forked one cannot.
+"""
+
+import contextlib
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import get_worker_info
+
+from gcd_dataset import __version__
+from gcd_dataset.bodies import POSES
+from gcd_dataset.errors import BodyError, ConfigError
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
+from gcd_dataset.loaders.body_datasets import Bodies
+from gcd_dataset.loaders.collate import collate_packed, collate_padded
+from gcd_dataset.loaders.devices import device_of_process
+from gcd_dataset.loaders.one_thread import pin_tensor
+from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
+from gcd_dataset.seeding import Stage, rng
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.render import (
+        AppearanceRanges,
+        CameraRanges,
+        EnvironmentRanges,
+        LightRanges,
+        Picture,
+        Scene,
+        View,
+    )
+    from gcd_dataset.generator.render.pictures import MapName
+
+__all__ = ["VIEW_FIELDS", "BodyOf", "Views", "garments_in", "render_ahead"]
+
+VIEW_FIELDS: tuple[str, ...] = (
+    "meta", "spec", "panels", "edges", "stitches", "body",
+    "faces", "uv", "panel_id", "seams", "corners", "uv_vertex", "verts",
+)  # fmt: skip
+"""The fields that ``Views`` reads, and those that ``collate_packed`` needs for them."""
+NEEDED = ("meta", "spec", "verts", "faces", "uv", "panel_id", "seams", "corners", "uv_vertex")
+MOST_VIEWS = 4096
+LARGEST = 4096  # pixels
+PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
+POLL = 5e-4  # s between two looks at a GPU; waiting for it holds the lock that other threads launch with
+BODIES_KEPT = 256  # bodies in memory: 150 MB
+
+BodyOf = Callable[[str], Body]
+"""The body of a wearer, by the name in ``meta["body"]``."""
+Tag = TypeVar("Tag")
+
+
+class Views:
+    """Renders ``n`` pictures of each garment: a transform, an augmentation, or the ``views`` of a ``GarmentLoader``.
+
+    >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset, GarmentLoader
+    >>> ds = GarmentDataset("garments", fields=VIEW_FIELDS)  # doctest: +SKIP
+    >>> loader = GarmentLoader(ds, 8, views=Views(n=4, size=256, maps=("depth",)))  # doctest: +SKIP
+    >>> next(iter(loader))["views"].shape  # doctest: +SKIP
+    torch.Size([8, 4, 256, 256, 3])
+
+    An item gets:
+
+    ==========================  ========================================================================================
+    ``views``                   u8 [n, size, size, 3]: sRGB
+    ``camera_k``                f32 [n, 3, 3]: intrinsics [pixels]
+    ``camera_rt``               f32 [n, 3, 4]: [R | t], world to camera [1, cm]
+    ``depth_map``, …            [n, size, size] or [n, size, size, channels], for each of ``maps``; see
+                                ``generator.render.Picture``. Panels and seams are rows of the garment's own pattern.
+    ``panel_corners``           i32 [k, 2]: panel and corner of each row of the two entries below
+    ``panel_corner_pixels``     f32 [k, n, 2]: column and row in each view; NaN behind the camera
+    ``panel_corner_visible``    bool [k, n]: in the picture, and hidden by nothing
+    ``landmark_pixels``         f32 [n, l, 2]: landmarks of the body, ``landmark_names``; NaN where the body has none
+    ``landmark_visible``        bool [n, l]
+    ==========================  ========================================================================================
+
+    The conventions are OpenCV's: camera axes x right, y down, z forward; a point X [cm] is at K (R X + t); the centre
+    of the upper left pixel is (0, 0). ``front`` and ``back``, the plain pictures, stay as they are.
+
+    **Randomness.** Pictures are a function of ``seed``, epoch and the garment's number, ``meta["index"]``; not of
+    workers, order or batch. With the seed of the garments, those of epoch 0 are the ones that ``gcd generate --views``
+    stores. All views of a garment share cloth and figure; camera, light and place differ. A CPU and a GPU differ in
+    roundings.
+
+    **Epochs.** A ``GarmentLoader`` given ``views`` knows the epoch; for a stream and a ``MixedDataset``, whose epochs
+    may repeat garments, it numbers each use. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too.
+    In ``Augmented`` and ``FreshGarments(augment=…)`` each use has a stream of its own.
+
+    - ``appearance``, ``camera``, ``lights``, ``environment``: the ranges to draw from, such as
+      ``AppearanceRanges(prints=…)``; ``None``: all.
+    - ``device``: ``auto`` is this rank's GPU, else the CPU; looked up when ``Views`` is made, so make it after
+      ``torch.distributed`` is initialised.
+    - ``bodies``: the wearers of garments without shape weights of the body model, such as published ones and
+      ``FakeGarments``: ``PublishedBodies``, or a function from name to ``Body``.
+
+    Raises ``ConfigError`` for invalid options; and where items are rendered for a GPU in a worker, a field that is
+    missing, and a wearer that is unknown.
+    """
+
+    def __init__(
+        self,
+        n: int = 4,
+        size: int = 256,
+        *,
+        appearance: "AppearanceRanges | None" = None,
+        camera: "CameraRanges | None" = None,
+        lights: "LightRanges | None" = None,
+        environment: "EnvironmentRanges | None" = None,
+        maps: Sequence["MapName"] = ("depth", "panel_id"),
+        seed: int = 0,
+        device: str = "auto",
+        bodies: Bodies | BodyOf | None = None,
+    ) -> None:
+        from gcd_dataset.generator.render import Ranges
+
+        self.n, self.size = _within("n", n, MOST_VIEWS), _within("size", size, LARGEST)
+        self.maps, self.seed = _known_maps(maps), require_integer("seed", seed)
+        given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
+        self.ranges = Ranges(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+        self.device = device_of_process(device)
+        """``cpu``, or a GPU such as ``cuda:0``."""
+        self._body_of: BodyOf | None = _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._process = os.getpid()
+
+    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
+        """The item with its pictures: a transform; with ``rng``, an augmentation that draws the epoch from it."""
+        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
+        return self.add_to_items([item], [use])[0]
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch of the items transformed from now on, in all worker processes."""
+        self._epoch.fill_(require_integer("epoch", epoch))
+
+    def batches(self, batches: Iterable[Any], *, epoch: int = 0) -> Iterator[Any]:
+        """The batches of a ``DataLoader`` with their pictures; the next ones are rendered during the training step.
+
+        Batches are of ``collate_packed``, ``collate_padded`` or ``collate_list``. A ``GarmentLoader`` takes ``views``
+        itself, and keeps its position exact.
+        """
+        entries = ((None, batch, [epoch] * garments_in(batch)) for batch in batches)
+        return (batch for _, batch in render_ahead(self, entries))
+
+    @cached_property
+    def landmark_names(self) -> tuple[str, ...]:
+        """Names of the landmarks, in the order of ``landmark_pixels``."""
+        from gcd_dataset.generator.body.asset import landmark_table
+
+        return tuple(landmark_table().points)
+
+    def __repr__(self) -> str:
+        maps = f", maps {', '.join(self.maps)}" if self.maps else ""
+        return f"Views(n={self.n}, size={self.size}, seed={self.seed}, on {self.device}{maps})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
+
+    # ------------------------------------------------------------------------------------------------- items, batches
+
+    def add_to_items(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        """The items with their pictures; ``uses``: the epoch, or number of the use, of each."""
+        added = self._rendered(items, uses)
+        return [GarmentItem({**item, **entries}) for item, entries in zip(items, added, strict=True)]
+
+    def add_to_batch(self, batch: Any, uses: Sequence[int]) -> Any:
+        """A collated batch with the pictures of its garments, as if the items had had them."""
+        added = self._rendered(_items_of(batch), uses)
+        if isinstance(batch, list):
+            return [GarmentItem({**item, **entries}) for item, entries in zip(batch, added, strict=True)]
+        joined = (collate_packed if isinstance(batch, PackedBatch) else collate_padded)(added)
+        for name, value in joined.items():
+            batch[name] = pin_tensor(value) if isinstance(value, Tensor) and _is_pinned(batch) else value
+        return batch
+
+    def _rendered(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        """The new entries of each item."""
+        self._require_usable()
+        at_once = max(1, PIXELS // (self.n * self.size**2))
+        entries: list[Item] = []
+        for first in range(0, len(items), at_once):
+            chunk = slice(first, first + at_once)
+            entries += self._render_chunk(items[chunk], uses[chunk])
+        return entries
+
+    def _render_chunk(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        from gcd_dataset.generator.views import views_of
+
+        scenes, views = [], []
+        for row, (item, use) in enumerate(zip(items, uses, strict=True)):
+            scene, index, fabric = self._scene(item, use)
+            scenes.append(scene)
+            options: dict[str, Any] = {"epoch": use, "row": row, "fabric": fabric, "ranges": self.ranges}
+            views += views_of(self.seed, index, scene, self.n, **options)
+        pictures = self._pictures(scenes, views)
+        return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
+
+    def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "list[Picture]":
+        from gcd_dataset.generator.render import render, start_pictures
+
+        options: dict[str, Any] = {"size": self.size, "maps": self.maps, "device": self.device}
+        if len(views) * self.size**2 > PIXELS:  # one garment, whose views take several renderings
+            return render(scenes, views, **options)
+        with _first_use(self.device):
+            pending = start_pictures(scenes, views, **options)
+        while not pending.ready():
+            time.sleep(POLL)
+        return pending.pictures()
+
+    def _scene(self, item: Item, use: int) -> tuple["Scene", int, str | None]:
+        """Scene, number and fabric of a garment."""
+        from gcd_dataset.generator.render import draw_hair
+        from gcd_dataset.generator.views import stored_scene
+
+        garment = _StoredGarment.of(item)
+        hair = draw_hair(self.seed, garment.index, epoch=use)
+        body = _wearer(garment, self._body_of)
+        scene = stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
+        return scene, garment.index, garment.fabric
+
+    def _entries(self, pictures: Sequence["Picture"]) -> Item:
+        """The new entries of an item."""
+        first = pictures[0]
+        entries: dict[str, np.ndarray] = {
+            "views": np.stack([picture.rgb for picture in pictures]),
+            **{f"{name}_map": np.stack([picture.maps[name] for picture in pictures]) for name in self.maps},
+            "camera_k": np.stack([picture.intrinsics for picture in pictures]).astype(np.float32),
+            "camera_rt": np.stack([picture.extrinsics for picture in pictures]).astype(np.float32),
+            "panel_corners": first.panel_corners.astype(np.int32),
+            "panel_corner_pixels": np.stack([p.corner_pixels for p in pictures], axis=1).astype(np.float32),
+            "panel_corner_visible": np.stack([p.corner_visible for p in pictures], axis=1),
+            **self._landmarks(pictures),
+        }
+        return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in entries.items()}
+
+    def _landmarks(self, pictures: Sequence["Picture"]) -> dict[str, np.ndarray]:
+        """The landmarks in the order of ``landmark_names``, the same for every body."""
+        column = {name: number for number, name in enumerate(self.landmark_names)}
+        pixels = np.full((len(pictures), len(column), 2), np.nan, np.float32)
+        visible = np.zeros(pixels.shape[:2], bool)
+        for view, picture in enumerate(pictures):
+            columns = [column[name] for name in picture.landmark_names]
+            pixels[view, columns], visible[view, columns] = picture.landmark_pixels, picture.landmark_visible
+        return {"landmark_pixels": pixels, "landmark_visible": visible}
+
+    def _require_usable(self) -> None:
+        """Raise ``ConfigError`` for a GPU in a worker process."""
+        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
+            raise ConfigError(
+                f"Views on {self.device} in a worker process, where a GPU cannot be shared: give "
+                "GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
+            )
+
+
+# ------------------------------------------------------------------------------------------------------ in a thread
+
+
+def render_ahead(views: Views, entries: Iterable[tuple[Tag, Any, Sequence[int]]]) -> Generator[tuple[Tag, Any]]:
+    """``(tag, batch with pictures)`` for each ``(tag, batch, uses)``; threads render while the caller works.
+
+    ``entries`` is advanced in the calling thread: it may run users' code. A GPU has two threads, of which one prepares
+    scenes while the other waits; on a CPU one renders.
+    """
+    threads = 1 if views.device == "cpu" else 2
+    gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
+    # A new thread's current device is GPU 0; pinning memory would open a CUDA context on another rank's GPU.
+    begin = None if gpu is None else partial(torch.cuda.set_device, gpu)
+    pending: deque[tuple[Tag, Future[Any]]] = deque()
+    executor = ThreadPoolExecutor(threads, thread_name_prefix="gcd-views", initializer=begin)
+    try:
+        for tag, batch, uses in entries:
+            pending.append((tag, executor.submit(views.add_to_batch, batch, uses)))
+            if len(pending) > threads:
+                yield _finished(pending)
+        while pending:
+            yield _finished(pending)
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _finished(pending: deque[tuple[Tag, Future[Any]]]) -> tuple[Tag, Any]:
+    tag, future = pending.popleft()
+    return tag, future.result()
+
+
+@contextlib.contextmanager
+def _first_use(device: str) -> Iterator[None]:
+    """Let one thread load the kernels of a device, while others wait; later calls do not wait."""
+    with contextlib.nullcontext() if device in _used else _first:
+        yield
+        _used.add(device)
+
+
+_first, _used = threading.Lock(), set[str]()
+
+
+# -------------------------------------------------------------------------------------------------------- a garment
+
+
+@dataclass(frozen=True)
+class _StoredGarment:
+    """What an item tells of its garment."""
+
+    index: int
+    fabric: str | None
+    mesh: BoxMesh
+    vertices: np.ndarray
+    pattern: Pattern
+    """Its panels, possibly without edges."""
+    shape: np.ndarray | None
+    """Shape weights of the wearer; ``None`` if they are unknown."""
+    meta: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, item: Item) -> "_StoredGarment":
+        """Raises ``ConfigError`` for a missing field, or a garment without mesh or drape."""
+        _require_fields(item)
+        meta = item["meta"]
+        pattern = _bare_pattern(meta, item["spec"])
+        arrays = {name: _array(item[name]) for name in ("faces", "corners", "uv_vertex", "panel_id", "seams")}
+        vertices = _array(item["verts"]).astype(float)
+        mesh = BoxMesh(
+            vertices=vertices,
+            uv=_array(item["uv"]).astype(float),
+            panel_names=tuple(meta["panel_names"]),
+            panel_labels=tuple(meta["panel_labels"]),
+            labels={},
+            **{name: array.astype(np.int64) for name, array in arrays.items()},
+        )
+        weights = _array(item["body"]).astype(float) if "body" in item else np.zeros(0)
+        fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
+        return cls(meta["index"], fabric, mesh, vertices, pattern, weights if len(weights) else None, meta)
+
+
+def _bare_pattern(meta: Mapping[str, Any], spec: Mapping[str, Any]) -> Pattern:
+    """The panels with their corners. Raises ``SpecError``.
+
+    Items hold specifications in this package's form, read here without their edges, which takes a tenth of the time.
+    """
+    from gcd_dataset.spec import UNITS_IN_METER, pattern_from_spec
+
+    form = spec.get("properties") or {}
+    known = ("normalized_edge_loops", "normalize_panel_translation", "units_in_meter")
+    if [form.get(name) for name in known] == [True, False, UNITS_IN_METER]:
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            entries = spec["pattern"]["panels"]
+            corners = {name: np.array(entries[name]["vertices"], float).reshape(-1, 2) for name in meta["panel_names"]}
+            return Pattern(
+                meta["pattern"], tuple(Panel(name, at, (), UNPLACED, "") for name, at in corners.items()), ()
+            )
+    return pattern_from_spec(spec, meta["pattern"], source=meta["key"])
+
+
+UNPLACED = Placement(np.zeros(3), np.zeros(3))
+
+
+def _require_fields(item: Item) -> None:
+    if missing := [field for field in NEEDED if field not in item]:
+        raise ConfigError(
+            f"Views needs {', '.join(missing)}, and the items hold {', '.join(item) or 'nothing'}: give the data set "
+            "fields=gcd_dataset.loaders.VIEW_FIELDS, or fields=None for all"
+        )
+    key = item["meta"]["key"]
+    if empty := [field for field in ("faces", "uv", "verts") if not len(item[field])]:
+        raise ConfigError(
+            f"{key} has no {' and no '.join(empty)}: Views renders draped garments: make them up to drape"
+        )
+    if not bool(torch.isfinite(torch.as_tensor(item["verts"])).all()):
+        raise ConfigError(f"{key}: its drape diverged: leave it out with settled_only=True, or quality='paper'")
+
+
+def _wearer(garment: _StoredGarment, body_of: BodyOf | None) -> Body:
+    """The body of a garment. Raises ``ConfigError`` if the item does not tell it, or tells another model's weights."""
+    meta, name = garment.meta, str(garment.meta["body"])
+    try:
+        if meta["pose"] is not None:
+            weights = garment.shape if garment.shape is not None else _drawn_weights(meta)
+            if weights is not None and (body_of is None or _fits_model(weights)):
+                return _built(weights.tobytes(), meta["pose"]["arm_angle"], meta["pose"]["legs_apart"])
+        if body_of is not None:
+            return body_of(name)
+    except (BodyError, KeyError) as error:
+        raise ConfigError(f"{meta['key']}, wearer {name}: {error}") from error
+    raise ConfigError(
+        f"{meta['key']} has no shape weights of its wearer, {name}: read the field body too, or for published garments "
+        "give Views(bodies=PublishedBodies(ROOT, segmentation=FILE))"
+    )
+
+
+def _fits_model(weights: np.ndarray) -> bool:
+    """Whether weights are those of the body model; ``FakeGarments`` have others."""
+    from gcd_dataset.generator.body.asset import body_model
+
+    return len(weights) == len(body_model().components)
+
+
+def _drawn_weights(meta: Mapping[str, Any]) -> np.ndarray | None:
+    """Shape weights of a drawn wearer, from its name, ``KIND:SEED:NUMBER``; ``None`` if this version cannot tell.
+
+    A data set mixed with published garments has no field ``body``.
+    """
+    from gcd_dataset.generator.body import neutral_shape
+    from gcd_dataset.generator.body.shape import draw_from
+
+    if meta["versions"].get("gcd_dataset") != __version__:
+        return None
+    if meta["body"] == "neutral":
+        return neutral_shape().weights.astype(np.float32).astype(float)
+    try:
+        _, seed, number, drawn = (f"{meta['body']}:0").split(":")[:4]
+        group = meta["recipe"]["bodies"]
+        stream = rng(int(seed), int(number), Stage.BODY, int(drawn))
+        shape: BodyShape = draw_from("random" if group == "both" else group, stream)[1]
+    except (ValueError, KeyError, BodyError):
+        return None
+    return shape.weights.astype(np.float32).astype(float)
+
+
+@lru_cache(maxsize=64)
+def _built(weights: bytes, arm_angle: float, legs_apart: bool) -> Body:
+    from gcd_dataset.generator.views import stored_body
+
+    return stored_body(BodyShape(np.frombuffer(weights), arm_angle, legs_apart))
+
+
+class _PeopleByName:
+    """The bodies of a data set of people by name, such as ``00345_straight``, or ``00345``; some are kept in memory."""
+
+    def __init__(self, people: Bodies) -> None:
+        self._people = people
+        self._kept: dict[str, Body] = {}
+
+    def __call__(self, name: str) -> Body:
+        """Raises ``KeyError`` for an unknown name, ``BodyError`` for a mesh without labels of its parts."""
+        body = self._kept.get(name) or self._body(name)
+        if len(self._kept) < BODIES_KEPT:
+            self._kept[name] = body
+        return body
+
+    def _body(self, name: str) -> Body:
+        person, _, pose = name.rpartition("_")
+        is_posed = pose in POSES
+        position = self._people._position(person if is_posed else name)
+        return self._people.person(position).body(self._people.mesh, legs_apart=is_posed and pose == "apart")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_kept": {}}
+
+
+# --------------------------------------------------------------------------------------------------------- batches
+
+
+def garments_in(batch: Any) -> int:
+    """Number of garments of a batch. Raises ``ConfigError`` for a batch of another collate function."""
+    if isinstance(batch, list):
+        return len(batch)
+    if isinstance(batch, PackedBatch | PaddedBatch):
+        return batch.batch_size
+    raise ConfigError(
+        f"views of a {type(batch).__name__}: give collate_packed, collate_padded or collate_list, or give the data set "
+        "transform=Views(device='cpu')"
+    )
+
+
+def _items_of(batch: Any) -> list[Item]:
+    """The fields of each garment that views need, as before collation."""
+    count = garments_in(batch)
+    if isinstance(batch, list):
+        return batch
+    if isinstance(batch, PaddedBatch):
+        return [_unpadded(batch, number) for number in range(count)]
+    targets = {target for field in VIEW_FIELDS for _, target in POINTS_TO.get(field, ())} | {"verts", "box"}
+    names = [*VIEW_FIELDS, *(f"{field}_ptr" for field in {*VIEW_FIELDS, *targets}), "batch_size"]
+    part = PackedBatch({name: batch[name] for name in names if name in batch})
+    return [part.garment(number) for number in range(count)]
+
+
+def _unpadded(batch: PaddedBatch, number: int) -> Item:
+    return {
+        field: batch[field][number][batch[f"{field}_mask"][number]] if field in RAGGED else batch[field][number]
+        for field in VIEW_FIELDS
+        if field in batch
+    }
+
+
+def _is_pinned(batch: Mapping[str, Any]) -> bool:
+    return torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
+
+
+def _array(value: Any) -> np.ndarray:
+    """A tensor of any device and type as an array."""
+    tensor = torch.as_tensor(value).detach().cpu()
+    array: np.ndarray = (tensor.float() if tensor.is_floating_point() else tensor).numpy()
+    return array
+
+
+def _within(name: str, value: int, most: int) -> int:
+    number = require_integer(name, value, least=1)
+    if number > most:
+        raise ConfigError(f"{name}={number}: give {most} or less")
+    return number
+
+
+def _known_maps(maps: Sequence["MapName"]) -> tuple["MapName", ...]:
+    from gcd_dataset.generator.render import MAPS
+
+    if isinstance(maps, str) or any(name not in MAPS for name in maps):
+        raise ConfigError(f"maps={maps!r:.99}: give names in a tuple, of {', '.join(MAPS)}")
+    return tuple(dict.fromkeys(maps))

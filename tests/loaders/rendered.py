@@ -1,0 +1,58 @@
+"""Coarse garments at their start positions, with views, made without a drape."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
+from gcd_dataset.generator.drapers.draper import make_reply
+from gcd_dataset.generator.pipeline import finish, prepare, view_requests
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.layout import garments_layout
+
+SEED, SIZE = 4, 48
+CONFIG = MakeConfig(resolution=10.0, picture=0, points=16, views=2, view_size=SIZE, device="cpu")
+
+
+def requests(count: int, config: MakeConfig = CONFIG) -> list[DrapeRequest]:
+    """The requests of garments 0 to ``count - 1``."""
+    made = []
+    for number in range(count):
+        design = prepare(SEED, number, replace(config, stage="mesh", views=0))
+        for worn, views in zip(design.dressed, view_requests(design, config), strict=True):
+            assert worn.box_mesh is not None
+            made.append(DrapeRequest(worn.index, DrapeJob(worn.box_mesh, worn.body, worn.size), 0, False, views))
+    return made
+
+
+def start_of(request: DrapeRequest) -> Drape:
+    """A settled drape at the start positions, which float32 does not hold exactly."""
+    vertices = request.job.box_mesh.vertices + 1e-5
+    return Drape(vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+
+
+def samples(count: int, config: MakeConfig = CONFIG) -> list[Sample]:
+    """Garments with their views."""
+    replies = [make_reply(request, start_of(request), "cpu") for request in requests(count, config)]
+    return [sample_of(reply, config) for reply in replies]
+
+
+def sample_of(reply: DrapeReply, config: MakeConfig = CONFIG) -> Sample:
+    design = prepare(SEED, reply.number, replace(config, stage="mesh", views=0))
+    return finish(design, reply.number, config, reply)
+
+
+def write(folder: Path, made: Sequence[Sample], config: MakeConfig = CONFIG) -> Path:
+    with ShardWriter(folder, seed=SEED, recipe=recipe_of(config), layout=garments_layout(views=config.views)) as writer:
+        for sample in made:
+            writer.write(sample)
+    return folder
+
+
+def diverged(request: DrapeRequest) -> Drape:
+    return Drape(np.full_like(request.job.box_mesh.vertices, np.nan), Outcome.DIVERGED, 1, 0, 0, np.nan, np.nan)

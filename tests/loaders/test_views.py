@@ -1,0 +1,376 @@
+"""Pictures rendered when garments are read: the same for any worker, order and batch; truths follow the geometry."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError, TransformError
+from gcd_dataset.generator.body import build_body
+from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.render import MAPS, AppearanceRanges, PrintKind
+from gcd_dataset.loaders import (
+    VIEW_FIELDS,
+    Augmented,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    GarmentLoader,
+    MixedDataset,
+    PublishedGarmentCodeData,
+    Views,
+    collate_list,
+    collate_packed,
+    collate_padded,
+)
+from gcd_dataset.records import Sample
+from gcd_dataset.shards import ShardReader
+from tests.loaders.rendered import SEED, SIZE, samples, write
+from tests.release.published import RELEASE, publish
+
+COUNT = 3
+
+
+@pytest.fixture(scope="module")
+def made() -> list[Sample]:
+    return samples(COUNT)
+
+
+@pytest.fixture(scope="module")
+def folder(made: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("views"), made)
+
+
+def dataset(folder: Path, **options: Any) -> GarmentDataset:
+    return GarmentDataset(folder, fields=VIEW_FIELDS, **options)
+
+
+def small(**options: Any) -> Views:
+    return Views(**{"n": 2, "size": SIZE, "seed": SEED, "device": "cpu", **options})
+
+
+def pictures(batches: Any) -> dict[int, torch.Tensor]:
+    """Number of the garment to its pictures."""
+    found: dict[int, torch.Tensor] = {}
+    for batch in batches:
+        metas = [item["meta"] for item in batch] if isinstance(batch, list) else batch["meta"]
+        views = [item["views"] for item in batch] if isinstance(batch, list) else batch["views"]
+        found |= {meta["index"]: picture for meta, picture in zip(metas, views, strict=True)}
+    return found
+
+
+def assert_same(some: Mapping[int, torch.Tensor], others: Mapping[int, torch.Tensor]) -> None:
+    assert some.keys() == others.keys()
+    assert all(torch.equal(some[number], others[number]) for number in some)
+
+
+@pytest.fixture(scope="module")
+def first_epoch(folder: Path) -> dict[int, torch.Tensor]:
+    """The pictures of epoch 0, each garment rendered alone."""
+    views = small()
+    return {item["meta"]["index"]: item["views"] for item in map(views, dataset(folder))}
+
+
+def test_stored_views_are_those_rendered_from_the_shards(folder: Path) -> None:
+    reader, views = ShardReader(folder), small()
+    for number, item in enumerate(dataset(folder)):
+        rendered = views(item)
+        for view, picture, k, rt in zip(
+            reader.sample(number).views, rendered["views"], rendered["camera_k"], rendered["camera_rt"], strict=True
+        ):
+            assert view.picture == jpeg_bytes(picture.numpy())
+            assert np.array_equal(np.float32(view.facts["camera"]["k"]), k)
+            assert np.array_equal(np.float32(view.facts["camera"]["rt"]), rt)
+
+
+@pytest.mark.parametrize("collate", [collate_packed, collate_padded, collate_list])
+@pytest.mark.parametrize("workers", [0, 2])
+def test_pictures_depend_on_epoch_and_garment_alone(
+    folder: Path, first_epoch: dict[int, torch.Tensor], workers: int, collate: Any
+) -> None:
+    views = small()
+    for seed, batch_size in ((0, 2), (1, 3)):
+        loader = GarmentLoader(
+            dataset(folder), batch_size, seed=seed, num_workers=workers, collate_fn=collate, views=views
+        )
+        assert_same(pictures(loader), first_epoch)
+        second = pictures(loader)
+        assert not any(torch.equal(second[number], first_epoch[number]) for number in second)
+        views.set_epoch(1)
+        assert_same(second, pictures([[views(item) for item in dataset(folder)]]))
+        views.set_epoch(0)
+
+
+def test_a_resumed_loader_renders_the_rest_of_the_epoch_as_before(folder: Path) -> None:
+    loader = GarmentLoader(dataset(folder), 1, views=small())
+    list(loader)
+    begun = iter(loader)
+    received = pictures([next(begun)])
+    state = loader.state_dict()
+    assert state["position"] == COUNT + 1  # received, not rendered ahead
+    rest = pictures(begun)
+    other = GarmentLoader(dataset(folder), 2, views=small())
+    other.load_state_dict(state)
+    assert_same(pictures(other), rest)
+    assert received.keys() | rest.keys() == set(range(COUNT))
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
+def test_a_transform_renders_the_same_in_workers_of_any_start_method(
+    folder: Path, first_epoch: dict[int, torch.Tensor], context: str
+) -> None:
+    loader = DataLoader(
+        dataset(folder, transform=small()),
+        batch_size=2,
+        num_workers=1,
+        multiprocessing_context=context,
+        collate_fn=collate_list,
+    )
+    assert_same(pictures(loader), first_epoch)
+
+
+def test_batches_of_a_plain_data_loader(folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
+    loader = DataLoader(dataset(folder), batch_size=2, collate_fn=collate_packed)
+    assert_same(pictures(small().batches(loader)), first_epoch)
+    assert not torch.equal(pictures(small().batches(loader, epoch=1))[0], first_epoch[0])
+    stacked = DataLoader(dataset(folder), batch_size=1, collate_fn=tuple)
+    with pytest.raises(ConfigError, match="views of a tuple: give collate_packed"):
+        list(small().batches(stacked))
+
+
+def test_a_packed_batch_gives_each_garment_back(folder: Path) -> None:
+    views, items = small(maps=("depth", "uv")), list(dataset(folder))
+    for added, batch in (
+        (views, collate_packed(items)),
+        (views, collate_packed([views(item) for item in items])),
+    ):
+        batch = added.add_to_batch(batch, [0] * COUNT)
+        for number, item in enumerate(items):
+            expected, found = views(item), batch.garment(number)
+            assert found.keys() == expected.keys()
+            for name, value in expected.items():
+                same = torch.equal if name != "uv_map" else partial(torch.allclose, equal_nan=True)
+                assert same(found[name], value) if isinstance(value, torch.Tensor) else found[name] == value
+
+
+def test_padding_of_invisible_corners_is_invisible(folder: Path) -> None:
+    batch = small().add_to_batch(collate_padded(list(dataset(folder))), [0] * COUNT)
+    mask = batch["panel_corner_visible_mask"]
+    assert not mask.all()
+    assert not batch.panel_corner_visible[~mask].any()
+    assert (batch.panel_corners[~mask] == -1).all()
+
+
+def test_visible_corners_lie_where_the_cameras_project_them(folder: Path) -> None:
+    views = small(n=3, size=96, maps=("depth", "panel_id"))
+    item = views(dataset(folder)[0])
+    K, RT = item["camera_k"].double(), item["camera_rt"].double()
+    panels = item["spec"]["pattern"]["panels"]
+    names = item["meta"]["panel_names"]
+    uv, vertices, seen = item["uv"], item["verts"].double(), 0
+    for row, (panel, corner) in enumerate(item["panel_corners"].tolist()):
+        flat = torch.tensor(panels[names[panel]]["vertices"][corner])
+        of_panel = item["corners"][item["panel_id"] == panel].unique()
+        at = of_panel[(uv[of_panel] - flat).norm(dim=1).argmin()]
+        point = vertices[item["uv_vertex"][at]]
+        for view in range(views.n):
+            x = K[view] @ (RT[view, :, :3] @ point + RT[view, :, 3])
+            assert torch.allclose(item["panel_corner_pixels"][row, view].double(), x[:2] / x[2], atol=1e-3)
+            if item["panel_corner_visible"][row, view]:
+                seen += 1
+                column, line = (x[:2] / x[2]).round().long().tolist()
+                near = item["depth_map"][view, max(line - 1, 0) : line + 2, max(column - 1, 0) : column + 2]
+                assert (near - x[2]).abs().min() < 2.0
+    assert seen > 3
+    assert set(item["panel_id_map"].unique().tolist()) <= {-1, *range(len(names))}
+
+
+def test_landmarks_have_one_order_for_all_bodies(folder: Path) -> None:
+    views = small()
+    item = views(dataset(folder)[1])
+    assert item["landmark_pixels"].shape == (2, len(views.landmark_names), 2)
+    assert item["landmark_visible"].any()
+
+
+def test_a_wearer_without_weights_is_drawn_again_or_given(folder: Path, made: list[Sample]) -> None:
+    item = dataset(folder)[1]
+    shown = small()(item)["views"]
+    without = {name: value for name, value in item.items() if name != "body"}
+    assert torch.equal(small()(without)["views"], shown)
+    published = {**without, "meta": {**item["meta"], "pose": None, "body": "00345_straight"}}
+    with pytest.raises(ConfigError, match="no shape weights of its wearer, 00345_straight: read the field body too"):
+        small()(published)
+    asked = []
+
+    def body_of(name: str) -> Any:
+        asked.append(name)
+        body = build_body(made[1].shape)  # type: ignore[arg-type]
+        return replace(body, vertices=np.concatenate([body.vertices, np.zeros((1, 3))]), parts=np.append(body.parts, 0))
+
+    given = small(bodies=body_of)(published)
+    assert asked == ["00345_straight"]
+    assert given["views"].shape == shown.shape
+    assert given["landmark_pixels"].isnan().all()
+    assert not given["landmark_visible"].any()
+
+
+def test_every_use_of_a_fresh_garment_has_its_own_pictures(folder: Path) -> None:
+    def loader() -> GarmentLoader:
+        fresh = FreshGarments(dataset(folder), replay=2, room=2)
+        return GarmentLoader(fresh, 2, shuffle=False, views=small())
+
+    batches = list(loader())
+    shown = [picture for batch in batches for picture in batch["views"]]
+    assert len(shown) == 2 * COUNT
+    assert len({picture.numpy().tobytes() for picture in shown}) == 2 * COUNT
+    first = loader()
+    begun = iter(first)
+    next(begun)
+    again = loader()
+    again.load_state_dict(first.state_dict())
+    for batch, other in zip(again, batches[1:], strict=True):
+        assert torch.equal(batch["views"], other["views"])
+
+
+def test_garments_that_a_mixture_repeats_look_different_each_time(folder: Path) -> None:
+    mixed = MixedDataset([dataset(folder), dataset(folder)[:1]], [1, 1])
+    shown = []
+    for workers in (0, 1):
+        loader = GarmentLoader(mixed, 2, num_workers=workers, views=small(n=1, size=32))
+        shown.append([(m["index"], p) for batch in loader for m, p in zip(batch["meta"], batch["views"], strict=True)])
+    here, there = shown
+    assert len({number for number, _ in here}) < len(here) == len({p.numpy().tobytes() for _, p in here})
+    assert all(torch.equal(p, q) for (_, p), (_, q) in zip(here, there, strict=True))
+
+
+def test_as_an_augmentation_views_follow_its_stream(folder: Path) -> None:
+    ds = Augmented(dataset(folder), small(n=1), seed=3)
+    shown = ds[0]["views"]
+    assert torch.equal(ds[0]["views"], shown)
+    ds.set_epoch(1)
+    assert not torch.equal(ds[0]["views"], shown)
+
+
+def test_appearances_keep_to_their_ranges(folder: Path) -> None:
+    plain = small(appearance=AppearanceRanges(prints=(), plain=1.0, tones=(2,)))
+    striped = small(appearance=AppearanceRanges(prints=(PrintKind.STRIPES,), plain=0.0, tones=(2,)))
+    item = dataset(folder)[0]
+    assert not torch.equal(plain(item)["views"], striped(item)["views"])
+    assert torch.equal(plain(item)["camera_rt"], striped(item)["camera_rt"])
+
+
+def test_what_an_item_lacks_is_named_at_once(folder: Path) -> None:
+    with pytest.raises(TransformError, match=r"Views needs spec, uv, panel_id, .*VIEW_FIELDS"):
+        GarmentDataset(folder, fields=["meta", "verts", "faces"], transform=small())[0]
+    flat = {**dataset(folder)[0], "verts": torch.zeros(0, 3)}
+    with pytest.raises(ConfigError, match="gcd_000000000 has no verts: Views renders draped garments"):
+        small()(flat)
+    lost = {**dataset(folder)[0], "verts": torch.full((5, 3), torch.nan)}
+    with pytest.raises(ConfigError, match="its drape diverged"):
+        small()(lost)
+    with pytest.raises(ConfigError, match="8 shape weights, the body model takes"):
+        small()(FakeGarments(1)[0])
+
+
+def test_fake_garments_are_rendered_on_a_given_body(made: list[Sample]) -> None:
+    wearer = build_body(made[0].shape)  # type: ignore[arg-type]
+    views = small(n=1, bodies=lambda name: wearer)
+    [batch] = GarmentLoader(FakeGarments(2), 2, views=views)
+    assert batch["views"].shape == (2, 1, SIZE, SIZE, 3)
+
+
+def test_views_beyond_the_memory_of_one_rendering_are_the_same(
+    folder: Path, first_epoch: dict[int, torch.Tensor], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("gcd_dataset.loaders.views", "gcd_dataset.generator.render.casting"):
+        monkeypatch.setattr(f"{module}.PIXELS", SIZE**2)
+    assert torch.equal(small()(dataset(folder)[0])["views"], first_epoch[0])
+
+
+def test_a_gpu_is_refused_in_a_worker(folder: Path) -> None:
+    views = small()
+    views.device = "cuda:0"
+    loader = DataLoader(dataset(folder, transform=views), batch_size=1, num_workers=1, collate_fn=collate_list)
+    with pytest.raises(TransformError, match=r"Views on cuda:0 in a worker process.*GarmentLoader\(views=Views"):
+        next(iter(loader))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n": 0}, "n=0: give a whole number, 1 or more"),
+        ({"size": 9000}, "size=9000: give 4096 or less"),
+        ({"maps": ("depht",)}, r"maps=.*give names in a tuple, of depth, normals"),
+        ({"maps": "depth"}, "maps='depth': give names in a tuple"),
+        ({"seed": -1}, "seed=-1"),
+        ({"device": "gpu"}, "device='gpu'"),
+    ],
+)
+def test_options_are_checked_at_once(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Views(**options)
+
+
+def test_a_loader_takes_views_only() -> None:
+    with pytest.raises(ConfigError, match="views=3: give Views"):
+        GarmentLoader(FakeGarments(2), 1, views=3)  # type: ignore[arg-type]
+
+
+def test_a_loop_that_ends_early_leaves_no_thread(folder: Path) -> None:
+    import threading
+
+    loader = GarmentLoader(dataset(folder), 1, views=small(n=1))
+    begun = iter(loader)
+    assert len(list(islice(begun, 1))) == 1
+    begun.close()  # type: ignore[attr-defined]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("gcd-views")]
+
+
+PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "pictures.md"
+
+
+def test_the_programs_of_the_page_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "garments").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    programs = re.findall(r'```python title="\w+\.py"\n(.*?)```', PAGE.read_text(), re.DOTALL)
+    assert len(programs) == 2
+    for program in programs:
+        exec(compile(program.replace("size=256", 'size=32, device="cpu"'), str(PAGE), "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"torch.Size([{COUNT}, 4, 32, 32, 3]) torch.Size([{COUNT}, 4, 32, 32])"
+
+
+def test_the_page_lists_every_entry_and_map(folder: Path) -> None:
+    plain = dataset(folder)[0]
+    entries = small(maps=MAPS)(plain).keys() - plain.keys()
+    table = PAGE.read_text().partition("## What a batch holds")[2].partition("##")[0]
+    assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == entries
+
+
+def test_published_garments_are_rendered_on_given_bodies_also_in_a_mixture(
+    folder: Path, made: list[Sample], tmp_path: Path
+) -> None:
+    fields = [field for field in VIEW_FIELDS if field != "body"]
+    published = PublishedGarmentCodeData(publish(tmp_path), fields=fields)
+    with pytest.raises(TransformError, match=r"wearer, mean_all: read the field body too, or for published"):
+        PublishedGarmentCodeData(tmp_path / RELEASE, fields=fields, transform=small())[0]
+    wearer = build_body(made[0].shape)  # type: ignore[arg-type]
+    views = small(bodies=lambda name: wearer)
+    mixed = MixedDataset([published, GarmentDataset(folder, fields=fields)], [1, 1])
+    [batch] = GarmentLoader(mixed, len(mixed), views=views)
+    assert batch["views"].shape == (len(mixed), 2, SIZE, SIZE, 3)
+    own = {meta["index"]: use for use, meta in enumerate(batch["meta"]) if meta["pose"] is not None}
+    assert own
+    for number, use in own.items():
+        expected = views.add_to_items([dataset(folder)[number]], [use])[0]["views"]
+        assert torch.equal(batch["views"][use], expected)

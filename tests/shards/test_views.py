@@ -1,0 +1,142 @@
+"""Views in shards: one field for all of them, sizes, caches, downloads and other readers."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import datasets
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gcd_dataset.cli import main
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.drawing import sample_sheet
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.views import MISSING_VIEW
+from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Sample, View
+from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards.layout import garments_layout
+from gcd_dataset.shards.sample_cache import SampleCache
+from gcd_dataset.verbs import generate
+
+RECIPE = {"fake": True}
+
+
+def facts(number: int) -> dict[str, Any]:
+    camera = {**MISSING_VIEW.facts["camera"], "k": (number * np.eye(3)).tolist(), "rt": np.full((3, 4), 0.5).tolist()}
+    return {**MISSING_VIEW.facts, "camera": camera}
+
+
+def jpeg(shade: int, size: int = 16) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (size, size), (shade, shade, shade)).save(file, "JPEG", quality=95)
+    return file.getvalue()
+
+
+def viewed(index: int, sizes: tuple[int, ...] = (16, 16)) -> Sample:
+    views = (View(jpeg(40 * index + 20 * number, size), facts(number + 1)) for number, size in enumerate(sizes))
+    return replace(fake_sample(0, index), views=tuple(views))
+
+
+def write(folder: Path, samples: list[Sample]) -> Path:
+    with ShardWriter(folder, seed=0, recipe=RECIPE, layout=garments_layout(views=len(samples[0].views))) as writer:
+        for sample in samples:
+            writer.write(sample)
+    return folder
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_all_views_are_one_field(tmp_path: Path, streaming: bool) -> None:
+    folder = write(tmp_path, [viewed(index) for index in range(3)])
+    ds = GarmentDataset(folder, fields=["camera_rt", "views", "camera_k"], streaming=streaming)
+    assert ds.fields == ("views", "camera_k", "camera_rt")
+    for index, item in enumerate(ds):
+        assert item["views"].shape == (2, 16, 16, 3)
+        assert item["views"].dtype == torch.uint8
+        assert item["views"][:, 8, 8, 0].tolist() == pytest.approx([40 * index, 40 * index + 20], abs=1)
+        assert torch.equal(item["camera_k"], torch.stack([torch.eye(3), 2 * torch.eye(3)]))
+        assert item["camera_rt"].tolist() == torch.full((2, 3, 4), 0.5).tolist()
+    assert {"view_0", "view_1_json"} <= set(GarmentDataset(folder).fields)
+    assert "views" not in GarmentDataset(folder).fields
+    if not streaming:
+        assert torch.equal(ds[1:][0]["views"], ds[1]["views"])
+
+
+def test_views_of_different_sizes_are_read_one_by_one(tmp_path: Path) -> None:
+    folder = write(tmp_path, [viewed(0, (16, 24))])
+    with pytest.raises(ShardError, match="views have the sizes 16 x 16, 24 x 24, and one array needs equal sizes"):
+        GarmentDataset(folder, fields=["views"])[0]
+    assert GarmentDataset(folder, fields=["view_1"])[0]["view_1"].shape == (3, 24, 24)
+
+
+def test_views_without_a_camera_name_the_member(tmp_path: Path) -> None:
+    sample = replace(fake_sample(0, 0), views=(View(jpeg(1), {"fov": 40.0}),))
+    with pytest.raises(ShardError, match=r"sample gcd_000000000.*view_0\.json: no camera matrix k"):
+        GarmentDataset(write(tmp_path, [sample]), fields=["camera_k"])[0]
+
+
+def test_a_data_set_without_views_says_so(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path, seed=0, recipe=RECIPE) as writer:
+        writer.write(fake_sample(0, 0))
+    with pytest.raises(ConfigError, match="no field views"):
+        GarmentDataset(tmp_path, fields=["views"])
+
+
+def test_a_cache_keeps_views(tmp_path: Path) -> None:
+    def cache() -> SampleCache:
+        return SampleCache(tmp_path, 2, seed=0, recipe=RECIPE, layout=garments_layout(views=2))
+
+    for index in range(2):
+        cache().keep(index, encode_sample(viewed(index)))
+        assert cache().read(index) == encode_sample(viewed(index))
+    assert len(GarmentDataset(tmp_path, fields=["views"])) == 2
+    assert cache().read(1) == encode_sample(viewed(1))
+
+
+def test_options_of_views_leave_other_recipes_alone() -> None:
+    assert recipe_of(MakeConfig(view_size=64)) == recipe_of(MakeConfig())
+    assert not {"views", "view_size"} & recipe_of(MakeConfig()).keys()
+    asked = recipe_of(MakeConfig(views=2, view_size=64))
+    assert (asked["views"], asked["view_size"]) == (2, 64)
+    with pytest.raises(ConfigError, match="views is 2, but stage mesh drapes nothing"):
+        MakeConfig(views=2, stage="mesh")
+
+
+def test_datasets_reads_views_behind_diverged_drapes(tmp_path: Path) -> None:
+    """It infers types from the first five samples."""
+    lost = [replace(fake_sample(0, index), views=(MISSING_VIEW,)) for index in range(5)]
+    folder = write(tmp_path / "data", [*lost, viewed(5, (16,))])
+    options = {"data_files": {"train": str(folder / "train-00000.tar")}, "split": "train"}
+    rows = list(datasets.load_dataset("webdataset", cache_dir=str(tmp_path / "cache"), **options))
+    assert rows[5]["view_0.json"]["camera"]["k"] == np.eye(3).tolist()
+    assert rows[5]["view_0.jpg"].size == (16, 16)
+
+
+def test_a_sheet_shows_the_views_below_the_sample() -> None:
+    plain, sheet = sample_sheet(fake_sample(0, 1), size=32), sample_sheet(viewed(1), size=32)
+    assert sheet.shape == (plain.shape[0] + 32 + 6, *plain.shape[1:])
+    assert np.array_equal(sheet[: len(plain)], plain)
+    assert np.abs(sheet[-16, [16, 16 + 32 + 6], 0].astype(int) - [40, 60]).max() <= 1
+
+
+def test_generated_views_are_stored_cached_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options: dict[str, Any] = {"resolution": 8.0, "picture": 16, "views": 2, "view_size": 24, "device": "cpu"}
+    folder, sheet = tmp_path / "data", tmp_path / "sheet.png"
+    generate(folder, 1, seed=5, config=MakeConfig(**options))
+    stored = GarmentDataset(folder, fields=["views", "camera_k"])[0]
+    assert stored["views"].shape == (2, 24, 24, 3)
+    for _ in range(2):  # made, then cached
+        ds = GeneratedGarments(1, seed=5, fields=["views", "camera_k"], cache_dir=tmp_path / "cache", **options)
+        assert torch.equal(ds[0]["views"], stored["views"])
+        assert torch.equal(ds[0]["camera_k"], stored["camera_k"])
+    assert main(["info", str(folder)]) == 0
+    assert "views: 2 of each garment, 24 x 24 pixels" in capsys.readouterr().out
+    assert main(["show", str(folder), "--png", str(sheet)]) == 0
+    with Image.open(sheet) as picture:
+        assert picture.height > 512
+    assert main(["verify", str(folder), "--full"]) == 0
