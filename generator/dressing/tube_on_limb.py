@@ -37,13 +37,16 @@ def put_on_limb(
     foot. The root of a tube is its seam with other cloth. The tube is turned to the direction of the limb. Each cross
     section is centred on the limb's axis, at its distance from the root, and widened where the limb is wider. A tube
     longer than the limb is compressed to the limb's length: sewn round a hand or foot, the cloth would be too narrow to
-    slip off. A tube keeps its positions if it is placed round the limb and is not longer than the limb, or if its end
-    has at least the girth ``loose`` [cm]. ``gap``: cm by which each cross section must reach beyond the limb.
+    slip off. A tube keeps its positions if it is placed round the limb and is not longer than the limb, or has at least
+    the girth ``loose`` [cm] everywhere beyond the limb's end. ``gap``: cm by which each cross section must reach beyond
+    the limb.
 
     Returns whether the tube was moved.
     """
     cloth = _Tube.of(mesh, tube)
-    if cloth is None or (cloth.surrounds(limb.skin, gap) and (cloth.end_girth >= loose or cloth.ends_on(limb))):
+    if cloth is None or (
+        cloth.surrounds(limb.skin, gap) and (cloth.ends_on(limb) or cloth.is_loose_beyond(limb, loose))
+    ):
         return False
     placed[cloth.rows] = cloth.moved_to(limb)
     return True
@@ -63,8 +66,6 @@ class _Tube:
     the root."""
     section: float
     """Length of a cross section along the tube [cm]."""
-    end_girth: float
-    """Flat length of the open end [cm]."""
     frame: Float[np.ndarray, "3 3"]
     """Unit vectors across the tube, along it away from the root, and to the front."""
 
@@ -85,13 +86,9 @@ class _Tube:
         if length < 1e-6:
             return None
         x, y = along / length
-        ends, lengths = cloth.edges
-        girth = float(lengths[np.isin(ends, end).all(axis=1)].sum())
-        section = SECTION * float(np.median(lengths))
+        section = SECTION * float(np.median(cloth.edges[1]))
         piece = _pieces(mesh.faces[own], mesh.panel_id[own], rows, distance)
-        return _Tube(
-            rows, points, distance, piece, section, girth, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]])
-        )
+        return _Tube(rows, points, distance, piece, section, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
 
     def surrounds(self, skin: Float[np.ndarray, "s 3"], gap: float) -> bool:
         """Whether every cross section beyond ``ROOT`` surrounds the limb's skin at the same height, ``GAP`` apart."""
@@ -109,6 +106,12 @@ class _Tube:
     def ends_on(self, limb: Limb) -> bool:
         """Whether the end of the tube lies before the end of the limb."""
         return bool(((self.points - limb.origin) @ limb.axis).max() <= _end_of(limb))
+
+    def is_loose_beyond(self, limb: Limb, loose: float) -> bool:
+        """Whether every cross section beyond the end of the limb has at least the girth ``loose`` [cm]."""
+        across, along = (self.points @ self.frame.T)[:, 0], (self.points - limb.origin) @ limb.axis
+        beyond = [here for here in self._sections() if along[here].mean() > _end_of(limb)]
+        return all(2.0 * np.ptp(across[here]) >= loose for here in beyond)
 
     def moved_to(self, limb: Limb) -> Float[np.ndarray, "n 3"]:
         """The positions round a limb [cm]; the root does not move."""

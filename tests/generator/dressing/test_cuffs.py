@@ -38,3 +38,15 @@ def test_cuffs_start_round_their_limbs(index: int, cuff: str) -> None:
     through = faces_through_limbs(wearer.coarse.mesh, wearer.start, wearer.body)
     assert any(name.startswith(cuff) for name in through)
     assert not {name: count for name, count in through.items() if name.startswith(cuff) and count}
+
+
+def test_trousers_with_a_narrow_cuff_end_before_the_foot() -> None:
+    """The flare below the cuff is loose, but the cuff would not slip off the foot."""
+    design = prepare(31415, 126, MakeConfig(bodies="both", resolution=2.0, device="cpu"))
+    wearer = design.dressed[1]
+    assert wearer.start is not None
+    assert wearer.coarse is not None
+    mesh = wearer.coarse.mesh
+    flare = [number for number, name in enumerate(mesh.panel_names) if name.startswith("pant_l_cuff_skirt")]
+    cloth = np.unique(mesh.faces[np.isin(mesh.panel_id, flare)])
+    assert wearer.start[cloth, 1].min() > 0.0
