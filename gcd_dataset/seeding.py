@@ -26,6 +26,7 @@ class Stage(IntEnum):
     APPEARANCE = 10
     VIEW = 11
     CAPTION = 12
+    SCAN = 13
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -12,10 +12,9 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -23,17 +22,14 @@ import torch
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from gcd_dataset import __version__
-from gcd_dataset.bodies import POSES
-from gcd_dataset.errors import BodyError, ConfigError
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.collate import collate_packed, collate_padded
 from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.one_thread import pin_tensor
-from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
-from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, StoredGarment, bodies_by_name, wearer_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -47,22 +43,13 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.pictures import MapName
 
-__all__ = ["VIEW_FIELDS", "BodyOf", "Views", "garments_in", "render_ahead"]
+__all__ = ["Views", "garments_in", "render_ahead"]
 
-VIEW_FIELDS: tuple[str, ...] = (
-    "meta", "spec", "panels", "edges", "stitches", "body",
-    "faces", "uv", "panel_id", "seams", "corners", "uv_vertex", "verts",
-)  # fmt: skip
-"""The fields that ``Views`` reads, and those that ``collate_packed`` needs for them."""
-NEEDED = ("meta", "spec", "verts", "faces", "uv", "panel_id", "seams", "corners", "uv_vertex")
 MOST_VIEWS = 4096
 LARGEST = 4096  # pixels
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 POLL = 5e-4  # s between two looks at a GPU; waiting for it holds the lock that other threads launch with
-BODIES_KEPT = 256  # bodies in memory: 150 MB
 
-BodyOf = Callable[[str], Body]
-"""The body of a wearer, by the name in ``meta["body"]``."""
 Tag = TypeVar("Tag")
 
 
@@ -135,7 +122,7 @@ class Views:
         self.ranges = Ranges(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
         self.device = device_of_process(device)
         """``cpu``, or a GPU such as ``cuda:0``."""
-        self._body_of: BodyOf | None = _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
+        self._body_of = bodies_by_name(bodies)
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
         self._process = os.getpid()
 
@@ -228,9 +215,9 @@ class Views:
         from gcd_dataset.generator.render import draw_hair
         from gcd_dataset.generator.views import stored_scene
 
-        garment = _StoredGarment.of(item)
+        garment = StoredGarment.of(item, user="Views")
         hair = draw_hair(self.seed, garment.index, epoch=use)
-        body = _wearer(garment, self._body_of)
+        body = wearer_of(garment, self._body_of)
         scene = stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
         return scene, garment.index, garment.fabric
 
@@ -310,159 +297,6 @@ def _first_use(device: str) -> Iterator[None]:
 _first, _used = threading.Lock(), set[str]()
 
 
-# -------------------------------------------------------------------------------------------------------- a garment
-
-
-@dataclass(frozen=True)
-class _StoredGarment:
-    """What an item tells of its garment."""
-
-    index: int
-    fabric: str | None
-    mesh: BoxMesh
-    vertices: np.ndarray
-    pattern: Pattern
-    """Its panels, possibly without edges."""
-    shape: np.ndarray | None
-    """Shape weights of the wearer; ``None`` if they are unknown."""
-    meta: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, item: Item) -> "_StoredGarment":
-        """Raises ``ConfigError`` for a missing field, or a garment without mesh or drape."""
-        _require_fields(item)
-        meta = item["meta"]
-        pattern = _bare_pattern(meta, item["spec"])
-        arrays = {name: _array(item[name]) for name in ("faces", "corners", "uv_vertex", "panel_id", "seams")}
-        vertices = _array(item["verts"]).astype(float)
-        mesh = BoxMesh(
-            vertices=vertices,
-            uv=_array(item["uv"]).astype(float),
-            panel_names=tuple(meta["panel_names"]),
-            panel_labels=tuple(meta["panel_labels"]),
-            labels={},
-            **{name: array.astype(np.int64) for name, array in arrays.items()},
-        )
-        weights = _array(item["body"]).astype(float) if "body" in item else np.zeros(0)
-        fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
-        return cls(meta["index"], fabric, mesh, vertices, pattern, weights if len(weights) else None, meta)
-
-
-def _bare_pattern(meta: Mapping[str, Any], spec: Mapping[str, Any]) -> Pattern:
-    """The panels with their corners. Raises ``SpecError``.
-
-    Items hold specifications in this package's form, read here without their edges, which takes a tenth of the time.
-    """
-    from gcd_dataset.spec import UNITS_IN_METER, pattern_from_spec
-
-    form = spec.get("properties") or {}
-    known = ("normalized_edge_loops", "normalize_panel_translation", "units_in_meter")
-    if [form.get(name) for name in known] == [True, False, UNITS_IN_METER]:
-        with contextlib.suppress(KeyError, TypeError, ValueError):
-            entries = spec["pattern"]["panels"]
-            corners = {name: np.array(entries[name]["vertices"], float).reshape(-1, 2) for name in meta["panel_names"]}
-            return Pattern(
-                meta["pattern"], tuple(Panel(name, at, (), UNPLACED, "") for name, at in corners.items()), ()
-            )
-    return pattern_from_spec(spec, meta["pattern"], source=meta["key"])
-
-
-UNPLACED = Placement(np.zeros(3), np.zeros(3))
-
-
-def _require_fields(item: Item) -> None:
-    if missing := [field for field in NEEDED if field not in item]:
-        raise ConfigError(
-            f"Views needs {', '.join(missing)}, and the items hold {', '.join(item) or 'nothing'}: give the data set "
-            "fields=gcd_dataset.loaders.VIEW_FIELDS, or fields=None for all"
-        )
-    key = item["meta"]["key"]
-    if empty := [field for field in ("faces", "uv", "verts") if not len(item[field])]:
-        raise ConfigError(
-            f"{key} has no {' and no '.join(empty)}: Views renders draped garments: make them up to drape"
-        )
-    if not bool(torch.isfinite(torch.as_tensor(item["verts"])).all()):
-        raise ConfigError(f"{key}: its drape diverged: leave it out with settled_only=True, or quality='paper'")
-
-
-def _wearer(garment: _StoredGarment, body_of: BodyOf | None) -> Body:
-    """The body of a garment. Raises ``ConfigError`` if the item does not tell it, or tells another model's weights."""
-    meta, name = garment.meta, str(garment.meta["body"])
-    try:
-        if meta["pose"] is not None:
-            weights = garment.shape if garment.shape is not None else _drawn_weights(meta)
-            if weights is not None and (body_of is None or _fits_model(weights)):
-                return _built(weights.tobytes(), meta["pose"]["arm_angle"], meta["pose"]["legs_apart"])
-        if body_of is not None:
-            return body_of(name)
-    except (BodyError, KeyError) as error:
-        raise ConfigError(f"{meta['key']}, wearer {name}: {error}") from error
-    raise ConfigError(
-        f"{meta['key']} has no shape weights of its wearer, {name}: read the field body too, or for published garments "
-        "give Views(bodies=PublishedBodies(ROOT, segmentation=FILE))"
-    )
-
-
-def _fits_model(weights: np.ndarray) -> bool:
-    """Whether weights are those of the body model; ``FakeGarments`` have others."""
-    from gcd_dataset.generator.body.asset import body_model
-
-    return len(weights) == len(body_model().components)
-
-
-def _drawn_weights(meta: Mapping[str, Any]) -> np.ndarray | None:
-    """Shape weights of a drawn wearer, from its name, ``KIND:SEED:NUMBER``; ``None`` if this version cannot tell.
-
-    A data set mixed with published garments has no field ``body``.
-    """
-    from gcd_dataset.generator.body import neutral_shape
-    from gcd_dataset.generator.body.shape import draw_from
-
-    if meta["versions"].get("gcd_dataset") != __version__:
-        return None
-    if meta["body"] == "neutral":
-        return neutral_shape().weights.astype(np.float32).astype(float)
-    try:
-        _, seed, number, drawn = (f"{meta['body']}:0").split(":")[:4]
-        group = meta["recipe"]["bodies"]
-        stream = rng(int(seed), int(number), Stage.BODY, int(drawn))
-        shape: BodyShape = draw_from("random" if group == "both" else group, stream)[1]
-    except (ValueError, KeyError, BodyError):
-        return None
-    return shape.weights.astype(np.float32).astype(float)
-
-
-@lru_cache(maxsize=64)
-def _built(weights: bytes, arm_angle: float, legs_apart: bool) -> Body:
-    from gcd_dataset.generator.views import stored_body
-
-    return stored_body(BodyShape(np.frombuffer(weights), arm_angle, legs_apart))
-
-
-class _PeopleByName:
-    """The bodies of a data set of people by name, such as ``00345_straight``, or ``00345``; some are kept in memory."""
-
-    def __init__(self, people: Bodies) -> None:
-        self._people = people
-        self._kept: dict[str, Body] = {}
-
-    def __call__(self, name: str) -> Body:
-        """Raises ``KeyError`` for an unknown name, ``BodyError`` for a mesh without labels of its parts."""
-        body = self._kept.get(name) or self._body(name)
-        if len(self._kept) < BODIES_KEPT:
-            self._kept[name] = body
-        return body
-
-    def _body(self, name: str) -> Body:
-        person, _, pose = name.rpartition("_")
-        is_posed = pose in POSES
-        position = self._people._position(person if is_posed else name)
-        return self._people.person(position).body(self._people.mesh, legs_apart=is_posed and pose == "apart")
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_kept": {}}
-
-
 # --------------------------------------------------------------------------------------------------------- batches
 
 
@@ -501,13 +335,6 @@ def _unpadded(batch: PaddedBatch, number: int) -> Item:
 
 def _is_pinned(batch: Mapping[str, Any]) -> bool:
     return torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
-
-
-def _array(value: Any) -> np.ndarray:
-    """A tensor of any device and type as an array."""
-    tensor = torch.as_tensor(value).detach().cpu()
-    array: np.ndarray = (tensor.float() if tensor.is_floating_point() else tensor).numpy()
-    return array
 
 
 def _within(name: str, value: int, most: int) -> int:

@@ -14,6 +14,8 @@ Two renderers:
     view = View(0, appearance, camera, draw_lights(rng), draw_environment(rng))
     [picture] = render([scene], [view], size=512, maps=("depth", "panel_id"))
 
+Virtual depth cameras (``scan``) measure partial point clouds of the same scenes.
+
 Records (``scene``, ``appearance``, ``lights``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
 imported on first use: Warp is loaded by the functions that render.
 """
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
+    from gcd_dataset.generator.render.depth_noise import KINECT, NOISELESS, DepthNoise
     from gcd_dataset.generator.render.draw import Ranges, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.environment import (
         Environment,
@@ -54,16 +57,20 @@ if TYPE_CHECKING:
         render_sample,
         render_view,
     )
+    from gcd_dataset.generator.render.scans import PointScan, ScanRanges, draw_scan_cameras, scan, scan_cameras
     from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
 
 __all__ = [
+    "KINECT",
     "MAPS",
+    "NOISELESS",
     "Appearance",
     "AppearanceRanges",
     "Camera",
     "CameraRanges",
     "Cloth",
     "ColouredMesh",
+    "DepthNoise",
     "Environment",
     "EnvironmentKind",
     "EnvironmentRanges",
@@ -73,9 +80,11 @@ __all__ = [
     "Lights",
     "PendingPictures",
     "Picture",
+    "PointScan",
     "Print",
     "PrintKind",
     "Ranges",
+    "ScanRanges",
     "Scene",
     "Skin",
     "Stitching",
@@ -88,6 +97,7 @@ __all__ = [
     "draw_environment",
     "draw_hair",
     "draw_lights",
+    "draw_scan_cameras",
     "draw_view",
     "draw_views",
     "fixed_camera",
@@ -98,12 +108,16 @@ __all__ = [
     "render_garment",
     "render_sample",
     "render_view",
+    "scan",
+    "scan_cameras",
     "scene_of",
     "scene_of_sample",
     "start_pictures",
 ]
 
 _NAMES_OF_MODULE = {
+    "depth_noise": ("KINECT", "NOISELESS", "DepthNoise"),
+    "scans": ("PointScan", "ScanRanges", "draw_scan_cameras", "scan", "scan_cameras"),
     "appearance": (
         "Appearance",
         "Cloth",

@@ -1,0 +1,131 @@
+"""``Scan``: partial point clouds of virtual depth cameras, measured when garments are read."""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch.utils.data import get_worker_info
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.body_datasets import Bodies
+from gcd_dataset.loaders.devices import device_of_process
+from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.seeding import Stage
+from gcd_dataset.seeding import rng as seeded_rng
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.render.depth_noise import DepthNoise
+    from gcd_dataset.generator.render.scans import PointScan, ScanRanges
+
+__all__ = ["Scan"]
+
+
+class Scan:
+    """Scans each garment with ``n`` depth cameras: a transform, or an augmentation.
+
+    >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
+    >>> ds = GarmentDataset("garments", fields=VIEW_FIELDS, transform=Scan(n=1, points=4096))  # doctest: +SKIP
+    >>> ds[0]["scan"].shape  # doctest: +SKIP
+    torch.Size([4096, 6])
+
+    An item gets:
+
+    =====================  =============================================================================================
+    ``scan``               f32 [points, 6]: measured position [cm], true normal towards the camera; all NaN where the
+                           cameras measured nothing
+    ``scan_panel_id``      i32 [points]: panel, a row of the garment's own ``panels``; -1 on the body
+    ``scan_camera``        i32 [points]: camera of each point; -1 where nothing is measured
+    ``scan_camera_rt``     f32 [n, 3, 4]: true [R | t] of each camera, world to camera [1, cm]
+    ``scan_camera_k``      f32 [n, 3, 3]: intrinsics [pixels]
+    =====================  =============================================================================================
+
+    Scans are a function of ``seed``, epoch and the garment's number, ``meta["index"]``; not of workers, order or batch.
+    A CPU and a GPU differ in roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in
+    ``Augmented`` and ``FreshGarments(augment=…)`` each use has a stream of its own.
+
+    - ``noise``: errors of the sensor; ``None``: ``KINECT``. ``NOISELESS`` has none.
+    - ``cameras``: ranges to draw from; ``None``: all round. The ``n`` cameras stand evenly spaced on a circle.
+    - ``body``: whether points of the skin belong to the scan; the wearer hides cloth in any case.
+    - ``size``: rows and columns of the depth images [pixels].
+    - ``device``: ``cpu``, as workers need, or the GPU that casts the rays.
+    - ``bodies``: the wearers of garments without shape weights, as for ``Views``.
+
+    Raises ``ConfigError`` for invalid options; and where items are scanned for a GPU in a worker, a field that is
+    missing, and a wearer that is unknown.
+    """
+
+    def __init__(
+        self,
+        n: int = 1,
+        points: int = 4096,
+        *,
+        noise: "DepthNoise | None" = None,
+        cameras: "ScanRanges | None" = None,
+        body: bool = False,
+        size: int = 480,
+        seed: int = 0,
+        device: str = "cpu",
+        bodies: Bodies | BodyOf | None = None,
+    ) -> None:
+        from gcd_dataset.generator.render.depth_noise import KINECT
+        from gcd_dataset.generator.render.scans import ScanRanges
+
+        self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
+        self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
+        self.noise, self.cameras = KINECT if noise is None else noise, ScanRanges() if cameras is None else cameras
+        self.body, self.device = body, device_of_process(device)
+        self._body_of = bodies_by_name(bodies)
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._process = os.getpid()
+
+    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
+        """The item with its scan: a transform; with ``rng``, an augmentation that draws the epoch from it."""
+        self._require_usable()
+        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
+        return GarmentItem({**item, **_entries(self._scan(item, use))})
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch of the items transformed from now on, in all worker processes."""
+        self._epoch.fill_(require_integer("epoch", epoch))
+
+    def _scan(self, item: Item, use: int) -> "PointScan":
+        from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
+        from gcd_dataset.generator.views import stored_scene
+
+        garment = StoredGarment.of(item, user="Scan")
+        scene = stored_scene(garment.mesh, garment.vertices, wearer_of(garment, self._body_of))
+        stream = seeded_rng(self.seed, garment.index, Stage.SCAN, use)
+        cameras = draw_scan_cameras(stream, scene, self.n, ranges=self.cameras, body=self.body)
+        options: dict[str, Any] = {"noise": self.noise, "body": self.body, "size": self.size, "device": self.device}
+        return scan(scene, cameras, stream, points=self.points, **options)
+
+    def _require_usable(self) -> None:
+        """Raise ``ConfigError`` for a GPU in a worker process."""
+        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
+            raise ConfigError(
+                f"Scan on {self.device} in a worker process, where a GPU cannot be shared: give device='cpu'"
+            )
+
+    def __repr__(self) -> str:
+        return f"Scan(n={self.n}, points={self.points}, size={self.size}, seed={self.seed}, on {self.device})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _entries(scan: "PointScan") -> Item:
+    """The new entries of an item."""
+    entries = {
+        "scan": np.concatenate([scan.points, scan.normals], axis=1).astype(np.float32),
+        "scan_panel_id": scan.panel_id.astype(np.int32),
+        "scan_camera": scan.camera.astype(np.int32),
+        "scan_camera_rt": scan.extrinsics.astype(np.float32),
+        "scan_camera_k": np.repeat(scan.intrinsics[None].astype(np.float32), len(scan.extrinsics), axis=0),
+    }
+    return {name: torch.from_numpy(value) for name, value in entries.items()}
