@@ -268,7 +268,7 @@ def _coloured(scene: Scene, body: Body) -> tuple[ColouredMesh, ColouredMesh]:
 
 
 def _grey_view(scene: Scene, camera: Camera, row: int) -> View:
-    look = Appearance((GREY,), np.zeros(len(scene.panel_names), int), skin=Skin(SKIN, tone=0))
+    look = Appearance((GREY,), np.zeros(len(scene.panel_names), int), skin=Skin(SKIN, tone=0), underwear=None)
     key = STUDIO @ camera.rotation / np.linalg.norm(STUDIO)
     return View(row, look, camera, Lights(key, (0.9, 0.9, 0.9), sky=0.6), Environment(EnvironmentKind.PLAIN))
 

@@ -38,6 +38,7 @@ from gcd_dataset.generator import MakeConfig, read_overlay
 from gcd_dataset.generator.drape import resolve_device
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
@@ -162,8 +163,8 @@ def garments_folder(args: argparse.Namespace, out: Path) -> Path:
     """The folder of the garments, which are made if it holds none."""
     folder = Path(args.garments) if args.garments else out / "garments"
     if not (folder / "manifest.json").exists():
-        design = {"design": read_overlay(args.design)} if args.design else {}
-        config = MakeConfig(resolution=args.resolution, device=args.device, picture=0, points=0, **design)
+        design = read_overlay(args.design) if args.design else NO_OVERLAY
+        config = MakeConfig(resolution=args.resolution, device=args.device, picture=0, points=0, design=design)
         generate(folder, args.count, seed=args.seed, config=config, workers=args.workers, on_progress=_log_progress)
     return folder
 
@@ -188,7 +189,7 @@ def load(folder: Path, args: argparse.Namespace) -> Data:
 
 def _wearers(reader: ShardReader) -> int:
     """Samples of one design."""
-    recipe = reader.manifest.splits[reader.split].recipe
+    recipe = {} if reader.manifest is None else reader.manifest.splits[reader.split].recipe
     return int(recipe.get("bodies_each", 1)) + (recipe.get("bodies") == "both")
 
 
@@ -409,7 +410,7 @@ def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argpars
     net.eval()
     patterns: list[Pattern] = []
     with torch.no_grad():
-        for part in pictures.split(args.batch):
+        for part in torch.split(pictures, args.batch):
             with torch.autocast(args.device.split(":")[0], torch.bfloat16, enabled=args.device != "cpu"):
                 predicted = net(part.to(args.device))[-1]
             patterns += patterns_from(predicted.garments())
