@@ -113,6 +113,8 @@ HELD_OUT = Ranges(
 """Rooms, checks, tartan and flowers; cameras and lights beyond those of ``TRAINING``."""
 GREY = Cloth(print=Print(colours=((0.6, 0.6, 0.6),) * 4))
 STUDIO = np.array([-0.45, -0.55, -0.70])  # towards the key light, in camera axes: from above and the left
+AT_ONCE = {"cpu": 2, "cuda": 8}  # garments rendered together
+AHEAD = 2  # batches of a process that wait to be used
 VIEWS_PER_EPOCH = 16  # stream numbers of one reading
 
 
@@ -139,7 +141,7 @@ class Share:
     device: str
     readings: int
     """Readings of each garment as each input; 0: without end."""
-    at_once: int = 8
+    at_once: int
     """Garments rendered together."""
 
 
@@ -176,22 +178,22 @@ def rendering(
     device: str,
     processes: int,
     readings: int = 0,
-    ahead: int = 16,
 ) -> Iterator[Iterator[Rendered]]:
     """Pictures of the garments at ``positions``, rendered by processes; fewer than 2: by a thread of this one.
 
-    The pictures and their order depend on the number of processes, not on their speed. ``ahead``: batches buffered.
+    The pictures depend neither on the number of processes nor on their speed, their order not on the speed.
     """
     processes = max(1, min(processes, len(positions)))
+    at_once = AT_ONCE["cpu" if device == "cpu" else "cuda"]
     shares = [
-        Share(folder, tuple(positions[k::processes]), tuple(inputs), seed, size, device, readings)
+        Share(folder, tuple(positions[k::processes]), tuple(inputs), seed, size, device, readings, at_once)
         for k in range(processes)
     ]
     if processes == 1:
-        with closing(prefetch(rendered(shares[0]), ahead)) as batches:
+        with closing(prefetch(rendered(shares[0]), AHEAD)) as batches:
             yield batches
         return
-    with streams(rendered, shares) as results, closing(prefetch(_in_turn(results), ahead)) as batches:
+    with streams(rendered, shares) as results, closing(prefetch(_in_turn(results), AHEAD * processes)) as batches:
         yield batches
 
 
