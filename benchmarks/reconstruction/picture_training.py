@@ -121,8 +121,9 @@ def run(args: argparse.Namespace) -> Measured:
             result = trained_and_tested(what, data, tests, args, out, seconds=left / (len(inputs) - number))
             write_result(out, result, args)
         results[what], args.steps = result, int(result.figures["steps"])  # the same number of steps for all
-    summary = [Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *_about(data, args)]
-    return Measured([*summary, *figures_of(results)], rows_of(results))
+        figures = [*_about(data, args), *figures_of(results)]
+        write_whole(out / "figures.csv", _table(figures))
+    return Measured([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
 
 
 def completed(args: argparse.Namespace) -> argparse.Namespace:
@@ -160,9 +161,9 @@ class Data:
 
 
 def garments_folder(args: argparse.Namespace, out: Path) -> Path:
-    """The folder of the garments, which are made if it holds none."""
+    """The folder of the garments; those of ``--out`` are made, or completed, and so are those of an empty folder."""
     folder = Path(args.garments) if args.garments else out / "garments"
-    if not (folder / "manifest.json").exists():
+    if not args.garments or not (folder / "manifest.json").exists():
         design = read_overlay(args.design) if args.design else NO_OVERLAY
         config = MakeConfig(resolution=args.resolution, device=args.device, picture=0, points=0, design=design)
         generate(folder, args.count, seed=args.seed, config=config, workers=args.workers, on_progress=_log_progress)
@@ -476,6 +477,12 @@ def sheet(tests: Mapping[Input, UInt8[Tensor, "t n h w 3"]]) -> UInt8[np.ndarray
     order = (Input.PLAIN, Input.GREY, Input.DRAWN, Input.HELD_OUT)
     garments = range(min(SHEET, len(tests[Input.PLAIN])))
     return contact_sheet([p.numpy() for k in garments for what in order for p in tests[what][k]], columns=8, gap=3)
+
+
+def _table(figures: Sequence[Figure]) -> bytes:
+    """Figures as CSV: what stands so far, should the run be stopped."""
+    lines = ["metric,value,unit", *(f'{f.metric},{f.value:.6g},"{f.unit}"' for f in figures)]
+    return "\n".join([*lines, ""]).encode()
 
 
 def write_result(out: Path, result: Result, args: argparse.Namespace) -> None:

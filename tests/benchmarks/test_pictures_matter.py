@@ -227,7 +227,20 @@ def test_the_case_reports_and_a_repeated_call_continues(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = tmp_path / "out", tmp_path / "report.md"
-    flags = ["--garments", str(folder), "--out", str(out), "--count", "5", "--steps", "20", "--lr", "5e-3", "--size", "16"]
+    flags = [
+        "--garments",
+        str(folder),
+        "--out",
+        str(out),
+        "--count",
+        "5",
+        "--steps",
+        "20",
+        "--lr",
+        "5e-3",
+        "--size",
+        "16",
+    ]
     flags += ["--device", "cpu", "--width", "32", "--layers", "1", "--report", str(report)]
     assert main(["pictures_matter", "--inputs", "drawn", *flags]) == 0
     assert main(["pictures_matter", *flags]) == 0
@@ -239,6 +252,7 @@ def test_the_case_reports_and_a_repeated_call_continues(
         rows = list(csv.DictReader(file))
     assert [row["input"] for row in rows] == ["drawn", "plain", "grey"]
     assert len(json.loads((out / "plain.json").read_text())["scores"]["held_out"]) == 1
+    assert "gap_to_plain_on_drawn_iou," in (out / "figures.csv").read_text()
     assert (out / "inputs.jpg").stat().st_size > 1000
     assert "| held_out | drawn |" in report.read_text()
     with pytest.raises(ConfigError, match="results of other options: give another --out"):
