@@ -13,12 +13,12 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -47,6 +47,9 @@ from gcd_dataset.verbs import Progress, generate
 from gcd_dataset.workers import parallel_map_chunks
 
 __all__ = ["Pool", "Result", "add_arguments", "gaps", "run", "train"]
+
+Curve: TypeAlias = Callable[[Mapping[str, Any]], None]
+"""Writes a row of the curves."""
 
 INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the slowest decides the number of steps
 TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
@@ -422,7 +425,7 @@ class Watch:
     """Writes the course of a training: the loss of the last steps, and at times the loss on the test pictures."""
 
     def __init__(
-        self, what: Input, data: Data, tests: Mapping[Input, Tensor], args: argparse.Namespace, curve: Any
+        self, what: Input, data: Data, tests: Mapping[Input, Tensor], args: argparse.Namespace, curve: Curve
     ) -> None:
         self._what, self._curve, self._begun = what, curve, time.perf_counter()
         device = torch.device(args.device)
@@ -455,7 +458,7 @@ class Watch:
 
 
 @contextmanager
-def curve_file(out: Path) -> Iterator[Any]:
+def curve_file(out: Path) -> Iterator[Curve]:
     """A function that appends a row to ``curves.csv``, at once readable."""
     names = ["input", "step", "seconds", "loss", "readings", *(f"loss_{test}" for test in TESTS)]
     path = out / "curves.csv"
