@@ -22,6 +22,7 @@ CASES: Mapping[str, str] = {
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
+    "pictures_matter": "benchmarks.cases.pictures_matter",
     "reconstruction": "benchmarks.cases.reconstruction",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",

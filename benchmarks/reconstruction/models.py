@@ -17,10 +17,11 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.data import MAX_EDGES, GarmentBatch
 
-__all__ = ["NetConfig", "PatternNet", "Predicted", "match_panels", "set_loss"]
+__all__ = ["NetConfig", "PanelDecoder", "PatternNet", "Predicted", "encoder", "match_panels", "set_loss"]
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
+LAYER_OPTIONS: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 WEIGHTS = {"exists": 2.0, "contours": 5.0, "corners": 1.0, "centres": 5.0, "rotations": 1.0, "edges": 0.5}
 
 
@@ -72,30 +73,14 @@ class PatternNet(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        options: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
         self.region = nn.Sequential(nn.Linear(6, width // 2), nn.GELU(), nn.Linear(width // 2, width))
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
-        layer = nn.TransformerEncoderLayer(width, config.heads, 4 * width, **options)
-        self.encoder = nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(width), enable_nested_tensor=False)
-        self.queries = nn.Parameter(torch.randn(config.queries, width))
-        self.decoder = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **options) for _ in range(config.layers)
-        )
-        sizes = (1, 3 * config.contour_points, 3, 6, MAX_EDGES + 1)
-        self.norm = nn.LayerNorm(width)
-        self.heads = nn.ModuleList(
-            nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, size)) for size in sizes
-        )
+        self.encoder = encoder(config)
+        self.decoder = PanelDecoder(config)
 
     def forward(self, points: Float[Tensor, "b n 6"]) -> list[Predicted]:
-        tokens = self.encoder(self._tokens(points.float()))
-        panels = self.queries.expand(len(points), -1, -1)
-        predicted = []
-        for layer in self.decoder:
-            panels = layer(panels, tokens)
-            predicted.append(self._predicted(panels))
-        return predicted
+        return self.decoder(self.encoder(self._tokens(points.float())))
 
     def _tokens(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
         """Tokens of the regions around the first points of each garment; points are in random order."""
@@ -110,6 +95,32 @@ class PatternNet(nn.Module):
         waves = torch.cat([octaves.sin(), octaves.cos()], dim=-1).flatten(2)
         return self.merge(features + self.position(torch.cat([waves, centres], dim=-1)))
 
+
+class PanelDecoder(nn.Module):
+    """Tokens of an encoder to one ``Predicted`` per layer; each query may become a panel."""
+
+    def __init__(self, config: NetConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.queries = nn.Parameter(torch.randn(config.queries, width))
+        self.layers = nn.ModuleList(
+            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS) for _ in range(config.layers)
+        )
+        sizes = (1, 3 * config.contour_points, 3, 6, MAX_EDGES + 1)
+        self.norm = nn.LayerNorm(width)
+        self.heads = nn.ModuleList(
+            nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, size)) for size in sizes
+        )
+
+    def forward(self, tokens: Float[Tensor, "b t w"]) -> list[Predicted]:
+        panels = self.queries.expand(len(tokens), -1, -1)
+        predicted = []
+        for layer in self.layers:
+            panels = layer(panels, tokens)
+            predicted.append(self._predicted(panels))
+        return predicted
+
     def _predicted(self, panels: Float[Tensor, "b q w"]) -> Predicted:
         # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
@@ -123,6 +134,12 @@ class PatternNet(nn.Module):
             rotations=rotation_of(rotations),
             edges=edges,
         )
+
+
+def encoder(config: NetConfig) -> nn.TransformerEncoder:
+    """Attention among the tokens of an input."""
+    layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
+    return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
 
 
 def rotation_of(columns: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 3 3"]:

@@ -1,0 +1,601 @@
+"""Train one network on three inputs, pictures of the same garments, and test each on pictures unlike any of them.
+
+    python -m benchmarks.run pictures_matter --count 12 --steps 30 --size 64 --device cpu
+
+Pictures with drawn cameras and cloth are rendered while the network is trained: ``--fresh`` new readings a step enter a
+pool on the device, and each step draws its batch from the pool. Every network has the same first weights, the same
+steps and the same draws.
+"""
+
+import argparse
+import csv
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from jaxtyping import Int, UInt8
+from torch import Tensor
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.reconstruction.data import GarmentBatch, ToTargets, patterns_from
+from benchmarks.reconstruction.evaluate import UNITS, scores_of
+from benchmarks.reconstruction.models import NetConfig, set_loss
+from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
+from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
+from benchmarks.reconstruction.train import LARGEST_GRADIENT, WEIGHT_DECAY, learning_rate
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator import MakeConfig, read_overlay
+from gcd_dataset.generator.drape import resolve_device
+from gcd_dataset.generator.drape.device import cores
+from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY
+from gcd_dataset.generator.render import render
+from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
+from gcd_dataset.records import Pattern
+from gcd_dataset.shards import ShardReader
+from gcd_dataset.verbs import Progress, generate
+from gcd_dataset.workers import parallel_map_chunks
+
+__all__ = ["Pool", "Result", "add_arguments", "gaps", "run", "train"]
+
+Curve: TypeAlias = Callable[[Mapping[str, Any]], None]
+"""Writes a row of the curves."""
+
+INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the slowest decides the number of steps
+TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
+METRICS = ("panel_count_acc", "edge_count_acc", "iou")
+"""The metrics whose gaps are stated in points."""
+SEAMS = ("stitch_p", "stitch_r", "stitch_f1")  # the network predicts none
+ON_GPU: Mapping[str, Any] = {
+    "resolution": 2.0, "pool": 65_536, "batch": 128, "fresh": 32, "width": 256, "heads": 8, "layers": 4, "lr": 5e-4,
+}  # fmt: skip
+ON_CPU: Mapping[str, Any] = {
+    "resolution": 4.0, "pool": 512, "batch": 4, "fresh": 1, "width": 64, "heads": 4, "layers": 2, "lr": 2e-3,
+}  # fmt: skip
+"""Options that are 0 where they are not given."""
+LOG_EVERY = 25  # steps
+CHECKS = 20  # losses on the test pictures in the course of a training
+CHECKED = 64  # test garments of these
+PROBE = 60  # steps of a network that is thrown away, of which the second half is timed
+START_UP = 20.0  # s from the end of a training to the first step of the next, besides scoring
+SCORING = 0.1  # CPU-s for each prediction
+SHEET = 8  # garments of the sheet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    def option(name: str, default: Any, text: str) -> None:
+        shown = f"{text} ({default})"
+        if (key := name[2:].replace("-", "_")) in ON_GPU:
+            shown = f"{text} (0: {ON_GPU[key]} on a GPU, {ON_CPU[key]} on a CPU)"
+        parser.add_argument(name, type=type(default), default=default, help=shown)
+
+    option("--count", 3_000, "garments; the last --test of them are tested on")
+    option("--test", 300, "garments to test on, at most a quarter")
+    option("--garments", "", "folder of draped garments; made there if it holds none (default: garments in --out)")
+    option("--out", "pictures_matter", "folder for scores, curves and the sheet; a repeated call continues there")
+    option("--inputs", ",".join(INPUTS), "inputs to train on")
+    option("--minutes", 9.0, "time for everything; it decides the number of steps")
+    option("--steps", 0, "optimiser steps of each training; 0: as many as --minutes allows")
+    option("--seed", 0, "seed of garments, pictures, networks and order")
+    option("--design", "", "TOML file that restricts the designs")
+    option("--resolution", 0.0, "edge length of the meshes [cm]")
+    option("--size", 128, f"width and height of the pictures [pixels], a multiple of {STRIDE}")
+    option("--device", "auto", "auto, cpu or cuda:0")
+    option("--workers", 0, "processes that make garments and score patterns; 0: all cores but one on a GPU")
+    option("--renderers", 0, "processes that render; 0: 8 on a GPU, at most all cores but one; 1: a thread")
+    option("--pool", 0, "most readings in memory; later ones replace the first")
+    option("--fresh", 0, "new readings rendered for each step")
+    option("--batch", 0, "readings of a step, from the pool")
+    option("--lr", 0.0, "highest learning rate")
+    option("--width", 0, "features of a token")
+    option("--heads", 0, "heads per attention layer")
+    option("--layers", 0, "layers of the encoder, and of the decoder")
+    option("--queries", 40, "most panels of a prediction")
+    option("--contour-points", 64, "points of a panel's outline")
+
+
+def run(args: argparse.Namespace) -> Measured:
+    """Make or read the garments, train on each input, test, compare. Raises ``ConfigError`` for unusable options."""
+    begun = time.perf_counter()
+    args = completed(args)
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    folder = garments_folder(args, out)
+    data = load(folder, args)
+    _log(f"{len(data.known)} garments to train on, {len(data.unseen)} to test on, {_seconds_since(begun):.0f} s")
+    tests = pictures_to_test(data, args)
+    write_whole(out / "inputs.jpg", jpeg_bytes(sheet(tests)))
+    results: dict[Input, Result] = {}
+    inputs = [Input(name) for name in args.inputs.split(",")]
+    for number, what in enumerate(inputs):
+        result = read_result(out, what, args)
+        if result is None:
+            left = 60.0 * args.minutes - _seconds_since(begun)
+            result = trained_and_tested(what, data, tests, args, out, seconds=left / (len(inputs) - number))
+            write_result(out, result, args)
+        results[what], args.steps = result, int(result.figures["steps"])  # the same number of steps for all
+        figures = [*_about(data, args), *figures_of(results)]
+        write_whole(out / "figures.csv", _table(figures))
+    return Measured([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
+
+
+def completed(args: argparse.Namespace) -> argparse.Namespace:
+    """The options with the defaults of the device. Raises ``ConfigError`` for invalid ones."""
+    device = resolve_device(args.device)
+    usual = ON_CPU if device == "cpu" else ON_GPU
+    processes = 1 if device == "cpu" else max(1, cores() - 1)
+    given = {**vars(args), "device": device, "workers": args.workers or processes}
+    given["renderers"] = args.renderers or min(8, processes)
+    args = argparse.Namespace(**{**given, **{key: given[key] or value for key, value in usual.items()}})
+    unknown = [name for name in args.inputs.split(",") if name not in INPUTS]
+    if unknown or not args.inputs:
+        raise ConfigError(f"--inputs {args.inputs}: give some of {','.join(INPUTS)}")
+    if args.size < STRIDE or args.size % STRIDE:
+        raise ConfigError(f"--size {args.size}: give a multiple of {STRIDE}")
+    if args.count < 4 or args.test < 1 or args.fresh < 1 or args.pool < args.batch:
+        raise ConfigError("give --count of 4 or more, --test and --fresh of 1 or more, --pool of --batch or more")
+    return args
+
+
+# --------------------------------------------------------------------------------------------------------- the garments
+
+
+@dataclass(frozen=True)
+class Data:
+    """The garments of a folder."""
+
+    folder: str
+    known: list[int]
+    """Positions of the garments to train on: in the folder, in ``targets`` and in ``patterns``."""
+    unseen: list[int]
+    targets: GarmentBatch
+    """Without points."""
+    patterns: list[Pattern]
+
+
+def garments_folder(args: argparse.Namespace, out: Path) -> Path:
+    """The folder of the garments; those of ``--out`` are made, or completed, and so are those of an empty folder."""
+    folder = Path(args.garments) if args.garments else out / "garments"
+    if not args.garments or not (folder / "manifest.json").exists():
+        design = read_overlay(args.design) if args.design else NO_OVERLAY
+        config = MakeConfig(resolution=args.resolution, device=args.device, picture=0, points=0, design=design)
+        generate(folder, args.count, seed=args.seed, config=config, workers=args.workers, on_progress=_log_progress)
+    return folder
+
+
+def load(folder: Path, args: argparse.Namespace) -> Data:
+    """Targets of the garments; the last designs are tested on, with all their wearers."""
+    reader = ShardReader(folder, settled_only=True)
+    positions = range(min(args.count, len(reader)))
+    designs = np.array([reader.number(k) // _wearers(reader) for k in positions])
+    kept = np.unique(designs)[: -max(1, min(args.test, len(np.unique(designs)) // 4))]
+    is_known = np.isin(designs, kept)
+    if is_known.all() or not is_known.any():
+        raise ConfigError(f"{folder} holds {len(kept)} designs: give a folder with 4 or more")
+    to_targets = ToTargets(args.queries, args.contour_points, points=0)
+    work = partial(_targets, str(folder), to_targets)
+    made = list(parallel_map_chunks(work, positions, args.workers, chunk=32))
+    arrays, patterns = zip(*made, strict=True)
+    targets = GarmentBatch(*(torch.from_numpy(np.concatenate(column)) for column in zip(*arrays, strict=True)))
+    known, unseen = (np.flatnonzero(wanted).tolist() for wanted in (is_known, ~is_known))
+    return Data(str(folder), known, unseen, targets, list(patterns))
+
+
+def _wearers(reader: ShardReader) -> int:
+    """Samples of one design."""
+    recipe = {} if reader.manifest is None else reader.manifest.splits[reader.split].recipe
+    return int(recipe.get("bodies_each", 1)) + (recipe.get("bodies") == "both")
+
+
+def _targets(
+    folder: str, to_targets: ToTargets, positions: Sequence[int]
+) -> list[tuple[tuple[np.ndarray, ...], Pattern]]:
+    reader, made = ShardReader(folder, settled_only=True), []
+    for position in positions:
+        pattern = reader.sample(position).pattern
+        target = to_targets.of(pattern)
+        made.append((tuple(getattr(target, field.name).numpy() for field in fields(target)), pattern))
+    return made
+
+
+def pictures_to_test(data: Data, args: argparse.Namespace) -> dict[Input, UInt8[Tensor, "t n h w 3"]]:
+    """Every test garment as each input, in the order of ``data.unseen``."""
+    _load_kernels(data, args)
+    place = {position: k for k, position in enumerate(data.unseen)}
+    shape = (len(place), SIDES, args.size, args.size, 3)
+    pictures = {what: torch.zeros(shape, dtype=torch.uint8) for what in TESTS}
+    processes = min(args.renderers, 1 + len(place) // 32)
+    with _rendered(data, data.unseen, TESTS, args, processes=processes, readings=1) as batches:
+        for batch in batches:
+            pictures[batch.what][[place[k] for k in batch.positions.tolist()]] = torch.from_numpy(batch.pictures)
+    return pictures
+
+
+def _load_kernels(data: Data, args: argparse.Namespace) -> None:
+    """Compile the renderer's kernels in this process, before several look for them."""
+    garment = load_garment(ShardReader(data.folder, settled_only=True), data.unseen[0])
+    scene, views = views_of(Input.DRAWN, args.seed, garment, 0, 0)
+    render([scene], views, size=args.size, device=args.device)
+
+
+@contextmanager
+def _rendered(
+    data: Data,
+    positions: Sequence[int],
+    inputs: Sequence[Input],
+    args: argparse.Namespace,
+    *,
+    processes: int,
+    readings: int,
+) -> Iterator[Iterator[Rendered]]:
+    options = {"seed": args.seed, "size": args.size, "device": args.device}
+    with rendering(data.folder, positions, inputs, **options, processes=processes, readings=readings) as batches:
+        yield batches
+
+
+# ------------------------------------------------------------------------------------------------------------- the pool
+
+
+class Pool:
+    """The latest readings on the device, fed by a stream of rendered batches."""
+
+    def __init__(self, batches: Iterator[Rendered], room: int, size: int, device: torch.device) -> None:
+        self._batches = batches
+        self._positions = torch.zeros(room, dtype=torch.int64)
+        self._pictures = torch.zeros(room, SIDES, size, size, 3, dtype=torch.uint8, device=device)
+        self._due = 0
+        self.added = 0
+        """Readings received so far."""
+        self.waited = 0.0
+        """Time spent waiting for them [s]."""
+
+    def advance(self, count: int) -> None:
+        """Receive ``count`` more readings; rounded up to whole batches over the calls."""
+        self._due += count
+        while self.added < self._due:
+            begun = time.perf_counter()
+            batch = next(self._batches)
+            self.waited += time.perf_counter() - begun
+            slots = torch.arange(self.added, self.added + len(batch.positions)) % len(self._positions)
+            self._positions[slots] = torch.from_numpy(batch.positions)
+            pictures = torch.from_numpy(batch.pictures).to(self._pictures.device)
+            self._pictures[slots.to(self._pictures.device)] = pictures
+            self.added += len(batch.positions)
+
+    def draw(self, count: int, chance: torch.Generator) -> tuple[Int[Tensor, " b"], UInt8[Tensor, "b n h w 3"]]:
+        """``count`` of the readings, with repetition: positions of the garments, and pictures."""
+        slots = torch.randint(min(self.added, len(self._positions)), (count,), generator=chance)
+        return self._positions[slots], self._pictures[slots.to(self._pictures.device)]
+
+
+@contextmanager
+def pool_of(what: Input, data: Data, args: argparse.Namespace) -> Iterator[Pool]:
+    """A pool that holds one reading of each garment to train on; of plain pictures there are no others."""
+    endless = what is not Input.PLAIN
+    room = args.pool if endless else len(data.known)
+    options = {"processes": args.renderers, "readings": 0 if endless else 1}
+    with _rendered(data, data.known, [what], args, **options) as batches:
+        pool = Pool(batches, max(room, args.batch), args.size, torch.device(args.device))
+        pool.advance(min(room, len(data.known)))
+        yield pool
+
+
+# --------------------------------------------------------------------------------------------------------- the training
+
+
+@dataclass
+class Result:
+    """Scores of a network that was trained on one input."""
+
+    what: Input
+    figures: dict[str, float]
+    scores: dict[Input, list[PatternScore]]
+    """By the input that it was tested on, in the order of the test garments."""
+
+
+def trained_and_tested(
+    what: Input,
+    data: Data,
+    tests: Mapping[Input, Tensor],
+    args: argparse.Namespace,
+    out: Path,
+    *,
+    seconds: float,
+) -> Result:
+    """Train on one input within ``seconds``, scoring included, and score the predictions for all test pictures."""
+    begun = time.perf_counter()
+    device = torch.device(args.device)
+    targets = data.targets.to(device)
+    with pool_of(what, data, args) as pool:
+        steps = args.steps or planned_steps(
+            pool, targets, what, args, seconds - _overhead(data, args) - _seconds_since(begun)
+        )
+        _log(f"{what}: {steps} steps, {pool.added} readings rendered in {_seconds_since(begun):.0f} s")
+        start, received, waited = time.perf_counter(), pool.added, pool.waited
+        with curve_file(out) as curve:
+            net, losses = train(pool, targets, what, steps, args, watch=Watch(what, data, tests, args, curve))
+        trained = _seconds_since(start)
+    last = max(1, min(LOG_EVERY, steps // 4))
+    figures = {
+        "steps": float(steps),
+        "train_minutes": trained / 60,
+        "steps_per_s": steps / trained,
+        "readings_per_s": (pool.added - received) / trained,
+        "uses_of_a_reading": steps * args.batch / pool.added,
+        "waiting": (pool.waited - waited) / trained,
+        "first_loss": float(np.mean(losses[:last])),
+        "last_loss": float(np.mean(losses[-last:])),
+    }
+    truth = [data.patterns[k] for k in data.unseen]
+    answers = [pattern for pictures in tests.values() for pattern in predict(net, pictures, args)]
+    scores = scores_of(answers, truth * len(tests), workers=args.workers)
+    of_tests = {test: scores[k * len(truth) : (k + 1) * len(truth)] for k, test in enumerate(tests)}
+    shown = ", ".join(f"{test} {mean_scores(found).iou:.3f}" for test, found in of_tests.items())
+    _log(f"{what}: trained for {trained:.0f} s, IoU on {shown}")
+    return Result(what, figures, of_tests)
+
+
+def planned_steps(pool: Pool, targets: GarmentBatch, what: Input, args: argparse.Namespace, seconds: float) -> int:
+    """As many steps as fit into ``seconds``, by the pace of a network that is thrown away."""
+    begun = time.perf_counter()
+    train(pool, targets, what, PROBE // 2, args)
+    start = time.perf_counter()
+    train(pool, targets, what, PROBE // 2, args)
+    a_step = _seconds_since(start) / (PROBE // 2)
+    return max(PROBE, int((seconds - (time.perf_counter() - begun)) / a_step))
+
+
+def _overhead(data: Data, args: argparse.Namespace) -> float:
+    """Time for anything but steps [s]."""
+    return START_UP + SCORING * len(TESTS) * len(data.unseen) / args.workers
+
+
+def train(
+    pool: Pool,
+    targets: GarmentBatch,
+    what: Input,
+    steps: int,
+    args: argparse.Namespace,
+    *,
+    watch: "Watch | None" = None,
+) -> tuple[PictureNet, list[float]]:
+    """A network trained on readings of the pool, and the loss of each step."""
+    torch.manual_seed(args.seed)
+    device = torch.device(args.device)
+    config = NetConfig(
+        queries=args.queries,
+        contour_points=args.contour_points,
+        width=args.width,
+        heads=args.heads,
+        layers=args.layers,
+    )
+    net = PictureNet(config, views=SIDES, size=args.size).to(device)
+    chance = torch.Generator().manual_seed(args.seed)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=args.lr, weight_decay=WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: learning_rate(step, steps))
+    losses: list[float] = []
+    for step in range(steps):
+        net.train()
+        if what is not Input.PLAIN:
+            pool.advance(args.fresh)
+        positions, pictures = pool.draw(args.batch, chance)
+        parts = losses_of(net, pictures, targets[positions.to(device)])
+        loss = torch.stack(list(parts.values())).sum()
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        torch.nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
+        optimizer.step()
+        schedule.step()
+        losses.append(loss.item())
+        if watch is not None:
+            watch.after(step + 1, steps, net, losses, pool)
+    return net, losses
+
+
+def losses_of(net: PictureNet, pictures: Tensor, true: GarmentBatch) -> dict[str, Tensor]:
+    """The weighted loss terms; in bfloat16 on a GPU."""
+    with torch.autocast(pictures.device.type, torch.bfloat16, enabled=pictures.is_cuda):
+        predicted = net(pictures)
+    return set_loss(predicted, true)
+
+
+def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argparse.Namespace) -> list[Pattern]:
+    """Patterns predicted from pictures."""
+    net.eval()
+    patterns: list[Pattern] = []
+    with torch.no_grad():
+        for part in torch.split(pictures, args.batch):
+            with torch.autocast(args.device.split(":")[0], torch.bfloat16, enabled=args.device != "cpu"):
+                predicted = net(part.to(args.device))[-1]
+            patterns += patterns_from(predicted.garments())
+    return patterns
+
+
+class Watch:
+    """Writes the course of a training: the loss of the last steps, and at times the loss on the test pictures."""
+
+    def __init__(
+        self, what: Input, data: Data, tests: Mapping[Input, Tensor], args: argparse.Namespace, curve: Curve
+    ) -> None:
+        self._what, self._curve, self._begun = what, curve, time.perf_counter()
+        device = torch.device(args.device)
+        self._tests = {test: pictures[:CHECKED].to(device) for test, pictures in tests.items()}
+        self._true = data.targets[torch.tensor(data.unseen[:CHECKED])].to(device)
+
+    def after(self, step: int, steps: int, net: PictureNet, losses: Sequence[float], pool: Pool) -> None:
+        """Write a row every ``LOG_EVERY`` steps."""
+        every = max(LOG_EVERY, steps // CHECKS)
+        if step % LOG_EVERY and step % every and step != steps:
+            return
+        loss = float(np.mean(losses[-LOG_EVERY:]))
+        checked = self._checked(net) if step % every == 0 or step == steps else {}
+        row = {"input": self._what, "step": step, "seconds": _seconds_since(self._begun), "loss": loss}
+        self._curve({**row, "readings": pool.added, **checked})
+        if checked:
+            shown = ", ".join(f"{name} {value:.3f}" for name, value in checked.items())
+            _log(f"{self._what}: step {step} of {steps}, loss {loss:.3f}; {shown}")
+
+    def _checked(self, net: PictureNet) -> dict[str, float]:
+        net.eval()
+        with torch.no_grad():
+            return {
+                f"loss_{test}": sum(part.item() for part in losses_of(net, pictures, self._true).values())
+                for test, pictures in self._tests.items()
+            }
+
+
+# ------------------------------------------------------------------------------------------------------------ the files
+
+
+@contextmanager
+def curve_file(out: Path) -> Iterator[Curve]:
+    """A function that appends a row to ``curves.csv``, at once readable."""
+    names = ["input", "step", "seconds", "loss", "readings", *(f"loss_{test}" for test in TESTS)]
+    path = out / "curves.csv"
+    is_new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, names)
+        if is_new:
+            writer.writeheader()
+
+        def write(row: Mapping[str, Any]) -> None:
+            writer.writerow({name: f"{v:.5g}" if isinstance(v, float) else v for name, v in row.items()})
+            file.flush()
+
+        yield write
+
+
+def sheet(tests: Mapping[Input, UInt8[Tensor, "t n h w 3"]]) -> UInt8[np.ndarray, "h w 3"]:
+    """Front and back of some test garments, a row each: plain, grey, drawn, held out."""
+    order = (Input.PLAIN, Input.GREY, Input.DRAWN, Input.HELD_OUT)
+    garments = range(min(SHEET, len(tests[Input.PLAIN])))
+    return contact_sheet([p.numpy() for k in garments for what in order for p in tests[what][k]], columns=8, gap=3)
+
+
+def _table(figures: Sequence[Figure]) -> bytes:
+    """Figures as CSV: what stands so far, should the run be stopped."""
+    lines = ["metric,value,unit", *(f'{f.metric},{f.value:.6g},"{f.unit}"' for f in figures)]
+    return "\n".join([*lines, ""]).encode()
+
+
+def write_result(out: Path, result: Result, args: argparse.Namespace) -> None:
+    """Write the scores of every test garment, with the options that they depend on."""
+    scores = {test: [astuple(score) for score in found] for test, found in result.scores.items()}
+    steps = {"steps": int(result.figures["steps"])}
+    text = {"options": {**_options(args), **steps}, "figures": result.figures, "scores": scores}
+    write_whole(out / f"{result.what}.json", json.dumps(text).encode())
+
+
+def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | None:
+    """The result of an earlier call with the same options; ``None`` without one."""
+    path = out / f"{what}.json"
+    if not path.exists():
+        return None
+    text = json.loads(path.read_text())
+    options = _options(args)
+    if not args.steps:
+        options["steps"] = text["options"]["steps"]
+    if text["options"] != options:
+        raise ConfigError(f"{path} has results of other options: give another --out")
+    _log(f"{what}: read from {path}")
+    scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
+    return Result(what, text["figures"], scores)
+
+
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options that decide the result, besides the number of renderers."""
+    without = ("out", "inputs", "minutes", "workers", "report", "keep", "case")
+    return {name: value for name, value in vars(args).items() if name not in without}
+
+
+# ---------------------------------------------------------------------------------------------------------- the figures
+
+
+def figures_of(results: Mapping[Input, Result]) -> list[Figure]:
+    """Course of each training, mean scores of each network on each test, gaps of the drawn input to the others."""
+    units = {"train_minutes": "min", "waiting": "of the time"}
+    figures = [
+        Figure(f"{what}_{name}", value, units.get(name, ""))
+        for what, result in results.items()
+        for name, value in result.figures.items()
+    ]
+    for what, result in results.items():
+        for test, scores in result.scores.items():
+            means = mean_scores(scores)
+            figures += [Figure(f"{what}_on_{test}_{name}", getattr(means, name), "share") for name in METRICS]
+    if Input.DRAWN in results:
+        for other in (what for what in results if what is not Input.DRAWN):
+            for test in TESTS:
+                found = gaps(results[Input.DRAWN].scores[test], results[other].scores[test])
+                figures += [
+                    Figure(f"gap_to_{other}_on_{test}_{name}", found[0][name], f"points, {low:.1f} to {high:.1f}")
+                    for name in METRICS
+                    for low, high in [(found[1][name], found[2][name])]
+                ]
+    return figures
+
+
+def gaps(
+    scores: Sequence[PatternScore], others: Sequence[PatternScore]
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Mean differences in points by metric, and the ends of their 95 % intervals, paired by garment."""
+    apart = [
+        PatternScore(*(100.0 * (np.array(astuple(one)) - astuple(other))).tolist())
+        for one, other in zip(scores, others, strict=True)
+    ]
+    ends = bootstrap_interval(apart, np.random.default_rng(0))
+    mean, low, high = ({name: float(getattr(one, name)) for name in METRICS} for one in (mean_scores(apart), *ends))
+    return mean, low, high
+
+
+def rows_of(results: Mapping[Input, Result]) -> list[dict[str, str]]:
+    """A table row for each network and test: mean scores with 95 % intervals."""
+    rows = []
+    for test in TESTS:
+        for what, result in results.items():
+            scores = result.scores[test]
+            means, (low, high) = mean_scores(scores), bootstrap_interval(scores, np.random.default_rng(0))
+            cells = {
+                name: f"{getattr(means, name):.3g} ({getattr(low, name):.3g} to {getattr(high, name):.3g})"
+                for name in PatternScore.__dataclass_fields__
+                if name not in SEAMS
+            }
+            named = {f"{name} [{UNITS[name]}]" if name in UNITS else name: cell for name, cell in cells.items()}
+            rows.append({"tested on": str(test), "trained on": str(what), **named})
+    return rows
+
+
+def _about(data: Data, args: argparse.Namespace) -> list[Figure]:
+    counts = Counter(len(data.patterns[k].panels) for k in data.known)
+    commonest = counts.most_common(1)[0][0]
+    right = np.mean([len(data.patterns[k].panels) == commonest for k in data.unseen])
+    return [
+        Figure("garments", len(data.known), "to train on"),
+        Figure("tested", len(data.unseen), "garments"),
+        Figure("fresh", args.fresh, "readings a step"),
+        Figure("batch", args.batch, "readings"),
+        Figure("commonest_panel_count_acc", float(right), "share"),
+    ]
+
+
+def _log_progress(progress: Progress) -> None:
+    if progress.made % 100 == 0:
+        _log(f"{progress.existing + progress.made} of {progress.count} garments")
+
+
+def _seconds_since(begun: float) -> float:
+    return time.perf_counter() - begun
+
+
+def _log(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,272 @@
+"""The benchmark of picture inputs on a few coarse garments: held-out ranges, pictures, pool, training, report."""
+
+import argparse
+import csv
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.reconstruction.data import GarmentBatch
+from benchmarks.reconstruction.models import NetConfig, set_loss
+from benchmarks.reconstruction.picture_inputs import (
+    HELD_OUT,
+    SIDES,
+    TRAINING,
+    Input,
+    Rendered,
+    Share,
+    load_garment,
+    rendered,
+    rendering,
+    views_of,
+)
+from benchmarks.reconstruction.picture_model import PictureNet
+from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, gaps, load, pool_of, run, train
+from benchmarks.run import main
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.render import PrintKind, Ranges
+from gcd_dataset.generator.render.looks import LOOKS
+from gcd_dataset.metrics import PatternScore
+from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.shards import ShardReader, ShardWriter
+
+SIZE, SEED = 32, 5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five coarse garments at their start positions, stored as settled."""
+    config = MakeConfig(resolution=8.0, picture=0, points=0, stage="mesh", device="cpu")
+    where = tmp_path_factory.mktemp("garments")
+    with ShardWriter(where, seed=SEED, recipe=recipe_of(replace(config, stage="drape"))) as writer:
+        for index in range(5):
+            sample = make(SEED, index, config)
+            assert sample.box_mesh is not None
+            drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+            writer.write(replace(sample, drape=drape))
+    return where
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def options(folder: Path, **changes: object) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    small = {"garments": str(folder), "size": SIZE, "device": "cpu", "width": 32, "layers": 1, "count": 5, "steps": 4}
+    return completed(argparse.Namespace(**{**vars(parser.parse_args([])), **small, **changes}))
+
+
+def share(folder: Path, *inputs: Input, readings: int = 1) -> Share:
+    return Share(str(folder), (0, 1, 2), inputs, 0, SIZE, "cpu", readings, at_once=2)
+
+
+# ---------------------------------------------------------------------------------------------------------- the inputs
+
+
+INTERVALS: dict[str, Callable[[Ranges], tuple[float, float]]] = {
+    "yaw": lambda ranges: ranges.camera.yaw,
+    "pitch": lambda ranges: ranges.camera.pitch,
+    "focal": lambda ranges: ranges.camera.focal,
+    "azimuth": lambda ranges: ranges.lights.azimuth,
+    "kelvin": lambda ranges: ranges.lights.kelvin,
+    "contrast": lambda ranges: ranges.lights.contrast,
+}
+
+
+@pytest.mark.parametrize("name", INTERVALS)
+def test_no_held_out_camera_or_light_is_drawn_in_training(name: str) -> None:
+    (low, high), (least, most) = INTERVALS[name](TRAINING), INTERVALS[name](HELD_OUT)
+    assert low < high
+    assert least < most
+    assert high <= least or most <= low
+
+
+def test_no_held_out_cloth_skin_or_place_is_drawn_in_training() -> None:
+    ours, theirs = TRAINING.appearance, HELD_OUT.appearance
+    for name in ("prints", "looks", "tones"):
+        assert not set(getattr(ours, name)) & set(getattr(theirs, name))
+    weights = np.array([TRAINING.environment.weights, HELD_OUT.environment.weights])
+    assert (weights.sum(axis=1) > 0).all()
+    assert (weights.min(axis=0) == 0).all()
+    # All kinds of cloth are used, and each held-out one may have a held-out print.
+    assert set(ours.looks) | set(theirs.looks) == set(LOOKS)
+    assert all(set(LOOKS[name].prints) & set(theirs.prints) for name in theirs.looks)
+
+
+def test_held_out_views_show_held_out_cloth_only(folder: Path) -> None:
+    garment = load_garment(ShardReader(folder, settled_only=True), 0)
+    for epoch in range(20):
+        _, views = views_of(Input.HELD_OUT, 0, garment, 0, epoch)
+        for cloth in views[0].appearance.cloths:
+            assert cloth.look in HELD_OUT.appearance.looks
+            assert cloth.print.kind in (PrintKind.PLAIN, *HELD_OUT.appearance.prints)
+
+
+@pytest.mark.parametrize("what", [Input.GREY, Input.DRAWN, Input.HELD_OUT])
+def test_the_first_view_shows_the_front_and_the_second_the_back(what: Input, folder: Path) -> None:
+    garment = load_garment(ShardReader(folder, settled_only=True), 1)
+    for epoch in range(5):
+        _, (front, back) = views_of(what, 0, garment, 0, epoch)
+        assert front.camera.eye[2] > 100 > -100 > back.camera.eye[2]  # the wearer faces +z
+        assert front.appearance is back.appearance or what is Input.GREY
+
+
+def test_every_reading_of_drawn_pictures_differs_and_plain_ones_are_the_same(folder: Path) -> None:
+    batches = list(rendered(share(folder, Input.PLAIN, Input.DRAWN, readings=2)))
+    seen: dict[tuple[Input, int], list[np.ndarray]] = {}
+    for batch in batches:
+        for position, pictures in zip(batch.positions.tolist(), batch.pictures, strict=True):
+            seen.setdefault((batch.what, position), []).append(pictures)
+    assert set(seen) == {(what, k) for what in (Input.PLAIN, Input.DRAWN) for k in (0, 1, 2)}
+    for (what, _), (one, other) in seen.items():
+        assert one.shape == (SIDES, SIZE, SIZE, 3)
+        assert one.std() > 5
+        assert (one == other).all() == (what is Input.PLAIN)
+
+
+def test_processes_render_the_same_pictures_as_a_thread(folder: Path) -> None:
+    by_count = []
+    for processes in (1, 2):
+        with rendering(
+            str(folder), range(3), [Input.DRAWN], seed=0, size=16, device="cpu", processes=processes, readings=1
+        ) as batches:
+            by_count.append({k: p for b in batches for k, p in zip(b.positions.tolist(), b.pictures, strict=True)})
+    assert set(by_count[0]) == set(by_count[1]) == {0, 1, 2}
+    assert all((by_count[0][k] == by_count[1][k]).all() for k in range(3))
+
+
+# ------------------------------------------------------------------------------------------------ pool, model, training
+
+
+def test_a_pool_holds_the_latest_readings() -> None:
+    def batches() -> Iterator[Rendered]:
+        for k in range(0, 100, 2):
+            pictures = np.zeros((2, SIDES, 8, 8, 3), np.uint8)
+            pictures[:] = np.array([k, k + 1])[:, None, None, None, None]
+            yield Rendered(Input.DRAWN, np.array([k, k + 1]), pictures)
+
+    pool = Pool(batches(), 4, 8, torch.device("cpu"))
+    chance = torch.Generator().manual_seed(0)
+    pool.advance(3)
+    assert pool.added == 4
+    pool.advance(1)
+    assert pool.added == 4
+    pool.advance(2)
+    positions, pictures = pool.draw(64, chance)
+    assert set(positions.tolist()) == {2, 3, 4, 5}
+    assert torch.equal(pictures[:, 1, 0, 0, 2].long(), positions)
+
+
+def test_the_network_tells_the_pictures_apart() -> None:
+    torch.manual_seed(0)
+    net = PictureNet(NetConfig(width=32, heads=2, layers=1), views=SIDES, size=SIZE)
+    pictures = torch.randint(256, (1, SIDES, SIZE, SIZE, 3), dtype=torch.uint8)
+    with torch.no_grad():
+        one, other = net(pictures)[-1].centres, net(pictures.flip(1))[-1].centres
+    assert one.shape == (1, 40, 3)
+    assert not torch.allclose(one, other, atol=1e-4)
+
+
+def test_the_loss_falls_and_the_same_seed_trains_the_same_network(folder: Path) -> None:
+    args = options(folder, steps=40)
+    data = load(folder, args)
+    assert sorted([*data.known, *data.unseen]) == [0, 1, 2, 3, 4]
+    runs = []
+    for _ in range(2):
+        with pool_of(Input.PLAIN, data, args) as pool:
+            runs.append(train(pool, data.targets, Input.PLAIN, args.steps, args)[1])
+    assert runs[0] == runs[1]
+    assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
+
+
+def test_targets_of_stored_garments_are_without_loss(folder: Path) -> None:
+    data = load(folder, options(folder))
+    true: GarmentBatch = data.targets[torch.tensor(data.known)]
+    assert true.exists.sum(dim=1).tolist() == [len(data.patterns[k].panels) for k in data.known]
+    net = PictureNet(NetConfig(width=32, heads=2, layers=1), views=SIDES, size=SIZE)
+    said = net(torch.zeros(len(true), SIDES, SIZE, SIZE, 3, dtype=torch.uint8))[-1]
+    right = replace(
+        said,
+        exists=40.0 * true.exists.float() - 20.0,
+        contours=true.contours,
+        corners=40.0 * true.corners - 20.0,
+        centres=true.centres,
+        rotations=true.rotations,
+        edges=40.0 * torch.nn.functional.one_hot(true.edge_counts, said.edges.shape[-1]).float(),
+    )
+    assert sum(part.item() for part in set_loss([right], true).values()) == pytest.approx(0.0, abs=1e-5)
+
+
+# ----------------------------------------------------------------------------------------------------------- the report
+
+
+def test_gaps_are_differences_in_points() -> None:
+    def score(iou: float) -> PatternScore:
+        return PatternScore(1, 1, 0.5, iou, 0, 0, 0, 0, 0, 0, 0)
+
+    mean, low, high = gaps([score(0.8), score(0.6)], [score(0.5), score(0.4)])
+    assert mean == pytest.approx({"panel_count_acc": 0.0, "edge_count_acc": 0.0, "iou": 25.0})
+    assert low["iou"] == pytest.approx(20.0)
+    assert high["iou"] == pytest.approx(30.0)
+
+
+def test_the_case_reports_and_a_repeated_call_continues(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "out", tmp_path / "report.md"
+    flags = [
+        "--garments",
+        str(folder),
+        "--out",
+        str(out),
+        "--count",
+        "5",
+        "--steps",
+        "20",
+        "--lr",
+        "5e-3",
+        "--size",
+        "16",
+    ]
+    flags += ["--device", "cpu", "--width", "32", "--layers", "1", "--report", str(report)]
+    assert main(["pictures_matter", "--inputs", "drawn", *flags]) == 0
+    assert main(["pictures_matter", *flags]) == 0
+    said = capsys.readouterr()
+    assert "drawn: read from" in said.err
+    for name in ("gap_to_plain_on_held_out_iou", "gap_to_grey_on_held_out_panel_count_acc", "drawn_waiting"):
+        assert f"pictures_matter.{name} " in said.out
+    with (out / "curves.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["input"] for row in rows] == ["drawn", "plain", "grey"]
+    assert len(json.loads((out / "plain.json").read_text())["scores"]["held_out"]) == 1
+    assert "gap_to_plain_on_drawn_iou," in (out / "figures.csv").read_text()
+    assert (out / "inputs.jpg").stat().st_size > 1000
+    assert "| held_out | drawn |" in report.read_text()
+    with pytest.raises(ConfigError, match="results of other options: give another --out"):
+        run(options(folder, out=str(out), steps=21, size=16))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"size": 60}, "--size 60: give a multiple of 8"),
+        ({"inputs": "plain,blue"}, "--inputs plain,blue: give some of drawn,plain,grey"),
+        ({"count": 2}, "--count of 4 or more"),
+    ],
+)
+def test_invalid_options_are_refused(changes: dict[str, object], expected: str, folder: Path) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        options(folder, **changes)
