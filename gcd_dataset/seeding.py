@@ -27,6 +27,7 @@ class Stage(IntEnum):
     VIEW = 11
     CAPTION = 12
     SCAN = 13
+    SKETCH = 14
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

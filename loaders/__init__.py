@@ -20,7 +20,7 @@ From data set to batch:
    ranks or workers and any batch size may resume from it (``states.py``).
 8. *Views* are pictures rendered from items: in the workers on a CPU, otherwise from whole batches by threads of the
    training process, ahead of the loop (``views.py``).
-9. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation, views and scans (``scans.py``) on
+9. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation, views, scans and sketches on
    ``(seed, epoch, index)``, a generated garment on its ``(seed, index)``. None depends on rank, worker, batch size or
    time. The same holds for ``FreshGarments``, which replays garments while new ones are made (``fresh.py``,
    ``replay.py``).
@@ -42,6 +42,7 @@ from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.scans import Scan
 from gcd_dataset.loaders.scene_items import VIEW_FIELDS
 from gcd_dataset.loaders.shards import GarmentDataset
+from gcd_dataset.loaders.sketches import Sketch
 from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
 from gcd_dataset.loaders.views import Views
 from gcd_dataset.loaders.worker import begin_worker
@@ -71,6 +72,7 @@ __all__ = [
     "PublishedGarmentCodeData",
     "Scan",
     "SeamGraph",
+    "Sketch",
     "Views",
     "Yaw",
     "begin_worker",

@@ -1,4 +1,4 @@
-"""The geometry of a loaded garment and its wearer, for transforms that look at them: ``Views`` and ``Scan``."""
+"""The geometry of a loaded garment and its wearer, for ``Views``, ``Scan`` and ``Sketch``."""
 
 import contextlib
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ VIEW_FIELDS: tuple[str, ...] = (
     "meta", "spec", "panels", "edges", "stitches", "body",
     "faces", "uv", "panel_id", "seams", "corners", "uv_vertex", "verts",
 )  # fmt: skip
-"""The fields that ``Views`` and ``Scan`` read, and those that ``collate_packed`` needs for them."""
+"""The fields that ``Views``, ``Scan`` and ``Sketch`` read, and those that ``collate_packed`` needs for them."""
 NEEDED = ("meta", "spec", "verts", "faces", "uv", "panel_id", "seams", "corners", "uv_vertex")
 BODIES_KEPT = 256  # bodies in memory: 150 MB
 

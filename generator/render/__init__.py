@@ -14,7 +14,8 @@ Two renderers:
     view = View(0, appearance, camera, draw_lights(rng), draw_environment(rng))
     [picture] = render([scene], [view], size=512, maps=("depth", "panel_id"))
 
-Virtual depth cameras (``scan``) measure partial point clouds of the same scenes.
+Virtual depth cameras (``scan``) measure partial point clouds of the same scenes; ``sketch`` draws them
+in lines.
 
 Records (``scene``, ``appearance``, ``lights``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
 imported on first use: Warp is loaded by the functions that render.
@@ -59,8 +60,11 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.scans import PointScan, ScanRanges, draw_scan_cameras, scan, scan_cameras
     from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
+    from gcd_dataset.generator.render.sketches import FLAT, HAND, SketchStyle, sketch, sketch_camera
 
 __all__ = [
+    "FLAT",
+    "HAND",
     "KINECT",
     "MAPS",
     "NOISELESS",
@@ -86,6 +90,7 @@ __all__ = [
     "Ranges",
     "ScanRanges",
     "Scene",
+    "SketchStyle",
     "Skin",
     "Stitching",
     "Underwear",
@@ -112,11 +117,14 @@ __all__ = [
     "scan_cameras",
     "scene_of",
     "scene_of_sample",
+    "sketch",
+    "sketch_camera",
     "start_pictures",
 ]
 
 _NAMES_OF_MODULE = {
     "depth_noise": ("KINECT", "NOISELESS", "DepthNoise"),
+    "sketches": ("FLAT", "HAND", "SketchStyle", "sketch", "sketch_camera"),
     "scans": ("PointScan", "ScanRanges", "draw_scan_cameras", "scan", "scan_cameras"),
     "appearance": (
         "Appearance",
