@@ -52,7 +52,7 @@ class Solid(Record):
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
-    body, hair, eyes = scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)
+    body, hair, eyes = scene.body, hair_shell(scene), eyeballs(scene.body)
     parts = [(one.vertices, one.faces) for one in (scene, body, hair, eyes)]
     begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     panel_of_row = np.zeros(len(scene.uv), np.int32)
