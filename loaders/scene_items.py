@@ -65,6 +65,12 @@ class StoredGarment:
         fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
         return cls(meta["index"], fabric, mesh, vertices, item["spec"], weights if len(weights) else None, meta, user)
 
+    def picture_seed(self, seed: int) -> int:
+        """The seed of its pictures, scans or sketches, from the seed of the transform."""
+        from gcd_dataset.generator.views import picture_seed
+
+        return picture_seed(seed, data_seed=self.meta["seed"], recipe=self.meta["recipe"])
+
     @cached_property
     def pattern(self) -> Pattern:
         """Its panels, possibly without edges. Raises ``SpecError``."""
