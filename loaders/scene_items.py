@@ -51,6 +51,11 @@ class StoredGarment:
         """For the transform ``user``. Raises ``ConfigError`` for a missing field, mesh or drape."""
         _require_fields(item, user)
         meta = item["meta"]
+        if meta.get("yaw"):
+            raise ConfigError(
+                f"{meta['key']} was turned by Yaw before {user}, which finds the wearer unturned: apply {user} before "
+                "Yaw, or leave Yaw out; its cameras are drawn all round the figure"
+            )
         arrays = {name: _array(item[name]) for name in ("faces", "corners", "uv_vertex", "panel_id", "seams")}
         vertices = _array(item["verts"]).astype(float)
         mesh = BoxMesh(

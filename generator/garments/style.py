@@ -29,11 +29,10 @@ def described(
 ) -> tuple[Description | None, Description | None]:
     """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
     meta = design.meta
+    above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
     setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))
     return (
-        meta.upper.garment.describe(Setting(size, cuffs=cuff_gathers(pattern, legs=False)), design)
-        if meta.upper
-        else None,
+        meta.upper.garment.describe(above, design) if meta.upper else None,
         meta.bottom.garment.describe(setting, design) if meta.bottom else None,
     )
 

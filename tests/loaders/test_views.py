@@ -20,13 +20,17 @@ from gcd_dataset.generator.render import MAPS, AppearanceRanges, PrintKind
 from gcd_dataset.loaders import (
     VIEW_FIELDS,
     Augmented,
+    Chain,
     FakeGarments,
     FreshGarments,
     GarmentDataset,
     GarmentLoader,
     MixedDataset,
     PublishedGarmentCodeData,
+    Scan,
+    Sketch,
     Views,
+    Yaw,
     collate_list,
     collate_packed,
     collate_padded,
@@ -269,6 +273,17 @@ def test_as_an_augmentation_views_follow_its_stream(folder: Path) -> None:
     assert torch.equal(ds[0]["views"], shown)
     ds.set_epoch(1)
     assert not torch.equal(ds[0]["views"], shown)
+
+
+def test_a_turned_figure_is_not_rendered_beside_its_wearer(folder: Path) -> None:
+    """``Yaw`` turns the cloth; the wearer, built from shape weights, would stay."""
+    for user in (small(n=1, size=16), Scan(size=16, points=4), Sketch(size=16)):
+        name = type(user).__name__
+        with pytest.raises(TransformError, match=f"turned by Yaw before {name}, .*: apply {name} before Yaw"):
+            Augmented(dataset(folder), Chain(Yaw(), user))[0]
+    item = Augmented(dataset(folder), Chain(small(n=1, size=16), Yaw()))[0]
+    plain = Augmented(dataset(folder), small(n=1, size=16))[0]
+    assert not torch.allclose(item["camera_rt"], plain["camera_rt"])
 
 
 def test_appearances_keep_to_their_ranges(folder: Path) -> None:

@@ -262,9 +262,8 @@ def test_words_for_cuffs_follow_the_drawn_gathers(wardrobe: list[Worn], limb: st
         frill = length_ratio(each.pattern, parts, "skirt", "band" if band else "limb")
         full = each.captions(number)["full"]
         gathered.append(f"gather the {noun} ends" in full or f"{noun} ends gathered" in full)
-        frilled.append(
-            mentions(full, f"frills (at|that gather) the {noun}", f"{noun} ends gathered into [a-z ]*frills")
-        )
+        phrases = (f"frills (at|that gather) the {noun}", f"{noun} ends gathered into [a-z ]*frills")
+        frilled.append(mentions(full, *phrases))
         assert gathered[-1] == (into >= RUFFLES), (full, into)
         assert frilled[-1] == (frill >= RUFFLES), (full, frill)
     assert {*gathered} == {*frilled} == {True, False}
