@@ -77,7 +77,7 @@ class Yaw:
         turned = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
         turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
         turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
-        if "meta" in item and angle:
+        if "meta" in item and turned and angle:
             turned["meta"] = {**item["meta"], "yaw": item["meta"].get("yaw", 0.0) + float(angle)}
         return {**item, **turned}
 

@@ -92,7 +92,7 @@ class PendingPictures:
         with launch_lock:
             uploaded = upload(kept, solids, self._staging)
             self._kept = uploaded, self._launch(uploaded, materials, device)
-            self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
+            self._rendered = self._staging.event()
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""

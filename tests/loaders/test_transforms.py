@@ -49,11 +49,8 @@ def test_yaw_keeps_heights_and_distances() -> None:
 def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
     """Every camera sees the turned points where it saw them before; what was not measured stays so."""
     points = torch.cat([ball()["points"][::40].float(), torch.full((2, 6), torch.nan)])
-    rotation, translation = (
-        torch.linalg.qr(torch.randn(2, 3, 3, generator=torch.manual_seed(1)))[0],
-        torch.ones(2, 3, 1),
-    )
-    rt = torch.cat([rotation, translation], dim=2)
+    rotation = torch.linalg.qr(torch.randn(2, 3, 3, generator=torch.manual_seed(1)))[0]
+    rt = torch.cat([rotation, torch.ones(2, 3, 1)], dim=2)
     facts = {
         "camera": {"rt": rt[0].tolist(), "size": 9},
         "light": {"key_direction": rotation[0, 2].tolist(), "fill_direction": [0.0, 1.0, 0.0], "sky": 1.0},
