@@ -74,7 +74,7 @@ class Yaw:
         angle = rng.uniform(-self.most, self.most)
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = torch.tensor([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]], dtype=torch.float32)
-        turned = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
+        turned: Item = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
         turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
         turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
         if "meta" in item and turned and angle:
@@ -230,7 +230,8 @@ def _rotated(rows: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
 
 def _turned_cameras(extrinsics: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """[R | t] of cameras that turn with the figure; positions are rows times the rotation matrix."""
-    turned = extrinsics.float() @ torch.block_diag(rotation, torch.eye(1))
+    axes, position = extrinsics[..., :3].float() @ rotation, extrinsics[..., 3:].float()
+    turned = torch.cat([axes, position], dim=-1)
     return turned.to(extrinsics.dtype)
 
 

@@ -68,7 +68,8 @@ def captioned(folder: Path) -> Path:
 
 
 def test_a_file_holds_views(tmp_path: Path, file: Path) -> None:
-    own, shards = captioned(tmp_path), ShardReader(tmp_path)
+    folder = tmp_path / "own"
+    own, shards = captioned(folder), ShardReader(folder)
     reader = Hdf5Reader(own)
     assert reader.members == shards.layout.members
     for position in range(2):
@@ -80,7 +81,7 @@ def test_a_file_holds_views(tmp_path: Path, file: Path) -> None:
     assert set(ds[0]) == {*FIELDS, "caption", *views}
     assert [item["view_1_json"]["number"] for item in ds] == [0, 1]
     joint = ("views", "camera_k", "camera_rt")
-    for one, other in zip(Hdf5Garments(own, joint), GarmentDataset(tmp_path, fields=joint), strict=True):
+    for one, other in zip(Hdf5Garments(own, joint), GarmentDataset(folder, fields=joint), strict=True):
         assert all(torch.equal(one[field], other[field]) for field in joint)
     with h5py.File(own) as data:
         start, end = data["ptr/view_1"][1:3]
