@@ -27,6 +27,7 @@ from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.lights import tint, white_balance
 from gcd_dataset.generator.render.looks import LOOKS, LOOKS_OF_FABRIC
 from gcd_dataset.generator.render.materials import parts_of
+from gcd_dataset.generator.render.packing import skin_albedo
 from tests.generator.render.scenes import ahead, ball_scene, cloth_of, hung_patch, look, patch_scene, plain
 from tests.helpers import joined
 
@@ -83,6 +84,15 @@ def test_all_ten_tones_are_drawn_and_others_refused() -> None:
         draw_appearance(np.random.default_rng(0), scene, ranges=AppearanceRanges(tones=(0,)))
     with pytest.raises(ConfigError, match="unknown looks tweed: choose from poplin"):
         draw_appearance(np.random.default_rng(0), scene, ranges=AppearanceRanges(looks=("tweed",)))
+
+
+def test_skin_is_neither_chalk_nor_coal_and_warm_on_all_tones() -> None:
+    """Luminance of the albedo falls along the scale, from below 0.52 to above 0.045; red over green over blue."""
+    albedos = np.array([skin_albedo(tone) for tone in MONK_TONES])
+    luminance = albedos @ [0.2126, 0.7152, 0.0722]
+    assert luminance.max() < 0.52 and luminance.min() > 0.045
+    assert (np.diff(luminance[3:]) < 0).all()  # the first three tones are as light as each other
+    assert (albedos[:, 0] > 1.3 * albedos[:, 1]).all() and (albedos[:, 1] > 1.3 * albedos[:, 2]).all()
 
 
 def test_nobody_is_drawn_without_underwear() -> None:
