@@ -16,7 +16,7 @@ from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect, slid_off
 from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh import coarsen
+from gcd_dataset.generator.mesh import coarse_start, coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
@@ -121,6 +121,21 @@ def test_a_coarse_start_ends_in_the_same_shape(monkeypatch: pytest.MonkeyPatch) 
     )
     assert with_start.vertices != pytest.approx(without.vertices, abs=1e-6)
     assert with_start.vertices == pytest.approx(without.vertices, abs=1.0)
+
+
+def test_a_garment_starts_from_its_panels_where_its_coarse_mesh_slid_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
+    plain = on_a_ball(8, labels={"lower_interface": np.arange(81)})
+    coarse = coarse_start(plain.box_mesh)
+    assert coarse is not None
+    beside = replace(plain, coarse=coarse, start=coarse.mesh.vertices + [60.0, 0.0, 0.0])
+    config = DrapeConfig(held_time=0.1)
+    [drape, held] = drape_batch([beside, plain], config, device="cpu")
+    [from_panels] = drape_batch([plain], replace(config, coarse_start=False), device="cpu")
+    assert drape.outcome is Outcome.SETTLED
+    assert drape.vertices.tobytes() == from_panels.vertices.tobytes()
+    assert drape.frames > from_panels.frames  # frames of the coarse mesh included
+    assert held.vertices.tobytes() != drape.vertices.tobytes()
 
 
 def test_a_garment_beside_its_body_slides_off() -> None:
