@@ -35,6 +35,7 @@ FOREARM = 30  # part number of an arm from the elbow to the finger tips; no valu
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
 CRANIUM = 0.7  # share of the head's height, from the top down to the mouth: contains the ears
+OVER_NECK = 0.9  # the same share of what lies above the neck, where the parts have no head: the chin is lower
 HAND = 0.22  # share of an arm that is its hand, where the parts have no hands
 NECK_SLICE = 2.0  # cm, height of the slices among which the neck is the narrowest, where the parts have no head
 NECK_BELOW = 0.5  # share of the way from the arms to the crown, below which the neck lies
@@ -209,8 +210,7 @@ class _SkinTopology:
             for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS, BodyPart.FEET, BodyPart.HEAD)
         )
         trunk, *legs = (
-            np.flatnonzero(skin.parts == part.value)
-            for part in (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
+            np.flatnonzero(skin.parts == part.value) for part in (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
         )
         feet = feet if len(feet) else np.concatenate(legs)
         return cls(
@@ -291,13 +291,14 @@ def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tupl
     arms = [points[np.unique(known.skin.faces[arm])] for arm in known.arms]
     if not len(hands):
         hands = np.concatenate([_hand_of(arm) for arm in arms])
+    cranium = CRANIUM if len(head) else OVER_NECK
     if not len(head):
         head = _head_of(points[known.trunk], np.concatenate(arms))
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     if len(head):
         top, chin = head[:, 1].max(), head[:, 1].min()
-        sides.append(head[head[:, 1] > top - CRANIUM * (top - chin)])
+        sides.append(head[head[:, 1] > top - cranium * (top - chin)])
     return tuple(side for side in sides if len(side) and np.linalg.matrix_rank(side - side[0], tol=1e-3) == 3)
 
 

@@ -1,6 +1,8 @@
 """The passes of a garment: first its coarse mesh, then the fine mesh from the coarse drape's shape.
 
-A garment that crosses itself or the body at rest goes through both passes again, sewn more slowly. The result of a pass depends neither on the time at which it begins nor on the other garments in the batch.
+A garment whose coarse mesh slid off starts its fine pass from the placed panels. A garment that crosses itself or the
+body at rest is draped again, sewn more slowly. The result of a pass depends neither on the time at which it begins nor
+on the other garments in the batch.
 """
 
 from collections.abc import Iterable, Sequence

@@ -48,7 +48,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     skirt = Skirt.of(mesh, skirts) if skirts.any() else None
     on_cone = skirt is not None and skirt.is_wide
     bodice, sleeves = (roles == PanelRole.BODY).any(), (roles == PanelRole.ARM).any()
-    if not (on_cone or bodice or sleeves or trousers.any()):
+    if not (skirts.any() or bodice or sleeves or trousers.any()):
         return mesh.vertices
     try:
         limbs = limbs_of(body)
