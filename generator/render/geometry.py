@@ -1,6 +1,8 @@
 """Meshes prepared for ray casting: garment, body and hair in one list, borders of the panels, masks on the body."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,9 +37,8 @@ class Borders(Record):
 class Solid(Record):
     """Everything that rays may hit, in the order garment, body, hair, eyes."""
 
-    position: Float[np.ndarray, "n 3"]
-    """[cm]"""
-    faces: Int[np.ndarray, "m 3"]
+    parts: tuple[tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]], ...]
+    """Vertices [cm] and faces of each part; faces count from the part's first vertex."""
     garment_faces: int
     body_faces: int
     hair_faces: int
@@ -49,23 +50,33 @@ class Solid(Record):
     """Of the vertices of the body."""
     eyes: Eyes
 
+    @property
+    def starts(self) -> list[int]:
+        """Row of each part's first vertex, and the number of all vertices."""
+        return list(accumulate((len(vertices) for vertices, _ in self.parts), initial=0))
+
+    @cached_property
+    def position(self) -> Float[np.ndarray, "n 3"]:
+        """All vertices [cm]."""
+        return np.concatenate([vertices for vertices, _ in self.parts])
+
+    @cached_property
+    def faces(self) -> Int[np.ndarray, "m 3"]:
+        """All faces, as rows of ``position``."""
+        return np.concatenate([faces + begin for (_, faces), begin in zip(self.parts, self.starts, strict=False)])
+
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
     body, hair, eyes = scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)
-    parts = [(one.vertices, one.faces) for one in (scene, body, hair, eyes)]
-    begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    panel_of_row = np.zeros(len(scene.uv), np.int32)
-    panel_of_row[scene.corners] = scene.panel_id[:, None]
     return Solid(
-        position=np.concatenate([vertices for vertices, _ in parts]),
-        faces=np.concatenate([faces + begin for (_, faces), begin in zip(parts, begins[:-1], strict=True)]),
+        parts=tuple((one.vertices, one.faces) for one in (scene, body, hair, eyes)),
         garment_faces=len(scene.faces),
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
         garment_vertices=len(scene.vertices),
-        borders=panel_borders(scene, panel_of_row),
-        panel_of_row=panel_of_row,
+        borders=panel_borders(scene, scene.panel_of_row),
+        panel_of_row=scene.panel_of_row,
         masks=body_masks(scene.body),
         eyes=eyes,
     )
@@ -73,11 +84,7 @@ def solid_of(scene: Scene) -> Solid:
 
 def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
     """The outlines of all panels, found in the mesh, with the seam of each segment."""
-    following = _next_on_border(scene.corners, len(scene.uv))
-    a, b = scene.corners, np.roll(scene.corners, -1, axis=1)
-    on_border = following[a] == b
-    face, k = np.nonzero(on_border)
-    ends = np.stack([a[face, k], b[face, k]], axis=1)
+    face, k, ends = _border_edges(scene.corners, len(scene.uv))
     seam = _seam_of_edge(scene, scene.uv_vertex[ends])
     bits = np.where(seam == HEM, 8, 1) << k
     flags = np.bincount(face, bits, minlength=len(scene.faces)).astype(np.int32)
@@ -91,22 +98,24 @@ def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _next_on_border(corners: Int[np.ndarray, "f 3"], rows: int) -> Int[np.ndarray, " c"]:
-    """The next row along the border, counter-clockwise; -1 inside the panel.
+def _border_edges(
+    corners: Int[np.ndarray, "f 3"], rows: int
+) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " b"], Int[np.ndarray, "b 2"]]:
+    """Face, number in the face, and rows of both ends of each edge on a border, counter-clockwise.
 
     Round a row, each face (row, x, y) turns from x to y. Inside a panel the turns close and the sums of x - y and
     of x² - y² are 0; on the border they leave first - last and first² - last², from which both follow.
     """
-    row, x, y = corners.ravel(), np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
-    x, y = x.astype(float), y.astype(float)  # whole numbers below 2**53: sums are exact
-    difference = np.bincount(row, x - y, minlength=rows)
-    squares = np.bincount(row, x * x - y * y, minlength=rows)
-    open_fan = difference != 0
-    first = np.full(rows, -1.0)
-    first[open_fan] = 0.5 * (squares[open_fan] / difference[open_fan] + difference[open_fan])
+    row, after, before = corners.ravel(), corners[:, [1, 2, 0]].ravel(), corners[:, [2, 0, 1]].ravel()
+    difference = np.bincount(row, after - before, minlength=rows)  # whole numbers below 2**53: sums are exact
+    near = np.flatnonzero((difference != 0)[row])
+    row, after, before, turn = row[near], after[near], before[near], difference[row[near]]
+    squares = np.bincount(row, after * after - before * before, minlength=rows)
+    first = 0.5 * (squares[row] / turn + turn)
     # Two fans that meet in one row do not give a row of the mesh: such a row has no border.
-    known = open_fan & (first == np.floor(first)) & (first >= 0) & (first < rows)
-    return np.where(known, first, -1).astype(np.int64)
+    edge = near[first == after]
+    face, k = edge // 3, edge % 3
+    return face, k, np.stack([corners[face, k], corners[face, (k + 1) % 3]], axis=1)
 
 
 def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:

@@ -23,11 +23,14 @@ class StagingBuffers:
         self.device = device
         self.locked = wp.get_device(device).is_cuda
         self._in_use: list[wp.array] = []
+        self.bytes = 0
+        """Sum of all arrays so far."""
 
     def array(self, shape: tuple[int, ...], kind: type | np.dtype) -> Shaped[np.ndarray, "*shape"]:
         """An uninitialised array, valid until ``release``."""
         needed = math.prod(shape) * np.dtype(kind).itemsize
-        size = 1 << max(needed - 1, 0).bit_length()  # powers of two: most requests find a free buffer
+        self.bytes += needed
+        size = buffer_size(needed)
         free = self._free[size] if self.locked else None
         buffer = free.pop() if free else wp.empty(size, dtype=wp.uint8, device="cpu", pinned=self.locked)
         self._in_use.append(buffer)
@@ -39,6 +42,20 @@ class StagingBuffers:
         for buffer in self._in_use if self.locked else ():
             self._free[buffer.size].append(buffer)
         self._in_use = []
+
+
+LARGE = 1 << 26  # bytes
+
+
+def buffer_size(needed: int) -> int:
+    """The size of the buffer for ``needed`` bytes: few sizes, so that most requests find a free buffer.
+
+    A power of two, as meshes differ from batch to batch; above ``LARGE``, an eighth of one: pictures do not differ.
+    """
+    step = 1 << max(needed - 1, 0).bit_length()
+    if step > LARGE:
+        step >>= 3
+    return -(-max(needed, 1) // step) * step
 
 
 def wrapped(values: np.ndarray, dtype: type) -> wp.array:
