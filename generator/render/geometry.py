@@ -5,7 +5,7 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from gcd_dataset.generator.render.figure import BodyMasks, Eyes, body_masks, eyeballs, hair_shell
 from gcd_dataset.generator.render.scene import Scene
@@ -141,27 +141,29 @@ def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray
 
 def _lengths_along(ends: Int[np.ndarray, "b 2"], uv: Float[np.ndarray, "c 2"], rows: int) -> Float[np.ndarray, " b"]:
     """Length of the outline from a fixed point of it up to each segment [cm], by pointer doubling."""
-    number = np.full(rows, -1)
-    number[ends[:, 0]] = np.arange(len(ends))
-    before = np.full(len(ends), -1)
-    following = number[ends[:, 1]]
-    before[following[following >= 0]] = np.flatnonzero(following >= 0)
-    lengths = np.linalg.norm(uv[ends[:, 1]] - uv[ends[:, 0]], axis=1)
+    count = len(ends)
+    number = np.full(rows, count)
+    number[ends[:, 0]] = np.arange(count)
+    before = np.full(count + 1, count)  # the last entry stands for no segment: it is before itself and has no length
+    before[number[ends[:, 1]]] = np.arange(count)
+    before[count] = count
     before = _cut_loops(before)
-    total, jump = np.where(before >= 0, lengths[before], 0.0), before
-    while (jump >= 0).any():
-        there = jump >= 0
-        total = total + np.where(there, total[jump], 0.0)
-        jump = np.where(there, jump[jump], -1)
-    return total
+    span = uv[ends[:, 1]] - uv[ends[:, 0]]
+    lengths = np.append(np.linalg.norm(span, axis=1), 0.0)
+    total, jump = lengths[before], before
+    while (jump < count).any():
+        total += total[jump]
+        jump = jump[jump]
+    return total[:count]
 
 
-def _cut_loops(before: Int[np.ndarray, " b"]) -> Int[np.ndarray, " b"]:
+def _cut_loops(before: Int[np.ndarray, " b1"]) -> Int[np.ndarray, " b1"]:
     """The chain of predecessors, cut at the lowest number of each loop."""
-    lowest, jump = np.arange(len(before)), before.copy()
-    for _ in range(max(1, len(before)).bit_length()):
-        there = jump >= 0
-        lowest = np.where(there, np.minimum(lowest, lowest[jump]), lowest)
-        jump = np.where(there, jump[jump], -1)
-    cut: Bool[np.ndarray, " b"] = lowest == np.arange(len(before))
-    return np.where(cut, -1, before)
+    lowest, jump = np.arange(len(before)), before
+    while True:
+        # Over twice as many predecessors; where that changes nothing, loops are closed.
+        lower = np.minimum(lowest, lowest[jump])
+        if (lower == lowest).all():
+            break
+        lowest, jump = lower, jump[jump]
+    return np.where(lowest == np.arange(len(before)), len(before) - 1, before)

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 
 import warp as wp
 
-__all__ = ["Profile", "staged"]
+__all__ = ["Profile", "in_stage"]
 
 
 class Profile:
@@ -59,6 +59,6 @@ class Profile:
         return wp.record_event(wp.Event(self._device, enable_timing=True))
 
 
-def staged(profile: Profile | None, name: str) -> AbstractContextManager[None]:
+def in_stage(profile: Profile | None, name: str) -> AbstractContextManager[None]:
     """``profile.stage(name)``; without a profile, nothing."""
     return contextlib.nullcontext() if profile is None else profile.stage(name)
