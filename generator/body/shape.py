@@ -122,7 +122,9 @@ def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> Smoothed:
     """The posed body without folds, its creases not yet resolved."""
     vertices, joints = _unposed(weights)
     posed = set_pose(vertices, joints, body_model().skin, arm=arm_angle, leg=LEGS_APART if legs_apart else 0.0)
-    return _skin().smoothed(posed, ROUNDS, resolve_creases=False)
+    unfolded = _skin().smoothed(posed, ROUNDS, resolve_creases=False)
+    unfolded.vertices.flags.writeable = unfolded.normals.flags.writeable = False
+    return unfolded
 
 
 @functools.lru_cache(maxsize=2)  # drawing raises the arms of one body step by step, then builds it to dress it

@@ -6,7 +6,7 @@ Creases whose sides intersect, as beside the crotch, are smoothed until the side
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,8 +24,7 @@ CREASED = -0.9  # cosine of the normals at an edge below which its faces are tes
 TURNED = 0.7  # cosine to its reference normal below which a face is tested for a crease
 
 
-@dataclass(frozen=True, eq=False)
-class Smoothed(Record):
+class Smoothed(NamedTuple):
     """A smoothed body."""
 
     vertices: Float[np.ndarray, "v 3"]

@@ -175,7 +175,7 @@ class PendingPictures:
         """What the kernels read besides scenes, in staging memory, with Warp types."""
         positions = np.concatenate([points.positions for points in self._points])
         owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
-        given = {
+        given: dict[str, tuple[np.ndarray, Any, Any]] = {
             "shots": (materials.shots, materials.shots.dtype, Shot),
             "cloths": (materials.cloths, materials.cloths.dtype, Cloth),
             "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
@@ -184,7 +184,10 @@ class PendingPictures:
             "owner": (owner, np.int32, wp.int32),
             "positions": (positions, np.float32, wp.vec3),
         }
-        return {name: (staged_values(self._staging, *rest), dtype) for name, (*rest, dtype) in given.items()}
+        staged = (
+            (name, staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
+        )
+        return {name: (values, dtype) for name, values, dtype in staged}
 
     def _launch(
         self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
