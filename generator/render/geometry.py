@@ -121,13 +121,15 @@ def _border_edges(
 def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:
     """The seam of each border edge, by its vertices; ``HEM`` if one panel alone has it, -1 if the row is unknown."""
     keys = edges.min(axis=1) * (len(scene.vertices) + 1) + edges.max(axis=1)
-    _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
-    seam = np.where(count[inverse] > 1, -1, HEM)
+    order = np.argsort(keys, kind="stable")
+    twins = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
+    seam = np.full(len(edges), HEM)
+    seam[order[twins]] = seam[order[twins + 1]] = -1
     if not len(scene.seams):
         return seam
     by_vertex = scene.seams[np.argsort(scene.seams[:, 0], kind="stable")]
     rows = int(by_vertex[:, 1].max()) + 1
-    known = np.unique(by_vertex[:, 0] * rows + by_vertex[:, 1])
+    known = np.sort(by_vertex[:, 0] * rows + by_vertex[:, 1])
     begin = np.searchsorted(by_vertex[:, 0], edges[:, 0])
     end = np.searchsorted(by_vertex[:, 0], edges[:, 0], side="right")
     for offset in range(int((end - begin).max(initial=0)) - 1, -1, -1):

@@ -6,7 +6,7 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Int32, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Body, BoxMesh, PanelRole, Pattern, Record, Sample
@@ -64,7 +64,7 @@ class Scene(Record):
     @cached_property
     def panel_of_row(self) -> Int[np.ndarray, " c"]:
         """Row of ``panel_names`` for each row of ``uv``; 0 for a row without a face."""
-        return _panel_of_row(self.corners, self.panel_id, np.zeros(len(self.uv), np.int32))
+        return np.maximum(_panel_of_row(self), 0)
 
     @cached_property
     def garment_points(self) -> Float[np.ndarray, "3 n"]:
@@ -100,8 +100,9 @@ def scene_of(
         raise ConfigError(f"{len(vertices)} positions for a mesh of {len(mesh.vertices)} vertices: give one for each")
     if not np.isfinite(vertices).all():
         raise ConfigError("some positions of the garment are not numbers: its drape diverged; leave it out")
-    ids, rows = _corners_in_mesh(mesh, pattern)
-    return Scene(
+    panel_of_row = _panel_of_row(mesh)
+    ids, rows = _corners_in_mesh(mesh, panel_of_row, pattern)
+    scene = Scene(
         vertices=vertices,
         faces=mesh.faces,
         uv=mesh.uv,
@@ -117,6 +118,8 @@ def scene_of(
         landmarks=_landmarks(body),
         hair=hair,
     )
+    vars(scene)["panel_of_row"] = np.maximum(panel_of_row, 0)  # as the cached property would find it
+    return scene
 
 
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
@@ -135,22 +138,22 @@ OFFSET = 1 << 20  # cells
 AROUND = tuple((i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0))
 
 
-def _panel_of_row(
-    corners: Int[np.ndarray, "f 3"], panel_id: Int[np.ndarray, " f"], panel_of_row: Int[np.ndarray, " c"]
-) -> Int[np.ndarray, " c"]:
-    """``panel_of_row`` with the panel written at each row of ``uv`` that a face has."""
-    for rows in corners.T:
-        panel_of_row[rows] = panel_id
+def _panel_of_row(mesh: BoxMesh | Scene) -> Int32[np.ndarray, " c"]:
+    """The panel of each row of ``uv``; -1 for a row without a face."""
+    panel_of_row = np.full(len(mesh.uv), -1, np.int32)
+    for rows in mesh.corners.T:
+        panel_of_row[rows] = mesh.panel_id
     return panel_of_row
 
 
-def _corners_in_mesh(mesh: BoxMesh, pattern: Pattern | None) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
+def _corners_in_mesh(
+    mesh: BoxMesh, panel_of_row: Int32[np.ndarray, " c"], pattern: Pattern | None
+) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
     """(panel, corner) and row of ``uv`` for each panel corner that is a vertex of the mesh."""
     panels = {} if pattern is None else {panel.name: panel for panel in pattern.panels}
     wanted = [panels[name].vertices if name in panels else np.zeros((0, 2)) for name in mesh.panel_names]
     corners = np.concatenate([np.zeros((0, 2)), *wanted])
     panel = np.repeat(np.arange(len(wanted)), [len(vertices) for vertices in wanted])
-    panel_of_row = _panel_of_row(mesh.corners, mesh.panel_id, np.full(len(mesh.uv), -1))
     rows = _rows_near(mesh.uv, panel_of_row, corners, panel)
     ids: list[tuple[int, int]] = []
     found: list[int] = []
