@@ -7,8 +7,8 @@ silhouette agrees with trimesh's caster (Embree) on the same meshes and cameras,
 the share of these that both find lit, or both in shadow.
 
 ``--profile`` adds figures of each stage, in ms a garment: elapsed and CPU time on the host, time on the device; and
-the bytes copied. The stages body, scene and drawing are the work of loaders before rendering, which ``images_per_s``
-leaves out.
+the bytes copied. ``loader_images_per_s`` includes the work of loaders before rendering, which ``images_per_s`` leaves
+out: the stages body, scene and drawing.
 
 ``--peer pyrender`` rasterises the same scenes as described in ``benchmarks.peers.pyrender_egl``.
 """
@@ -16,7 +16,7 @@ leaves out.
 import argparse
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,7 +46,7 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.geometry import solid_of
-from gcd_dataset.generator.render.profile import Profile
+from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.records import Sample
 
 __all__ = ["add_arguments", "run"]
@@ -83,16 +83,17 @@ def run(options: argparse.Namespace) -> Measured:
     if options.peer:
         require_pyrender()
     samples = list(_samples(options, device))
-    scenes = [_scene(options.seed, index, sample) for index, sample in enumerate(samples)]
-    views = [draw_views(options.seed, k, scene, options.views) for k, scene in enumerate(scenes)]
+    scenes, views = zip(*(_made(options, index, sample) for index, sample in enumerate(samples)), strict=True)
     figures = _loader_stages(options, samples) if options.profile else []
     batch = min(options.batch or (1 if device == "cpu" else 16), max(1, len(scenes) // 2))
     for size in SIZES:
-        runner = Runner(scenes, views, size, device, options.preparers)
+        runner = Runner(lambda row: (_fresh(scenes[row]), views[row]), len(scenes), size, device, options.preparers)
         profile = Profile(device) if options.profile else None
         rate = runner.rate(batch, profile)
         figures += [] if profile is None else _stages(profile, f"{size}_", len(scenes))
         figures.append(Figure("images_per_s" if size == SIZES[0] else f"images_per_s_{size}", rate, f"of {size}²"))
+    loader = Runner(lambda row: _made(options, row, samples[row]), len(scenes), SIZES[0], device, options.preparers)
+    figures.append(Figure("loader_images_per_s", loader.rate(batch), f"of {SIZES[0]}², body, scene and views made too"))
     figures.append(Figure("prepare_ms", _prepare_ms(scenes), "CPU-ms a garment"))
     rows = [
         _compared(scene, own[0], number, device)
@@ -118,17 +119,13 @@ def _samples(options: argparse.Namespace, device: str) -> Iterator[Sample]:
     yield from produce(options.seed, range(options.count), config)
 
 
-def _scene(seed: int, index: int, sample: Sample) -> Scene:
-    body = build_body(sample.shape if sample.shape is not None else neutral_shape())
-    return scene_of_sample(sample, body, hair=draw_hair(seed, index))
-
-
 @dataclass(frozen=True)
 class Runner:
     """Renders all garments, batch by batch."""
 
-    scenes: Sequence[Scene]
-    views: Sequence[Sequence[View]]
+    garment: Callable[[int], tuple[Scene, Sequence[View]]]
+    """Scene and views of each garment, by its number."""
+    count: int
     size: int
     device: str
     preparers: int
@@ -152,7 +149,7 @@ class Runner:
         """Render all batches; the number of pictures of each."""
         preparers = 1 if self.device == "cpu" else self.preparers
         ahead = 0 if self.device == "cpu" else preparers
-        starts = [range(first, min(first + batch, len(self.scenes))) for first in range(0, len(self.scenes), batch)]
+        starts = [range(first, min(first + batch, self.count)) for first in range(0, self.count, batch)]
         waiting: deque[Future[PendingPictures]] = deque()
         with ThreadPoolExecutor(preparers) as executor:
             for rows in starts:
@@ -165,8 +162,8 @@ class Runner:
     def _started(
         self, rows: Sequence[int], *, size: int | None = None, profile: Profile | None = None
     ) -> PendingPictures:
-        placed = [_at(view, k) for k, row in enumerate(rows) for view in self.views[row]]
-        scenes = [_fresh(self.scenes[row]) for row in rows]
+        scenes, views = zip(*map(self.garment, rows), strict=True)
+        placed = [_at(view, k) for k, own in enumerate(views) for view in own]
         return start_pictures(scenes, placed, size=size or self.size, maps=MAPS, device=self.device, profile=profile)
 
 
@@ -194,18 +191,22 @@ def _stages(profile: Profile, prefix: str, garments: int) -> list[Figure]:
 
 
 def _loader_stages(options: argparse.Namespace, samples: Sequence[Sample]) -> list[Figure]:
-    """The work of loaders before rendering: body, scene and drawn views."""
     profile = Profile("cpu")
     for index, sample in enumerate(samples):
-        shape = sample.shape if sample.shape is not None else neutral_shape()
-        shape = replace(shape, weights=shape.weights + 1e-6)  # a body that is in no cache
-        with profile.stage("body"):
-            body = build_body(shape)
-        with profile.stage("scene"):
-            scene = scene_of_sample(sample, body, hair=draw_hair(options.seed, index))
-        with profile.stage("drawing"):
-            draw_views(options.seed, index, scene, options.views)
+        _made(options, index, sample, profile)
     return _stages(profile, "", len(samples))
+
+
+def _made(
+    options: argparse.Namespace, index: int, sample: Sample, profile: Profile | None = None
+) -> tuple[Scene, list[View]]:
+    """The work of loaders before rendering: body, scene and drawn views."""
+    with in_stage(profile, "body"):
+        body = build_body(sample.shape if sample.shape is not None else neutral_shape())
+    with in_stage(profile, "scene"):
+        scene = scene_of_sample(sample, body, hair=draw_hair(options.seed, index))
+    with in_stage(profile, "drawing"):
+        return scene, draw_views(options.seed, index, scene, options.views)
 
 
 def _at(view: View, row: int) -> View:

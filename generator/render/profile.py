@@ -47,7 +47,10 @@ class Profile:
             self.copied[direction] += count
 
     def device_times(self) -> dict[str, float]:
-        """Time of each stage on the GPU [s]; empty for a CPU. Waits for the device."""
+        """Time of each stage on the GPU [s], between two events on its stream; empty for a CPU. Waits for the device.
+
+        Idle time counts where the host launches more slowly than the GPU works.
+        """
         times: defaultdict[str, float] = defaultdict(float)
         for name, start, end in self._spans:
             times[name] += 1e-3 * wp.get_event_elapsed_time(start, end)
