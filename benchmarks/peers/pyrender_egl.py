@@ -43,7 +43,7 @@ def require_pyrender() -> Peer:
     try:
         pyrender = import_module("pyrender")
     except ImportError as error:
-        raise ConfigError(f"--peer pyrender: {error}: pip install pyrender, in an environment of its own") from error
+        raise ConfigError(f"--peer pyrender: {error}: pip install pyrender") from error
     try:
         renderer = pyrender.OffscreenRenderer(16, 16)
         renderer._platform.make_current()
