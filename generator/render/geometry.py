@@ -106,21 +106,28 @@ def _border_edges(
     Round a row, each face (row, x, y) turns from x to y. Inside a panel the turns close and the sums of x - y and
     of x² - y² are 0; on the border they leave first - last and first² - last², from which both follow.
     """
-    row, after, before = corners.ravel(), corners[:, [1, 2, 0]].ravel(), corners[:, [2, 0, 1]].ravel()
-    difference = np.bincount(row, after - before, minlength=rows)  # whole numbers below 2**53: sums are exact
-    near = np.flatnonzero((difference != 0)[row])
-    row, after, before, turn = row[near], after[near], before[near], difference[row[near]]
-    squares = np.bincount(row, after * after - before * before, minlength=rows)
-    first = 0.5 * (squares[row] / turn + turn)
+    a, b, c = np.ascontiguousarray(corners.T)
+    turns = ((a, b, c), (b, c, a), (c, a, b))  # the row at each corner of all faces, the rows after and before it
+    # Whole numbers below 2**53: sums are exact.
+    difference = np.add.reduce([np.bincount(row, after - before, minlength=rows) for row, after, before in turns])
+    is_open = difference != 0
+    near = [np.flatnonzero(is_open.take(row)) for row in (a, b, c)]
+    row, after, before = (
+        np.concatenate([corner.take(faces) for corner, faces in zip(each, near, strict=True)])
+        for each in zip(*turns, strict=True)
+    )
+    place = np.concatenate([3 * faces + k for k, faces in enumerate(near)])
+    turn, squares = difference[row], np.bincount(row, after * after - before * before, minlength=rows)[row]
     # Two fans that meet in one row do not give a row of the mesh: such a row has no border.
-    edge = near[first == after]
-    face, k = edge // 3, edge % 3
-    return face, k, np.stack([corners[face, k], corners[face, (k + 1) % 3]], axis=1)
+    edge = np.flatnonzero(0.5 * (squares / turn + turn) == after)
+    edge = edge[np.argsort(place[edge])]
+    return place[edge] // 3, place[edge] % 3, np.stack([row[edge], after[edge]], axis=1)
 
 
 def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:
     """The seam of each border edge, by its vertices; ``HEM`` if one panel alone has it, -1 if the row is unknown."""
-    keys = edges.min(axis=1) * (len(scene.vertices) + 1) + edges.max(axis=1)
+    one, other = edges.T
+    keys = np.minimum(one, other) * (len(scene.vertices) + 1) + np.maximum(one, other)
     order = np.argsort(keys, kind="stable")
     twins = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
     seam = np.full(len(edges), HEM)
@@ -130,14 +137,15 @@ def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray
     by_vertex = scene.seams[np.argsort(scene.seams[:, 0], kind="stable")]
     rows = int(by_vertex[:, 1].max()) + 1
     known = np.sort(by_vertex[:, 0] * rows + by_vertex[:, 1])
-    begin = np.searchsorted(by_vertex[:, 0], edges[:, 0])
-    end = np.searchsorted(by_vertex[:, 0], edges[:, 0], side="right")
+    begin = np.searchsorted(by_vertex[:, 0], one)
+    end = np.searchsorted(by_vertex[:, 0], one, side="right")
     for offset in range(int((end - begin).max(initial=0)) - 1, -1, -1):
-        row = by_vertex[np.minimum(begin + offset, len(by_vertex) - 1), 1]
-        wanted = edges[:, 1] * rows + row
+        sewn = np.flatnonzero((begin + offset < end) & (seam != HEM))
+        row = by_vertex[begin[sewn] + offset, 1]
+        wanted = other[sewn] * rows + row
         at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-        shared = (begin + offset < end) & (known[at] == wanted) & (seam != HEM)
-        seam = np.where(shared, row, seam)
+        shared = known[at] == wanted
+        seam[sewn[shared]] = row[shared]
     return seam
 
 
