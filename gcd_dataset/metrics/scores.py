@@ -80,13 +80,8 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     right_edges = sum(len(pair.predicted.panel.edges) == len(pair.true.panel.edges) for pair in pairs)
     right, found, wanted = seam_counts(predicted, true, pairs)
     perfect = right == found == wanted
-    by_length = seam_lengths_score(
-        predicted,
-        true,
-        pairs,
-        {shape.panel.name: shape for shape in predicted_shapes if shape is not None},
-        {shape.panel.name: shape for shape in true_shapes},
-    )
+    named = {shape.panel.name: shape for shape in predicted_shapes if shape is not None}
+    by_length = seam_lengths_score(predicted, true, pairs, named, {shape.panel.name: shape for shape in true_shapes})
     return PatternScore(
         valid=float(_can_be_sewn(predicted, predicted_shapes)),
         panel_count_acc=float(len(predicted_shapes) == len(true_shapes)),
@@ -105,7 +100,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
         panel_f1=2 * alike / (len(predicted_shapes) + len(true_shapes)) if larger else 1.0,
         garment_perfect=float(perfect),
         topology_exact=float(perfect and len(pairs) == right_edges == larger),
-        seam_mismatch=seam_mismatch(predicted) if found or not wanted else 1.0,
+        seam_mismatch=seam_mismatch(predicted, named) if found or not wanted else 1.0,
     )
 
 

@@ -6,7 +6,7 @@ lengths, in the order in which they lie along the edge in space.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from gcd_dataset.metrics.matching import PanelPair, matched_edges
 from gcd_dataset.metrics.outlines import Outline, OutlineMap
-from gcd_dataset.metrics.shapes import PanelShape, shape_or_none
+from gcd_dataset.metrics.shapes import PanelShape
 from gcd_dataset.records import EdgeRef, Pattern
 
 __all__ = ["SewnPiece", "seam_counts", "seam_lengths_score", "seam_mismatch", "sewn_pieces"]
@@ -56,30 +56,19 @@ def seam_counts(predicted: Pattern, true: Pattern, pairs: Sequence[PanelPair]) -
     return len(found & wanted), len(predicted.seams), len(true.seams)
 
 
-def seam_mismatch(pattern: Pattern) -> float:
+def seam_mismatch(pattern: Pattern, shapes: Mapping[str, PanelShape]) -> float:
     """Mean of the difference of a seam's two lengths over the larger one; 0 without seams.
 
-    A seam to a missing edge, or of an edge without a length, counts 1.
+    ``shapes``: the shape of each panel with a closed outline, by name. A seam to another panel, to a missing edge, or
+    of an edge without a length, counts 1.
     """
-    mismatches = [1.0 - min(ratio, 1.0 / ratio) if ratio > 0 else 1.0 for ratio in _ratios(pattern)]
-    return float(np.mean(mismatches)) if mismatches else 0.0
-
-
-def _ratios(pattern: Pattern) -> Iterator[float]:
-    """Left over right length of every seam; 0 for a missing edge."""
-    lengths = _edge_lengths(pattern)
-    for seam in pattern.seams:
-        left, right = lengths.get(seam.left, 0.0), lengths.get(seam.right, 0.0)
-        yield left / right if left > 0 and right > 0 else 0.0
-
-
-def _edge_lengths(pattern: Pattern) -> dict[EdgeRef, float]:
-    return {
-        EdgeRef(panel.name, index): float(length)
-        for panel in pattern.panels
-        if shape_or_none(panel) is not None
-        for index, length in enumerate(panel.edge_lengths())
+    lengths = {
+        EdgeRef(name, index): length
+        for name, shape in shapes.items()
+        for index, length in enumerate(shape.panel.edge_lengths())
     }
+    sewn = [sorted((lengths.get(seam.left, 0.0), lengths.get(seam.right, 0.0))) for seam in pattern.seams]
+    return float(np.mean([1 - short / long if long > 0 else 1.0 for short, long in sewn])) if sewn else 0.0
 
 
 # ------------------------------------------------------------------------------------------------------------ intervals
