@@ -1,8 +1,8 @@
 """Distances between surfaces, and between a surface and a point cloud [cm].
 
 The distance of two surfaces is the mean of two means: from points of the one to the other, and back. Points lie
-uniformly by area; their distances to a surface are exact, so that the distance of a surface to itself is 0 and not the
-spacing of the points.
+uniformly by area; their distances to a mesh are distances to its nearest triangles, so that the distance of a surface
+to itself is 0 and not the spacing of the points.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,8 @@ class Cloud:
     def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         apart, near = self.tree.query(points)
         above = np.abs(np.einsum("ni,ni->n", points - self.samples[near], self.normals[near]))
-        return np.where(apart <= self.reach[near], above, apart)
+        beside = np.sqrt(np.maximum(apart**2 - above**2, 0.0))
+        return np.where(beside <= self.reach[near], above, apart)
 
 
 def distance(one: Shape, other: Shape, *, both_ways: bool = True) -> float:

@@ -1,6 +1,6 @@
 """Predictions and true patterns as two folders of specification files, matched by file name."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,10 +37,10 @@ class Folders:
         """One line on the garments without a prediction, and one on the predictions without a true pattern."""
         missing = [case.name for case in self.cases if case.predicted is None]
         if missing:
-            count = f"{len(missing)} of {len(self.cases)} garments have no prediction and count as failures"
-            yield f"{count}: {listed(missing)}"
+            yield f"{len(missing)} of {len(self.cases)} garments without a prediction, all failures: {listed(missing)}"
         if self.unknown:
-            yield f"{len(self.unknown)} predictions have no true pattern and are not scored: {listed(self.unknown)}"
+            count = f"predictions without a true pattern, not scored: {len(self.unknown)}"
+            yield f"{count}: {listed(self.unknown)}: name each prediction after its garment"
 
 
 def match_folders(predictions: Path, truth: Path) -> Folders:
@@ -90,7 +90,7 @@ def name_of(path: Path) -> str:
     return next((path.stem.removesuffix(end) for end in ENDINGS if path.stem.endswith(end)), path.stem)
 
 
-def listed(names: list[str] | tuple[str, ...]) -> str:
+def listed(names: Sequence[str]) -> str:
     """The first names, for a message."""
     first = ", ".join(map(shown, names[:MOST_NAMES]))
     return first if len(names) <= MOST_NAMES else f"{first} and {len(names) - MOST_NAMES} more"

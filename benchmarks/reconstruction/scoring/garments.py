@@ -54,7 +54,9 @@ def score_case(case: Case, *, spacing: float = SPACING) -> Scored:
     try:
         predicted = read_pattern(case.predicted)
     except GcdError as error:
-        return score_garment(case.name, None, true, failure=str(error), spacing=spacing)
+        return score_garment(
+            case.name, None, true, failure=str(error).removeprefix(f"{case.predicted}: "), spacing=spacing
+        )
     return score_garment(case.name, predicted, true, spacing=spacing)
 
 

@@ -27,6 +27,7 @@ SHORT = {
     "topology_exact": "exact", "redrape_cd_cm": "drape cm", "within_1cm": "≤1 cm", "sim_ok": "sim ok",
 }  # fmt: skip
 MOST_ROWS = 30  # garments of a printed table; more: those with a failure or a remark
+DIGITS = 6  # decimals of a printed figure: rounding errors print as 0
 LONGEST = 100  # characters of a reason in the table
 
 
@@ -65,8 +66,10 @@ def summaries_by_kind(garments: Sequence[Scored]) -> dict[str, list[Summary]]:
 
 def line_of(figure: Summary, prefix: str = "evaluate") -> str:
     """``evaluate.iou 0.91 share [0.88, 0.93] median 0.95``."""
-    interval = f"[{figure.low:.4g}, {figure.high:.4g}] median {figure.median:.4g}"
-    return f"{prefix}.{figure.name} {figure.mean:.4g} {figure.unit} {interval}"
+    mean, low, high, median = (
+        f"{round(value, DIGITS):.4g}" for value in (figure.mean, figure.low, figure.high, figure.median)
+    )
+    return f"{prefix}.{figure.name} {mean} {figure.unit} [{low}, {high}] median {median}"
 
 
 def garment_table(garments: Sequence[Scored]) -> str:
@@ -76,7 +79,7 @@ def garment_table(garments: Sequence[Scored]) -> str:
     rows = [["garment", "kind", *(SHORT.get(name, name) for name in columns), "remark"]]
     for garment in chosen[:MOST_ROWS]:
         remark = "; ".join(filter(None, (garment.failure, *garment.remarks)))
-        cells = [f"{garment.values[name]:.3g}" for name in columns]
+        cells = [f"{round(garment.values[name], DIGITS):.3g}" for name in columns]
         rows.append([garment.name, garment.kind, *cells, remark if len(remark) <= LONGEST else f"{remark[:LONGEST]}…"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
     lines = ["  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip() for row in rows]
