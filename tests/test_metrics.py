@@ -1,5 +1,6 @@
 """Scores depend on the garment only, not on names, order, loop starts or local origins."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +129,25 @@ def test_the_same_real_garment_is_perfect(change: str, examples: Path) -> None:
         score = score_pattern(SAME[change](pattern), pattern)
         assert score.seam_mismatch == pytest.approx(gathers, abs=1e-4)  # ratios have four decimals
         assert_close(replace(score, seam_mismatch=0.0), PERFECT)
+
+
+def test_the_last_panel_of_real_garments_is_missing(examples: Path) -> None:
+    """Four patterns of 6, 6, 12 and 8 panels: IoU, edges and panel F1 by counting panels."""
+    counts, found = [], []
+    for path in sorted((examples / "patterns").glob("*_specification.json")):
+        whole, last = read_pattern(path), list(json.loads(path.read_text())["pattern"]["panels"])[-1]
+        kept = tuple(panel for panel in whole.panels if panel.name != last)
+        seams = tuple(seam for seam in whole.seams if last not in (seam.left.panel, seam.right.panel))
+        score = score_pattern(replace(whole, panels=kept, seams=seams), whole)
+        share, n = (len(kept) / len(whole.panels), len(whole.panels))
+        assert (score.iou, score.edge_count_acc, score.panel_f1) == pytest.approx(
+            (share, share, 2 * (n - 1) / (2 * n - 1))
+        )
+        assert (score.panel_l2, score.topology_exact) == pytest.approx((0, 0), abs=1e-9)
+        counts.append(n)
+        found.append(score.stitch_f1)
+    assert counts == [6, 6, 12, 8]
+    assert np.mean(found) == pytest.approx(0.85, abs=0.005)  # as computed by other code from the same files
 
 
 def test_a_missing_panel_is_punished() -> None:
