@@ -112,8 +112,10 @@ def read_shape(path: Path) -> Shape:
     except Exception as error:  # trimesh and numpy raise any exception for malformed files
         line = " ".join(str(error).split())[:120]
         raise SpecError(f"{path}: cannot be read ({line}): give a mesh, or points (n, 3), in centimetres") from error
+    if not len(faces):
+        points = points[np.isfinite(points).all(axis=1)]  # points that a scan did not measure are NaN
     if len(points) < NEIGHBOURS or not np.isfinite(points).all():
-        raise SpecError(f"{path}: {len(points)} points, some not finite or too few: export the input again")
+        raise SpecError(f"{path}: {len(points)} points, or points that are not finite: export the input again")
     if (extent := float(np.ptp(points, axis=0).max())) < SMALLEST:
         raise SpecError(f"{path}: its largest extent is {extent:.3g}: inputs are in centimetres, so scale it by 100")
     return Surface.of(points, faces) if len(faces) else Cloud.of(points)
