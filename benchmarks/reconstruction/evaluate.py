@@ -30,7 +30,7 @@ from benchmarks.reconstruction.scoring.table import (
     tree_of,
 )
 from gcd_dataset import __version__
-from gcd_dataset.errors import GcdError, SpecError
+from gcd_dataset.errors import GcdError, OutputError, SpecError
 from gcd_dataset.files import write_whole
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
 from gcd_dataset.records import Pattern
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
     from benchmarks.reconstruction.data import GarmentBatch
     from benchmarks.reconstruction.models import PatternNet
+    from benchmarks.reconstruction.scoring.bodies import Wearers
+    from benchmarks.reconstruction.scoring.distances import Shape
 
 __all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "predict", "row_of", "scores_of"]
 
@@ -74,11 +76,14 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
     folders = match_folders(options.predictions, options.truth)
     for remark in folders.remarks():
         print(f"evaluate: {remark}", file=sys.stderr)
-    inputs = _inputs(options.inputs, [case.name for case in folders.cases])
+    names = [case.name for case in folders.cases]
+    if options.json is not None and not options.json.absolute().parent.is_dir():
+        raise OutputError(f"{options.json}: no such folder: create {options.json.absolute().parent}")
+    wearers, inputs = _wearers(options, names), _inputs(options.inputs, names)
     scored: Iterable[Scored] = score_cases(folders.cases, workers=options.workers)
     garments = list(_with_bar(scored, len(folders.cases), "scored", options.quiet))
-    if options.drape:
-        garments = list(_with_bar(_draped(garments, inputs, options), len(garments), "draped", options.quiet))
+    if wearers is not None:
+        garments = list(_with_bar(_draped(garments, wearers, inputs, options), len(garments), "draped", options.quiet))
     yield garment_table(garments)
     yield ""
     failed = sum(bool(garment.failure) for garment in garments)
@@ -159,7 +164,7 @@ def _centimetres(text: str) -> float:
     return value
 
 
-def _inputs(folder: Path | None, names: Sequence[str]) -> "dict[str, Any] | None":
+def _inputs(folder: Path | None, names: Sequence[str]) -> "dict[str, Shape] | None":
     """The input of every garment. Raises ``SpecError`` for a garment without one."""
     if folder is None:
         return None
@@ -172,13 +177,22 @@ def _inputs(folder: Path | None, names: Sequence[str]) -> "dict[str, Any] | None
     return {name: read_shape(files[name]) for name in names}
 
 
-def _draped(
-    garments: Sequence[Scored], inputs: "dict[str, Any] | None", options: argparse.Namespace
-) -> Iterator[Scored]:
+def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | None":
+    """The bodies, if predictions are draped. Raises ``BodyError`` for a garment without one."""
+    if not options.drape:
+        return None
     from benchmarks.reconstruction.scoring.bodies import NEUTRAL, wearers_of
-    from benchmarks.reconstruction.scoring.draping import with_drapes
 
     wearers = wearers_of(options.bodies or NEUTRAL)
+    wearers.require(names)
+    return wearers
+
+
+def _draped(
+    garments: Sequence[Scored], wearers: "Wearers", inputs: "dict[str, Shape] | None", options: argparse.Namespace
+) -> Iterator[Scored]:
+    from benchmarks.reconstruction.scoring.draping import with_drapes
+
     return with_drapes(
         garments, wearers, inputs=inputs, partial=options.partial, spacing=options.resolution, device=options.device
     )

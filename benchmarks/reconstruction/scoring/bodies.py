@@ -1,5 +1,6 @@
 """The bodies on which test garments are draped: a folder of body files, or a named body for all."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -36,16 +37,27 @@ class Wearers:
     table: dict[str, str]
     """Garment to body, of ``bodies.json``."""
 
+    def require(self, garments: Iterable[str]) -> None:
+        """Raise ``BodyError`` for the first garment without a body; bodies are not read."""
+        for garment in garments:
+            self._file(garment)
+
     def wearer(self, garment: str, *, legs_apart: bool) -> tuple[Body, Measurements]:
         """The body of a garment and its measures. Raises ``BodyError`` with the file and a remedy."""
+        path = self._file(garment)
+        if path is not None:
+            return _read(path, legs_apart)
+        return _named(self.name if self.folder is None else self.table[garment], legs_apart)
+
+    def _file(self, garment: str) -> Path | None:
+        """The file of a garment's body; ``None`` for a named body. Raises ``BodyError`` if there is neither."""
         if self.folder is None:
-            return _named(self.name, legs_apart)
-        body = self.table.get(garment, garment)
-        for stem in (body, DEFAULT) if garment not in self.table else (body,):
+            return None
+        for stem in (self.table.get(garment, garment), *(() if garment in self.table else (DEFAULT,))):
             if (path := _body_file(self.folder, stem)) is not None:
-                return _read(path, legs_apart)
+                return path
         if garment in self.table:
-            return _named(body, legs_apart)
+            return None
         raise BodyError(
             f"{self.folder}: no body for {shown(garment)}: add {garment}.obj, {garment}.npy, {DEFAULT}.obj, or a "
             f"{TABLE} that maps garments to bodies"

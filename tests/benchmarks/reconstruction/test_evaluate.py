@@ -164,6 +164,19 @@ def test_an_input_that_is_missing_is_an_error(tmp_path: Path, truth: Path, capsy
     assert "no input for b (3 in all)" in capsys.readouterr().err
 
 
+def test_missing_bodies_and_folders_are_errors_at_once(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours, bodies = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies"
+    bodies.mkdir()
+    for name in "abc":
+        np.save(bodies / f"{name}.npy", np.zeros(3))
+    assert run(ours, truth, "--drape", "--bodies", bodies) == 1
+    assert "no body for d" in capsys.readouterr().err
+    assert run(ours, truth, "--json", tmp_path / "nowhere" / "out.json") == 1
+    assert "no such folder" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("arguments", [["--bodies", "neutral"], ["--drape", "--partial"], ["--workers", "0"]])
 def test_wrong_usage(tmp_path: Path, truth: Path, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
