@@ -177,6 +177,21 @@ def test_missing_bodies_and_folders_are_errors_at_once(
     assert "no such folder" in capsys.readouterr().err
 
 
+def test_a_device_that_is_missing(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    assert run(ours, truth, "--drape", "--device", "cuda:99") == 2
+    assert "cuda:99" in capsys.readouterr().err
+
+
+def test_a_reader_that_exits_early(tmp_path: Path, truth: Path) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()
+
+
 @pytest.mark.parametrize("arguments", [["--bodies", "neutral"], ["--drape", "--partial"], ["--workers", "0"]])
 def test_wrong_usage(tmp_path: Path, truth: Path, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -23,7 +23,7 @@ from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
 from benchmarks.reconstruction.scoring.files import garment_files, match_folders
 from benchmarks.reconstruction.scoring.garments import box_mesh_distance, kind_of, score_garment
 from gcd_dataset.curves import Cubic
-from gcd_dataset.errors import BodyError, ConfigError, GcdError, SpecError
+from gcd_dataset.errors import BodyError, GcdError, SpecError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
@@ -76,7 +76,7 @@ def test_folders_that_cannot_be_matched(tmp_path: Path) -> None:
         match_folders(write(tmp_path / "empty"), truth)
     with pytest.raises(SpecError, match="no such folder"):
         match_folders(tmp_path / "nowhere", truth)
-    with pytest.raises(ConfigError, match="the same garment"):
+    with pytest.raises(SpecError, match="the same garment"):
         garment_files(write(tmp_path / "twice", "dress.json", "dress_specification.json"))
 
 
