@@ -196,7 +196,7 @@ def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths:
 
 
 def _sews(other: SewnPiece, piece: SewnPiece, start: float, stop: float, lengths: Mapping[str, float]) -> bool:
-    """Whether ``other``, of the same panels, sews the part ``start`` to ``stop`` (shares) of a piece to the same points."""
+    """Whether ``other`` sews the part ``start`` to ``stop`` (shares) of a piece, of the same panels, alike."""
     low, span = min(other.left), abs(other.left[1] - other.left[0])
     if span <= SHORT:
         return False
