@@ -115,14 +115,21 @@ class _Panel:
         reach = np.hypot(skin @ normal, skin @ sideways)
         number = np.floor(self.distance / SECTION).astype(int)
         skin_number = np.floor((skin @ limb.axis - root) / shrink / SECTION).astype(int)
-        middles, radii = [], []
+        middles, radii = [0.0], [0.0]
         for section in np.unique(number):
             own = number == section
-            girth = float(np.ptp(self.across[own]))
+            girth = _slope(self.around[own], self.across[own]) * 2.0  # ``around`` increases by 2 over the girth
             limbs_own = reach[np.abs(skin_number - section) <= 1].max(initial=0.0)
             middles.append((section + 0.5) * SECTION)
             radii.append(max(girth / (2.0 * np.pi), limbs_own + GAP))
+        radii[0] = radii[1]
         return np.interp(self.distance, middles, radii)
+
+
+def _slope(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
+    """Slope of the regression line; 0 without variance."""
+    centred = x - x.mean()
+    return float(centred @ y / max(float(centred @ centred), 1e-9))
 
 
 def _repeated(values: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

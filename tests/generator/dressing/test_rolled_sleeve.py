@@ -52,7 +52,7 @@ def rolled(mesh: BoxMesh, radius: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_sleeve_surrounds_the_arm_with_its_own_girth(mesh: BoxMesh) -> None:
     around, _ = rolled(mesh, 4.0)
-    assert np.linalg.norm(around, axis=1) == pytest.approx(WIDTH / (2 * np.pi), rel=0.07)
+    assert np.linalg.norm(around, axis=1) == pytest.approx(WIDTH / (2 * np.pi), rel=0.02)
     angles = np.sort(np.arctan2(around[:, 1], around[:, 0]))
     assert np.diff(angles).max() < np.radians(30)
 
