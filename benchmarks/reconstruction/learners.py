@@ -6,7 +6,7 @@ frozen dataclass of tensors with one row for each example.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
@@ -48,6 +48,13 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     @abstractmethod
     def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
         """Inputs and targets of the garments, on the device; computed by ``workers`` processes."""
+
+    def encoder(self) -> "Callable[[GarmentSet], TensorExamples] | None":
+        """A function that computes the examples of garments on a CPU, and that can be pickled.
+
+        Processes that make fresh garments call it. ``None``: the learner learns from fixed sets only.
+        """
+        return None
 
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:
