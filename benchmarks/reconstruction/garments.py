@@ -104,7 +104,7 @@ class GarmentSet:
     points: Float[np.ndarray, "g n 6"]
     """Surface points relative to ``CENTRE`` [cm] and normals, in random order, f16; n may be 0."""
     ragged: Mapping[str, Ragged]
-    """``panels``, ``edges``, ``stitches`` of a ``PatternTensor``, and further fields such as ``verts`` and ``faces``."""
+    """``panels``, ``edges``, ``stitches`` of a ``PatternTensor``; further fields such as ``verts`` and ``faces``."""
     recipe: Mapping[str, Any]
     """Where the garments come from."""
 
@@ -191,7 +191,7 @@ def _tensor(arrays: Arrays) -> PatternTensor:
     return PatternTensor(panels, edges, stitches, tuple(str(row) for row in range(len(panels))))
 
 
-# ------------------------------------------------------------------------------------------------------------ the making
+# ----------------------------------------------------------------------------------------------------------- the making
 
 
 def generated(
@@ -349,25 +349,30 @@ def _digest(recipe: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()[:16]
 
 
-# ------------------------------------------------------------------------------------------------------------ the splits
+# ----------------------------------------------------------------------------------------------------------- the splits
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Garments to train on and to test on. Raises ``ConfigError`` if they share a design or a body."""
+    """Garments to train on, to watch a training with, and to test on.
+
+    Raises ``ConfigError`` if one is empty, or if training and another share a design or a body.
+    """
 
     train: GarmentSet
+    check: GarmentSet
     test: GarmentSet
 
     def __post_init__(self) -> None:
-        for what in ("designs", "bodies"):
-            shared = np.intersect1d(getattr(self.train, what), getattr(self.test, what))
-            if len(shared):
-                raise ConfigError(f"{len(shared)} {what} are in training and test set: split the garments again")
-        if not len(self.train) or not len(self.test):
+        for name, other in (("test", self.test), ("check", self.check)):
+            for what in ("designs", "bodies"):
+                shared = np.intersect1d(getattr(self.train, what), getattr(other, what))
+                if len(shared):
+                    raise ConfigError(f"{len(shared)} {what} are in train and {name}: split the garments again")
+        sizes = [len(self.train), len(self.check), len(self.test)]
+        if not all(sizes):
             raise ConfigError(
-                f"{len(self.train)} garments to train on, {len(self.test)} to test on: give more garments, "
-                "some on bodies of their own"
+                f"garments to train on, to check and to test: {sizes}: give more garments, some on bodies of their own"
             )
 
     def without(self, kind: str) -> "Split":
@@ -375,8 +380,9 @@ class Split:
         if kind not in self.test.kinds:
             raise ConfigError(f"no {kind} to test on: choose one of {', '.join(sorted(set(self.test.kinds)))}")
         return Split(
-            self.train.select([k for k, name in enumerate(self.train.kinds) if name != kind]),
-            self.test.select([k for k, name in enumerate(self.test.kinds) if name == kind]),
+            train=self.train.select([k for k, name in enumerate(self.train.kinds) if name != kind]),
+            check=self.check.select([k for k, name in enumerate(self.check.kinds) if name != kind]),
+            test=self.test.select([k for k, name in enumerate(self.test.kinds) if name == kind]),
         )
 
     def first(self, count: int) -> "Split":
@@ -384,15 +390,20 @@ class Split:
         return replace(self, train=self.train.select(range(min(count, len(self.train)))))
 
 
-def split_off(garments: GarmentSet, designs: int, *, seed: int = 0) -> Split:
-    """Split a set by design and by body; ``designs`` are tested on, drawn by ``seed``.
+def split_off(garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0) -> Split:
+    """Split a set by design and by body: ``designs`` to test on and ``checked`` to check, drawn by ``seed``.
 
-    All garments of a design are on one side. Bodies that several sides wear are trained on only: their garments are
-    left out of the test set. The training set is in random order. Raises ``ConfigError`` if a side is empty.
+    At most half of the designs are tested on. All garments of a design are on one side. Garments of the other sides on
+    bodies that training garments wear are left out. The training set is in random order. Raises ``ConfigError`` if a
+    side is empty.
     """
-    every = np.unique(garments.designs)
-    tested = rng(seed, 0, Stage.SPLIT).permutation(every)[: min(designs, len(every) // 2)]
-    is_test = np.isin(garments.designs, tested)
-    known = rng(seed, 1, Stage.SPLIT).permutation(np.flatnonzero(~is_test))
-    is_test &= ~np.isin(garments.bodies, garments.bodies[known])
-    return Split(garments.select(known), garments.select(np.flatnonzero(is_test)))
+    every = rng(seed, 0, Stage.SPLIT).permutation(np.unique(garments.designs))
+    tested = min(designs, len(every) // 2)
+    checked = min(checked, (len(every) - tested) // 2)
+    known = ~np.isin(garments.designs, every[: tested + checked])
+    own = ~np.isin(garments.bodies, garments.bodies[known])
+    return Split(
+        train=garments.select(rng(seed, 1, Stage.SPLIT).permutation(np.flatnonzero(known))),
+        check=garments.select(np.flatnonzero(np.isin(garments.designs, every[tested : tested + checked]) & own)),
+        test=garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
+    )

@@ -8,8 +8,9 @@ attends to all edges of the garment and chooses its partner, or none.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -19,13 +20,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.learners import Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import MAX_EDGES, PanelTargets, ToTargets, patterns_from
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.workers import parallel_map
 
 __all__ = [
+    "SMOKE",
+    "USUAL",
     "Matched",
     "NetConfig",
     "PanelDecoder",
@@ -33,6 +37,7 @@ __all__ = [
     "PointTokens",
     "Predicted",
     "answers_of",
+    "build",
     "encoder",
     "match_panels",
     "set_loss",
@@ -48,6 +53,14 @@ WEIGHTS = {
 }  # fmt: skip
 REFINED = 2.0  # weight of the moved outlines, relative to those of all layers of the decoder
 LEAST_EDGES = 3
+USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
+"""Options of a training on a GPU."""
+SMOKE: Mapping[str, Any] = {"steps": 240, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 20}
+SMALL: Mapping[str, Any] = {
+    "queries": 24, "tokens": 32, "neighbours": 16, "width": 64, "heads": 4, "layers": 1, "outline_width": 48,
+    "outline_layers": 1, "seam_layers": 1, "edges": 160, "points": 256, "stored_points": 1024,
+}  # fmt: skip
+"""Options of the smallest training, for two CPU cores, and the sizes of its network."""
 CHUNK = 64  # garments that a process encodes at once
 NEVER = -1e4  # score of an edge as its own partner
 
@@ -144,8 +157,10 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         bare = replace(garments, points=garments.points[:, :0])
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
-        points = self.encoder().scaled(garments.points)
-        return DrawnPoints(replace(targets, points=points).to(device), self.points)
+        return self.drawn_from(replace(targets, points=self.encoder().scaled(garments.points)).to(device))
+
+    def drawn_from(self, encoded: TensorExamples) -> "DrawnPoints":
+        return DrawnPoints(cast(PanelTargets, encoded), self.points)
 
     def encoder(self) -> ToTargets:
         config = self.config
@@ -162,6 +177,17 @@ class PanelSet(Learner[PanelTargets, Pattern]):
     def predict(self, batch: PanelTargets) -> list[Pattern]:
         with torch.no_grad():
             return patterns_from(answers_of(self.decoder, self.tokens(batch.points[:, : self.points])))
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
+    """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``."""
+    given = {**(SMALL if smoke else {}), **options}
+    own = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
+    unknown = set(given) - set(NetConfig.__dataclass_fields__)
+    if unknown:
+        known = ", ".join([*NetConfig.__dataclass_fields__, "points", "stored_points"])
+        raise ConfigError(f"no size {min(unknown)} of a panel_set network: choose of {known}")
+    return PanelSet(NetConfig(**given), **own)
 
 
 @dataclass(frozen=True)
