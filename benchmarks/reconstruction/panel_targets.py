@@ -1,10 +1,9 @@
 """Targets of networks that answer with a set of panels, and patterns from their predictions.
 
-A panel becomes a fixed number of outline points, relative to its centroid and seen from its right side; a flag for
-points that are corners; the position of the centroid; the panel's rotation; and its number of edges. Lengths are in
-``UNIT``. Every corner is an outline point, and edges get points in proportion to their length: equidistant points over
-the whole outline would cut corners, and 4 % of the area with them. Edges and seams follow in a table: each edge begins
-at an outline point, and has a partner if it is sewn.
+A panel becomes its corners, in the order of the loop, relative to its centroid and seen from its right side; the bend
+of the edge that begins at each corner, the distance of ``BENDS`` points of the edge from its chord; the position of the
+centroid; and the panel's rotation. Lengths are in ``UNIT``. A table of all edges of the garment holds their kinds,
+labels and seams.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from benchmarks.reconstruction.garments import CENTRE, GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_length, sample_curve, to_frame
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import PanelShape
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
@@ -25,10 +24,10 @@ from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.validate import Severity, check_pattern
 
-__all__ = ["MAX_EDGES", "UNIT", "PanelTargets", "ToTargets", "fitted_curve", "patterns_from", "shares", "simple_panel"]
+__all__ = ["BENDS", "UNIT", "PanelTargets", "ToTargets", "fitted_curve", "patterns_from", "simple_panel"]
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
-MAX_EDGES = 64
+BENDS = 5  # inner points of an edge, at equal shares of its length
 LARGEST_RADIUS = 1000.0  # cm; a flatter arc becomes a cubic
 STRAIGHT = 0.2  # cm; an edge is straight if its points are this close to the chord
 
@@ -40,10 +39,12 @@ class PanelTargets(TensorExamples):
     points: Float[Tensor, "b n 6"]
     """Surface points relative to ``CENTRE`` [UNIT], and normals; f16."""
     exists: Bool[Tensor, "b q"]
-    contours: Float[Tensor, "b q c 2"]
-    """Outline points relative to the centroid [UNIT]."""
-    corners: Float[Tensor, "b q c"]
-    """Targets: 1 for corners, else 0. Predictions: scores, larger for likelier corners."""
+    corners: Float[Tensor, "b q n 2"]
+    """Corners relative to the centroid [UNIT], in the order of the loop."""
+    bends: Float[Tensor, "b q n k 2"]
+    """Points of the edge that begins at each corner, at equal shares of its length, relative to those of the chord."""
+    extents: Float[Tensor, "b q 2"]
+    """Half of the panel's width and height [UNIT]."""
     centres: Float[Tensor, "b q 3"]
     """Centroids of the placed panels, relative to ``CENTRE`` [UNIT]."""
     rotations: Float[Tensor, "b q 3 3"]
@@ -55,8 +56,8 @@ class PanelTargets(TensorExamples):
     """Perimeter / area [1/UNIT]: an outline moved by d changes about the share d · slimness of the area."""
     edge_panels: Int[Tensor, "b e"]
     """Row of the panel of each edge, i16; -1 beyond the garment's edges. Edges are in the order of panels and loops."""
-    edge_points: Int[Tensor, "b e 2"]
-    """Outline points where the edge begins and ends, i16."""
+    edge_slots: Int[Tensor, "b e"]
+    """Number of the edge in its loop, i16."""
     edge_kinds: Int[Tensor, "b e"]
     """1 for a curve, 0 for a straight edge, i16."""
     edge_labels: Int[Tensor, "b e"]
@@ -77,8 +78,10 @@ class ToTargets:
     """From garments to their ``PanelTargets``, on a CPU. Raises ``ConfigError`` for a garment beyond the sizes."""
 
     queries: int
-    contour_points: int
+    slots: int
+    """Most edges of a panel."""
     edges: int
+    """Most edges of a garment."""
     points: int
 
     def __call__(self, garments: GarmentSet) -> PanelTargets:
@@ -96,43 +99,45 @@ class ToTargets:
         panels = pattern.panels
         shapes = [PanelShape.of(panel) for panel in panels]
         counts = [len(panel.edges) for panel in panels]
-        if max(counts) > MAX_EDGES:
-            raise ConfigError(f"{pattern.name}: a panel has {max(counts)} edges: raise MAX_EDGES")
-        if len(shapes) > self.queries or sum(counts) > self.edges:
+        if len(shapes) > self.queries or sum(counts) > self.edges or max(counts) > self.slots:
             raise ConfigError(
-                f"{pattern.name}: {len(shapes)} panels and {sum(counts)} edges, the network has room for "
-                f"{self.queries} and {self.edges}: raise queries and edges"
+                f"{pattern.name}: {len(shapes)} panels, {sum(counts)} edges, up to {max(counts)} of a panel; the "
+                f"network has room for {self.queries}, {self.edges} and {self.slots}: raise queries, edges or slots"
             )
-        outlines = [self._outline(shape) for shape in shapes]
+        outlines = [_outline(shape) for shape in shapes]
+        loops = [corners.reshape(-1, 2) for corners, _ in outlines]
         return PanelTargets(
             points=torch.zeros(1, 0, 6, dtype=torch.float16),
             exists=self._padded([np.array(True) for _ in shapes], ()).bool(),
-            contours=self._padded([contour / UNIT for contour, _ in outlines], (self.contour_points, 2)),
-            corners=self._padded([corners for _, corners in outlines], (self.contour_points,)),
+            corners=self._padded([self._slots(corners) for corners in loops], (self.slots, 2)),
+            bends=self._padded([self._slots(bends) for _, bends in outlines], (self.slots, BENDS, 2)),
+            extents=self._padded([np.ptp(s.loop, axis=0) / 2 / UNIT for s in shapes], (2,)),
             centres=self._padded([(s.centre - CENTRE) / UNIT for s in shapes], (3,)),
             rotations=self._padded([s.matrix for s in shapes], (3, 3)),
             edge_counts=self._padded([np.array(count) for count in counts], ()).long(),
             labels=self._padded([np.array(_number(panel.label, PANEL_LABELS)) for panel in panels], ()).long(),
             slimness=self._padded([np.array(UNIT * s.polygon.length / s.polygon.area) for s in shapes], ()),
-            **self._edges(pattern, [np.flatnonzero(corners) for _, corners in outlines]),
+            **self._edges(pattern, counts),
         )
 
-    def _edges(self, pattern: Pattern, corners: Sequence[np.ndarray]) -> dict[str, Tensor]:
-        """The table of edges; ``corners``: outline points of each panel."""
+    def _slots(self, rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([rows, np.zeros((self.slots - len(rows), *rows.shape[1:]))])
+
+    def _edges(self, pattern: Pattern, counts: Sequence[int]) -> dict[str, Tensor]:
+        """The table of edges; ``counts``: edges of each panel."""
         refs = [EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges))]
         row_of = {ref: row for row, ref in enumerate(refs)}
         edges = [edge for panel in pattern.panels for edge in panel.edges]
         columns = {
             "edge_panels": np.full(self.edges, -1),
-            "edge_points": np.zeros((self.edges, 2)),
+            "edge_slots": np.zeros(self.edges),
             "edge_kinds": np.zeros(self.edges),
             "edge_labels": np.zeros(self.edges),
             "partners": np.full(self.edges, -1),
             "turned": np.zeros(self.edges),
         }
-        columns["edge_panels"][: len(refs)] = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
-        ends = [np.stack([c, np.roll(c, -1)], axis=1) for c in corners]
-        columns["edge_points"][: len(refs)] = np.concatenate(ends)
+        columns["edge_panels"][: len(refs)] = np.repeat(np.arange(len(counts)), counts)
+        columns["edge_slots"][: len(refs)] = [ref.edge for ref in refs]
         columns["edge_kinds"][: len(refs)] = [edge.curve != LINE for edge in edges]
         columns["edge_labels"][: len(refs)] = [_number(edge.label, EDGE_LABELS) for edge in edges]
         for seam in pattern.seams:
@@ -141,18 +146,6 @@ class ToTargets:
             columns["turned"][[left, right]] = seam.right_wrong
         found = {name: torch.from_numpy(column.astype(np.int16))[None] for name, column in columns.items()}
         return {**found, "turned": found["turned"].bool()}
-
-    def _outline(self, shape: PanelShape) -> tuple[Float[np.ndarray, "c 2"], Float[np.ndarray, " c"]]:
-        """Outline points [cm], and 1 for those that are corners."""
-        panel = shape.panel
-        lengths = np.array([curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)])
-        counts = shares(lengths, self.contour_points)
-        pieces = [
-            sample_curve(*panel.edge_ends(i), edge.curve, count + 1)[:-1]
-            for i, (edge, count) in enumerate(zip(panel.edges, counts, strict=True))
-        ]
-        corners = np.concatenate([np.arange(count) == 0 for count in counts])
-        return shape.seen(np.concatenate(pieces)), corners
 
     def _padded(self, rows: Sequence[np.ndarray], shape: tuple[int, ...]) -> Tensor:
         padded = torch.zeros(1, self.queries, *shape)
@@ -164,17 +157,20 @@ def _number(label: str, table: Sequence[str]) -> int:
     return table.index(label) if label in table else 0
 
 
-def shares(lengths: Float[np.ndarray, " e"], count: int) -> list[int]:
-    """``count`` divided in proportion to lengths, at least one each (largest remainders). Raises ``ConfigError``."""
-    spare = count - len(lengths)
-    if spare < 0:
-        raise ConfigError(
-            f"a panel has {len(lengths)} edges, but its contour only {count} points: raise --contour-points"
-        )
-    exact = spare * lengths / lengths.sum()
-    whole = np.floor(exact).astype(int)
-    whole[np.argsort(whole - exact, kind="stable")[: spare - whole.sum()]] += 1
-    return [int(n) + 1 for n in whole]
+def _outline(shape: PanelShape) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n k 2"]]:
+    """Corners and bends [UNIT]; the loop runs counter-clockwise as seen from the right side."""
+    panel = shape.panel
+    pieces = [
+        shape.seen(sample_curve(*panel.edge_ends(i), edge.curve, BENDS + 2)) / UNIT
+        for i, edge in enumerate(panel.edges)
+    ]
+    return np.array([piece[0] for piece in pieces]), np.array([piece[1:-1] - _chord(piece) for piece in pieces])
+
+
+def _chord(piece: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
+    """Points at equal shares of the chord between the first and the last."""
+    t = np.linspace(0, 1, BENDS + 2)[1:-1, None]
+    return (1 - t) * piece[0] + t * piece[-1]
 
 
 def patterns_from(garments: PanelTargets) -> list[Pattern]:
@@ -198,31 +194,23 @@ def _pattern(row: Mapping[str, np.ndarray]) -> Pattern:
     return Pattern("", tuple(panels), tuple(seams))
 
 
-# --------------------------------------------------------------------------------------------------- contours to panels
+# ----------------------------------------------------------------------------------------------------------- the curves
 
 
 def _panel(name: str, row: Mapping[str, np.ndarray], query: int, edges: np.ndarray) -> Panel:
     """The panel of a query; ``edges``: its rows in the table of edges, in the order of the loop."""
-    points, kinds = row["edge_points"][edges].astype(int), row["edge_kinds"][edges]
-    contour = UNIT * row["contours"][query].astype(float)
-    curves = []
-    for (start, end), kind in zip(points.tolist(), kinds.tolist(), strict=True):
-        span = (end - start) % len(contour) or len(contour)
-        piece = contour[np.arange(start, start + span + 1) % len(contour)]
-        curves.append(fitted_curve(piece) if kind else LINE)
-    loop = zip(range(len(edges)), curves, row["edge_labels"][edges].tolist(), strict=True)
+    slots, count = row["edge_slots"][edges].astype(int), len(edges)
+    corners = UNIT * row["corners"][query, slots].astype(float)
+    bends = UNIT * row["bends"][query, slots].astype(float)
     placement = Placement(UNIT * row["centres"][query].astype(float) + CENTRE, euler_angles(row["rotations"][query]))
-    return simple_panel(
-        Panel(
-            name,
-            contour[points[:, 0]],
-            tuple(
-                Edge(i, (i + 1) % len(edges), curve, role_of(EdgeRole, EDGE_LABELS[label])) for i, curve, label in loop
-            ),
-            placement,
-            role_of(PanelRole, PANEL_LABELS[int(row["labels"][query])]),
-        )
-    )
+    drawn = []
+    for i, kind in enumerate(row["edge_kinds"][edges].tolist()):
+        ends = np.stack([corners[i], corners[(i + 1) % count]])
+        curve = fitted_curve(np.concatenate([ends[:1], _chord(ends) + bends[i], ends[1:]])) if kind else LINE
+        label = role_of(EdgeRole, EDGE_LABELS[int(row["edge_labels"][edges[i]])])
+        drawn.append(Edge(i, (i + 1) % count, curve, label))
+    label = role_of(PanelRole, PANEL_LABELS[int(row["labels"][query])])
+    return simple_panel(Panel(name, corners, tuple(drawn), placement, label))
 
 
 def simple_panel(panel: Panel) -> Panel:

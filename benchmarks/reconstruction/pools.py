@@ -32,7 +32,7 @@ class FreshPool(Generic[Batch]):
         *,
         room: int,
     ) -> None:
-        """``first``: examples to begin with, on the device; ``stream``: encoded garments from an index on, on the CPU."""
+        """``first``: examples to begin with, on the device; ``stream``: encoded garments from an index on, on a CPU."""
         self._stream = stream
         filled = min(len(first), room)
         self._store = first[torch.arange(room, device=first.device) % filled]

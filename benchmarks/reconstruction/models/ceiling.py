@@ -16,7 +16,7 @@ __all__ = ["answers"]
 def answers(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[Pattern]:
     """Each true pattern, encoded and decoded."""
     config = NetConfig()
-    encode = ToTargets(config.queries, config.contour_points, config.edges, points=0)
+    encode = ToTargets(config.queries, config.slots, config.edges, points=0)
     return list(parallel_map(partial(_decoded, encode), (unseen.pattern(k) for k in range(len(unseen))), workers))
 
 

@@ -1,4 +1,4 @@
-"""The nearest neighbour: the pattern of the training garment at the least chamfer distance. A network has to beat it."""
+"""The nearest neighbour, which a network has to beat: the pattern of the garment at the least chamfer distance."""
 
 import torch
 from jaxtyping import Float, Int

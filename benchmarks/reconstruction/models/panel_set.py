@@ -1,10 +1,10 @@
 """From surface points of a garment to the set of its panels, sewn.
 
 Points are grouped into regions, and each region becomes a token (Point-MAE, Pang et al., ECCV 2022); learned queries
-attend to the tokens, and each query may become a panel (DETR, Carion et al., ECCV 2020). Panels are a set: the loss
-matches queries to panels at least cost, and a contour may start anywhere. The outline points of each panel then attend
-to each other, to their neighbours along the outline, and to the tokens, and move. Edges between corners are sewn: each
-attends to all edges of the garment and chooses its partner, or none.
+attend to the tokens, and each query may become a panel (DETR, Carion et al., ECCV 2020) with corners in the order of
+its loop. Panels are a set: the loss matches queries to panels at least cost, and a loop may start at any corner. The
+edges of all panels then attend to each other and to the tokens, and move; each chooses the edge that it is sewn to, or
+none.
 """
 
 import math
@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, TensorExamples
-from benchmarks.reconstruction.panel_targets import MAX_EDGES, PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
@@ -30,7 +30,6 @@ from gcd_dataset.workers import parallel_map
 __all__ = [
     "SMOKE",
     "USUAL",
-    "Matched",
     "NetConfig",
     "PanelDecoder",
     "PanelSet",
@@ -40,29 +39,36 @@ __all__ = [
     "build",
     "encoder",
     "match_panels",
+    "panel_losses",
+    "rotation_of",
     "set_loss",
 ]
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
-STEP_SCALE = 0.1  # UNIT: size of the moves of outline points, 5 cm
+STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
 LAYER_OPTIONS: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 WEIGHTS = {
-    "exists": 2.0, "contours": 5.0, "areas": 0.5, "corners": 1.0, "centres": 5.0, "rotations": 1.0, "edges": 0.5,
-    "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
+    "exists": 2.0, "corners": 5.0, "bends": 5.0, "areas": 0.5, "extents": 0.5, "centres": 5.0, "rotations": 1.0,
+    "edges": 0.5, "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
 }  # fmt: skip
-REFINED = 2.0  # weight of the moved outlines, relative to those of all layers of the decoder
+REFINED = 2.0  # weight of the moved loops, relative to those of all layers of the decoder
 LEAST_EDGES = 3
+FIRST_EXTENT = 0.3  # UNIT, of panels before training
+LEAST_EXTENT = 1e-3  # UNIT
+TINY = 1e-12  # keeps the slope of square roots finite
+NEVER = -1e4  # score of an edge as its own partner
+CHUNK = 64  # garments that a process encodes at once
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
-SMOKE: Mapping[str, Any] = {"steps": 240, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 20}
+SMOKE: Mapping[str, Any] = {
+    "steps": 300, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 25, "checks": 2,
+}  # fmt: skip
 SMALL: Mapping[str, Any] = {
-    "queries": 24, "tokens": 32, "neighbours": 16, "width": 64, "heads": 4, "layers": 1, "outline_width": 48,
-    "outline_layers": 1, "seam_layers": 1, "edges": 160, "points": 256, "stored_points": 1024,
+    "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "neighbours": 16, "width": 64, "heads": 4, "layers": 1,
+    "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256, "stored_points": 1024,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
-CHUNK = 64  # garments that a process encodes at once
-NEVER = -1e4  # score of an edge as its own partner
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +76,8 @@ class NetConfig:
     """Sizes of a network."""
 
     queries: int = 40
-    contour_points: int = 64
+    slots: int = 40
+    """Most edges of a panel."""
     edges: int = 320
     """Most edges of a garment."""
     tokens: int = 384
@@ -79,12 +86,13 @@ class NetConfig:
     heads: int = 6
     layers: int = 6
     """Layers of the encoder, and of the decoder."""
-    outline_width: int = 192
-    """Features of an outline point, and of an edge; a multiple of ``heads``."""
-    outline_layers: int = 3
-    """Layers that move outline points."""
+    edge_width: int = 256
+    """Features of an edge."""
+    edge_heads: int = 8
+    edge_layers: int = 3
+    """Layers that move edges."""
     seam_layers: int = 3
-    """Layers among the edges."""
+    """Layers among the moved edges."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +101,12 @@ class Predicted:
 
     exists: Float[Tensor, "b q"]
     """Logits."""
-    contours: Float[Tensor, "b q c 2"]
-    corners: Float[Tensor, "b q c"]
-    """Logits."""
+    corners: Float[Tensor, "b q n 2"]
+    bends: Float[Tensor, "b q n k 2"]
+    extents: Float[Tensor, "b q 2"]
     centres: Float[Tensor, "b q 3"]
     rotations: Float[Tensor, "b q 3 3"]
-    edges: Float[Tensor, "b q n"]
+    edges: Float[Tensor, "b q m"]
     """Logits of the number of edges."""
     labels: Float[Tensor, "b q l"]
     """Logits of ``PANEL_LABELS``."""
@@ -115,13 +123,20 @@ class Matched:
 
 @dataclass(frozen=True)
 class Edges:
-    """Edges between outline points, padded to one number for each garment."""
+    """The edges of the queries, padded to one number for each garment."""
 
-    rows: Int[Tensor, "b e"]
-    """Row of the panel of each edge among the moved outlines; 0 where there is no edge."""
-    points: Int[Tensor, "b e 2"]
-    """Outline points where the edge begins and ends."""
+    queries: Int[Tensor, "b e"]
+    """The query of each edge; 0 where there is no edge."""
+    slots: Int[Tensor, "b e"]
+    """Number of the edge in the query's loop."""
+    following: Int[Tensor, "b e"]
+    """Number of the next edge in the loop."""
     exists: Bool[Tensor, "b e"]
+
+    def of(self, values: Float[Tensor, "b q n *d"], slots: Int[Tensor, "b e"]) -> Float[Tensor, "b e *d"]:
+        """Values of the queries' slots for each edge."""
+        garments = torch.arange(len(slots), device=slots.device)[:, None]
+        return values[garments, self.queries, slots]
 
 
 @dataclass(frozen=True)
@@ -164,7 +179,7 @@ class PanelSet(Learner[PanelTargets, Pattern]):
 
     def encoder(self) -> ToTargets:
         config = self.config
-        return ToTargets(config.queries, config.contour_points, config.edges, self.stored_points)
+        return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
 
     def compile_parts(self) -> None:
         self.tokens.compile()
@@ -236,7 +251,7 @@ class PointTokens(nn.Module):
 
 
 class PanelDecoder(nn.Module):
-    """Tokens of an encoder to panels, their moved outlines, and their seams."""
+    """Tokens of an encoder to panels, their edges, and their seams."""
 
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
@@ -246,12 +261,12 @@ class PanelDecoder(nn.Module):
         self.layers = nn.ModuleList(
             nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS) for _ in range(config.layers)
         )
-        sizes = (1, 3 * config.contour_points, 3, 6, MAX_EDGES + 1, len(PANEL_LABELS))
+        sizes = (1, 2 * config.slots * (1 + BENDS), 2, 3, 6, config.slots + 1, len(PANEL_LABELS))
         self.norm = nn.LayerNorm(width)
         self.heads = nn.ModuleList(
             nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, size)) for size in sizes
         )
-        self.outlines = OutlineMover(config)
+        self.mover = EdgeMover(config)
         self.seams = SeamHead(config)
 
     def forward(self, tokens: Float[Tensor, "b t w"]) -> tuple[list[Predicted], Float[Tensor, "b q w"]]:
@@ -267,12 +282,14 @@ class PanelDecoder(nn.Module):
         # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
             panels = self.norm(panels.float())
-            exists, outline, centres, rotations, edges, labels = (head(panels) for head in self.heads)
-        outline = outline.unflatten(-1, (self.config.contour_points, 3))
+            exists, loops, extents, centres, rotations, edges, labels = (head(panels) for head in self.heads)
+        extents = FIRST_EXTENT * extents.clamp(-5.0, 5.0).exp()
+        loops = loops.unflatten(-1, (self.config.slots, 1 + BENDS, 2)) * extents[..., None, None, :]
         return Predicted(
             exists=exists[..., 0],
-            contours=outline[..., :2],
-            corners=outline[..., 2],
+            corners=loops[..., 0, :],
+            bends=loops[..., 1:, :],
+            extents=extents,
             centres=centres,
             rotations=rotation_of(rotations),
             edges=edges,
@@ -280,101 +297,61 @@ class PanelDecoder(nn.Module):
         )
 
 
-class OutlineMover(nn.Module):
-    """Moves the outline points of some panels towards what the tokens show, and says which are corners."""
+class EdgeMover(nn.Module):
+    """Moves the edges of a garment towards what the tokens show."""
 
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
-        width = config.outline_width
-        self.panel = nn.Linear(config.width, width)
-        self.place = nn.Linear(5 * 2 * FREQUENCIES + 6, width)
-        self.layers = nn.ModuleList(_OutlineLayer(config) for _ in range(config.outline_layers))
+        width = config.edge_width
+        self.describe = _EdgeFeatures(config, before=config.width)
+        self.slot = nn.Embedding(config.slots, width)
+        self.tokens = nn.Linear(config.width, width)
+        self.layers = nn.ModuleList(
+            nn.TransformerDecoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
+            for _ in range(config.edge_layers)
+        )
         self.norm = nn.LayerNorm(width)
-        self.head = nn.Linear(width, 3)
+        self.head = nn.Linear(width, 2 * (1 + BENDS))
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
 
     def forward(
-        self,
-        panels: Float[Tensor, "m w"],
-        contours: Float[Tensor, "m c 2"],
-        corners: Float[Tensor, "m c"],
-        placed: Float[Tensor, "m c 3"],
-        tokens: Float[Tensor, "b t w"],
-        garments: Int[Tensor, " m"],
-    ) -> tuple[Float[Tensor, "m c 2"], Float[Tensor, "m c"], Float[Tensor, "m c v"]]:
-        """Moved outlines, corner logits and features. ``placed``: the points in space; ``garments``: of the panels."""
-        known = torch.cat([contours, placed, corners.clamp(-4, 4)[..., None]], dim=-1)
-        features = self.place(torch.cat([waves(known[..., :5]), known], dim=-1)) + self.panel(panels)[:, None]
+        self, edges: Edges, panels: Float[Tensor, "b q w"], said: Predicted, tokens: Float[Tensor, "b t w"]
+    ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
+        """``said`` with moved corners and bends, and the features of the edges."""
+        garments = torch.arange(len(tokens), device=tokens.device)[:, None]
+        features = self.describe(edges, panels[garments, edges.queries], said) + self.slot(edges.slots)
+        tokens = self.tokens(tokens)
         for layer in self.layers:
-            features = layer(features, tokens, garments)
+            features = layer(features, tokens, tgt_key_padding_mask=~edges.exists)
         with torch.autocast(features.device.type, enabled=False):
-            change = self.head(self.norm(features.float()))
-        return contours + STEP_SCALE * change[..., :2], corners + change[..., 2], features.float()
-
-
-class _OutlineLayer(nn.Module):
-    """Attention to neighbours along the outline, to the whole outline, and to the tokens of the garment."""
-
-    def __init__(self, config: NetConfig) -> None:
-        super().__init__()
-        width, self.heads = config.outline_width, config.heads
-        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(4))
-        self.along = nn.Conv1d(width, width, 5, padding=2, padding_mode="circular")
-        self.whole = nn.MultiheadAttention(width, config.heads, batch_first=True)
-        self.query = nn.Linear(width, width)
-        self.keys_values = nn.Linear(config.width, 2 * width)
-        self.merge = nn.Linear(width, width)
-        self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
-
-    def forward(
-        self, features: Float[Tensor, "m c v"], tokens: Float[Tensor, "b t w"], garments: Int[Tensor, " m"]
-    ) -> Float[Tensor, "m c v"]:
-        first, second, third, fourth = self.norms
-        features = features + self.along(first(features).transpose(1, 2)).transpose(1, 2)
-        x = second(features)
-        features = features + self.whole(x, x, x, need_weights=False)[0]
-        query = self._split(self.query(third(features)))
-        keys, values = (self._split(part[garments]) for part in self.keys_values(tokens).chunk(2, dim=-1))
-        seen = functional.scaled_dot_product_attention(query, keys, values)
-        features = features + self.merge(seen.transpose(1, 2).flatten(2))
-        return features + self.mlp(fourth(features))
-
-    def _split(self, x: Float[Tensor, "m n v"]) -> Float[Tensor, "m h n d"]:
-        return x.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            features = features.float()
+            moves = STEP_SCALE * self.head(self.norm(features)).unflatten(-1, (1 + BENDS, 2))
+            moves = moves * edges.exists[..., None, None]
+            at = (garments, edges.queries, edges.slots)
+            corners = said.corners.index_put(at, moves[..., 0, :], accumulate=True)
+            bends = said.bends.index_put(at, moves[..., 1:, :], accumulate=True)
+        return replace(said, corners=corners, bends=bends), features
 
 
 class SeamHead(nn.Module):
     """The partner of each edge of a garment, and the kind and label of the edges."""
 
-    SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-    """Places along an edge where it is described."""
-
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
-        width, places = config.outline_width, len(self.SHARES)
-        known = places * (width + 5 * (2 * FREQUENCIES + 1)) + 2 * FREQUENCIES + 1 + width
-        self.panel = nn.Linear(config.width, width)
-        self.describe = nn.Sequential(nn.Linear(known, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
-        layer = nn.TransformerEncoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS)
+        width = config.edge_width
+        self.describe = _EdgeFeatures(config, before=width)
+        layer = nn.TransformerEncoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
         self.layers = nn.TransformerEncoder(layer, config.seam_layers, nn.LayerNorm(width), enable_nested_tensor=False)
         self.queries, self.keys = nn.Linear(width, width), nn.Linear(width, width)
         self.turned = nn.Linear(width, width)
         self.no_partner, self.kind = nn.Linear(width, 1), nn.Linear(width, 1)
         self.label = nn.Linear(width, len(EDGE_LABELS))
 
-    def forward(
-        self,
-        edges: Edges,
-        panels: Float[Tensor, "m w"],
-        contours: Float[Tensor, "m c 2"],
-        placed: Float[Tensor, "m c 3"],
-        features: Float[Tensor, "m c v"],
-    ) -> Sewn:
-        """``panels``, ``contours``, ``placed``, ``features``: of the panels that ``edges.rows`` refers to."""
-        described = self._described(edges, panels, contours, placed, features)
-        related = self.layers(described, src_key_padding_mask=~edges.exists)
-        with torch.autocast(described.device.type, enabled=False):
+    def forward(self, edges: Edges, features: Float[Tensor, "b e v"], said: Predicted) -> Sewn:
+        """``features``: of the moved edges."""
+        related = self.layers(self.describe(edges, features, said), src_key_padding_mask=~edges.exists)
+        with torch.autocast(features.device.type, enabled=False):
             related = related.float()
             return Sewn(
                 partners=torch.cat([self._partners(related, edges.exists), self.no_partner(related)], dim=-1),
@@ -383,30 +360,37 @@ class SeamHead(nn.Module):
                 labels=self.label(related),
             )
 
-    def _described(
-        self, edges: Edges, panels: Tensor, contours: Tensor, placed: Tensor, features: Tensor
-    ) -> Float[Tensor, "b e v"]:
-        count = contours.shape[1]
-        start, end = edges.points.unbind(-1)
-        span = (end - start - 1) % count + 1
-        shares = torch.tensor(self.SHARES, device=span.device)
-        at = (start[..., None] + (shares * span[..., None]).round().long()) % count
-        rows = edges.rows[..., None]
-        points = torch.cat([contours, placed], dim=-1)
-        steps = (contours.roll(-1, dims=1) - contours).norm(dim=-1)
-        run = functional.pad(torch.cat([steps, steps], dim=1).cumsum(dim=1), (1, 0))
-        length = (run[edges.rows, start + span] - run[edges.rows, start])[..., None]
-        seen = points[rows, at]
-        known = torch.cat([features[rows, at], waves(seen), seen], dim=-1).flatten(2)
-        described: Tensor = self.describe(
-            torch.cat([known, waves(length), length, self.panel(panels)[edges.rows]], dim=-1)
-        )
-        return described
-
     def _partners(self, related: Float[Tensor, "b e v"], exists: Bool[Tensor, "b e"]) -> Float[Tensor, "b e e"]:
         scores = _symmetric(self.queries(related), self.keys(related))
         own = torch.eye(scores.shape[1], dtype=torch.bool, device=scores.device)
         return scores.masked_fill(own | ~exists[:, None, :], NEVER)
+
+
+class _EdgeFeatures(nn.Module):
+    """Features of edges: places in the panel and in space, length, number in the loop, and features from before."""
+
+    def __init__(self, config: NetConfig, *, before: int) -> None:
+        super().__init__()
+        numbers = 3 * 2 + 3 * 3 + 1 + 2
+        known = numbers * (2 * FREQUENCIES + 1) + before
+        width = config.edge_width
+        self.mlp = nn.Sequential(nn.Linear(known, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+
+    def forward(self, edges: Edges, before: Float[Tensor, "b e d"], said: Predicted) -> Float[Tensor, "b e v"]:
+        garments = torch.arange(len(before), device=before.device)[:, None]
+        start, end = edges.of(said.corners, edges.slots), edges.of(said.corners, edges.following)
+        share = torch.arange(1, BENDS + 1, device=before.device)[:, None] / (BENDS + 1)
+        chord = (1 - share) * start[..., None, :] + share * end[..., None, :]
+        inner = chord + edges.of(said.bends, edges.slots)
+        path = torch.cat([start[..., None, :], inner, end[..., None, :]], dim=-2)
+        length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
+        shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
+        turns, centres = said.rotations[garments, edges.queries], said.centres[garments, edges.queries]
+        placed = shown @ turns[..., :2].transpose(-1, -2) + centres[..., None, :]
+        numbers = torch.stack([edges.slots, edges.following], dim=-1) / 10.0
+        known = torch.cat([shown.flatten(-2), placed.flatten(-2), length, numbers], dim=-1)
+        found: Tensor = self.mlp(torch.cat([waves(known), known, before], dim=-1))
+        return found
 
 
 def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Float[Tensor, "b e e"]:
@@ -434,55 +418,48 @@ def rotation_of(columns: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 3 3"]:
     return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)
 
 
-def _placed(
-    contours: Float[Tensor, "m c 2"], centres: Float[Tensor, "m 3"], rotations: Float[Tensor, "m 3 3"]
-) -> Float[Tensor, "m c 3"]:
-    """Outline points in space [UNIT]."""
-    return contours @ rotations[..., :2].transpose(1, 2) + centres[:, None]
-
-
 # ------------------------------------------------------------------------------------------------------------- the loss
 
 
 def set_loss(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"], true: PanelTargets) -> dict[str, Tensor]:
-    """Weighted loss terms by name, of panels, moved outlines and seams.
+    """Weighted loss terms by name, of panels, moved edges and seams.
 
-    Invariant to the order of the true panels and to the start of their contours.
+    Invariant to the order of the true panels and to the start of their loops.
     """
     layers, panels = decoder(tokens)
     with torch.autocast(tokens.device.type, enabled=False):
-        parts, matched = panel_losses(layers, true)
-    rows, last = (matched.garments, matched.queries), layers[-1]
-    panels = panels[rows]
-    # Detached: moves and seams teach the tokens, not the first outlines.
-    first = Predicted(*(getattr(last, name)[rows].detach() for name in Predicted.__dataclass_fields__))
-    placed = _placed(first.contours, first.centres, first.rotations)
-    moved, corners, features = decoder.outlines(panels, first.contours, first.corners, placed, tokens, matched.garments)
-    with torch.autocast(tokens.device.type, enabled=False):
-        outlines, shifts = _outline_losses(moved, corners, true, matched)
-    placed = _placed(moved.detach(), first.centres, first.rotations)
+        parts, matched, shifts = panel_losses(layers, true)
     edges = _true_edges(true, matched, shifts)
-    sewn = decoder.seams(edges, panels, moved.detach(), placed, features)
+    # Detached: moves and seams teach the tokens, not the first loops.
+    first = Predicted(*(getattr(layers[-1], name).detach() for name in Predicted.__dataclass_fields__))
+    moved, features = decoder.mover(edges, panels, first, tokens)
+    fixed = replace(moved, corners=moved.corners.detach(), bends=moved.bends.detach())
+    sewn = decoder.seams(edges, features, fixed)
     with torch.autocast(tokens.device.type, enabled=False):
-        parts |= {name: parts[name] + REFINED * part for name, part in outlines.items()}
+        refined = _loop_losses(moved, true, matched, shifts)
+        parts |= {name: parts[name] + REFINED * part for name, part in refined.items()}
         parts |= _seam_losses(sewn, true, edges.exists)
     return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
 
-def panel_losses(layers: list[Predicted], true: PanelTargets) -> tuple[dict[str, Tensor], Matched]:
-    """Mean losses of the layers, and the match of queries and panels by the last layer, which holds for all."""
+def panel_losses(layers: list[Predicted], true: PanelTargets) -> tuple[dict[str, Tensor], Matched, Int[Tensor, " m"]]:
+    """Mean losses of the layers; the match of queries and panels by the last layer, which holds for all; its shifts."""
     matched = match_panels(layers[-1], true)
-    parts = [_loss_of_layer(layer, true, matched) for layer in layers]
-    return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}, matched
+    shifts = [_shifts(layer, true, matched) for layer in layers]
+    parts = [_loss_of_layer(layer, true, matched, shift) for layer, shift in zip(layers, shifts, strict=True)]
+    return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}, matched, shifts[-1]
 
 
 def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
     """Matched rows of garments, queries and true panels, at least total cost (Hungarian method)."""
     with torch.no_grad():
+        likelihood = predicted.edges.log_softmax(dim=-1).clamp(min=-10.0)
+        counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
         cost = (
             2.0 * torch.cdist(predicted.centres, true.centres)
             + 0.5 * torch.cdist(predicted.rotations.flatten(2), true.rotations.flatten(2))
-            + 2.0 * _outline_distance(predicted.contours, true.contours)
+            + 1.0 * torch.cdist(predicted.extents.log(), true.extents.clamp(min=LEAST_EXTENT).log(), p=1.0)
+            - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
         )
     pairs = []
@@ -493,14 +470,17 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
     return Matched(*torch.from_numpy(np.concatenate(pairs, axis=1)).to(cost.device))
 
 
-def _loss_of_layer(predicted: Predicted, true: PanelTargets, matched: Matched) -> dict[str, Tensor]:
+def _loss_of_layer(
+    predicted: Predicted, true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]
+) -> dict[str, Tensor]:
     ours, theirs = (matched.garments, matched.queries), (matched.garments, matched.panels)
     exists = torch.zeros_like(predicted.exists)
     exists[ours] = 1.0
-    outlines, _ = _outline_losses(predicted.contours[ours], predicted.corners[ours], true, matched)
+    extents = true.extents[theirs].clamp(min=LEAST_EXTENT)
     return {
         "exists": functional.binary_cross_entropy_with_logits(predicted.exists, exists),
-        **outlines,
+        **_loop_losses(predicted, true, matched, shifts),
+        "extents": functional.l1_loss(predicted.extents[ours].log(), extents.log()),
         "centres": functional.l1_loss(predicted.centres[ours], true.centres[theirs]),
         "rotations": functional.l1_loss(predicted.rotations[ours], true.rotations[theirs]),
         "edges": functional.cross_entropy(predicted.edges[ours], true.edge_counts[theirs]),
@@ -508,34 +488,56 @@ def _loss_of_layer(predicted: Predicted, true: PanelTargets, matched: Matched) -
     }
 
 
-def _outline_losses(
-    contours: Float[Tensor, "m c 2"], corners: Float[Tensor, "m c"], true: PanelTargets, matched: Matched
-) -> tuple[dict[str, Tensor], Int[Tensor, " m"]]:
-    """Losses of outlines at their best cyclic shift, and the shifts.
+def _shifts(predicted: Predicted, true: PanelTargets, matched: Matched) -> Int[Tensor, " m"]:
+    """The corner of each true loop at which the predicted loop starts: that of the least mean distance of corners."""
+    with torch.no_grad():
+        counts = true.edge_counts[matched.garments, matched.panels]
+        corners = true.corners[matched.garments, matched.panels]
+        slot = torch.arange(corners.shape[1], device=counts.device)
+        turned = (slot[None, :, None] + slot) % counts[:, None, None]  # panel, shift, slot
+        rolled = corners[torch.arange(len(counts), device=counts.device)[:, None, None], turned]
+        apart = (predicted.corners[matched.garments, matched.queries][:, None] - rolled).abs().sum(dim=-1)
+        within = slot < counts[:, None]
+        cost = torch.where(within[:, None], apart, 0.0).sum(dim=-1)
+        return torch.where(within, cost, torch.inf).argmin(dim=-1)
 
-    ``areas``: log(1 + d · perimeter / area), where d is the mean distance of the points: for small d about the share of
-    the area that differs, so that a centimetre counts more for a cuff than for a skirt.
+
+def _loop_losses(
+    predicted: Predicted, true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]
+) -> dict[str, Tensor]:
+    """Losses of corners and bends of loops that start at the corners ``shifts`` of the true ones.
+
+    ``areas``: log(1 + d · perimeter / area), where d is the mean distance of corners and bends: for small d about the
+    share of the area that differs, so that a centimetre counts more for a cuff than for a skirt.
     """
-    outlines = true.contours[matched.garments, matched.panels]
-    shifts = _shifts(contours, outlines)
-    true_corners = _rolled(true.corners[matched.garments, matched.panels][..., None], shifts)[..., 0]
-    apart = contours - _rolled(outlines, shifts)
-    distance = (apart.square().sum(dim=-1) + 1e-12).sqrt().mean(dim=-1)
-    losses = {
-        "contours": apart.abs().mean(),
-        "areas": torch.log1p(distance * true.slimness[matched.garments, matched.panels]).mean(),
-        "corners": functional.binary_cross_entropy_with_logits(corners, true_corners),
+    ours, theirs = (matched.garments, matched.queries), (matched.garments, matched.panels)
+    counts = true.edge_counts[theirs]
+    slot = torch.arange(true.corners.shape[2], device=counts.device)
+    turned = (slot + shifts[:, None]) % counts[:, None]
+    within, row = slot < counts[:, None], torch.arange(len(counts), device=counts.device)[:, None]
+    corners = predicted.corners[ours] - true.corners[theirs][row, turned]
+    bends = predicted.bends[ours] - true.bends[theirs][row, turned]
+    distances = (corners.square().sum(dim=-1) + TINY).sqrt() + (bends.square().sum(dim=-1) + TINY).sqrt().mean(dim=-1)
+    return {
+        "corners": _mean_of_rows(corners.abs().mean(dim=-1), within).mean(),
+        "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within).mean(),
+        "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness[theirs]).mean(),
     }
-    return losses, shifts
+
+
+def _mean_of_rows(values: Float[Tensor, "m n"], within: Bool[Tensor, "m n"]) -> Float[Tensor, " m"]:
+    return torch.where(within, values, 0.0).sum(dim=1) / within.sum(dim=1)
 
 
 def _true_edges(true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]) -> Edges:
-    """The true edges, between the outline points that match their ends."""
-    row_of = torch.zeros_like(true.exists, dtype=torch.long)
-    row_of[matched.garments, matched.panels] = torch.arange(len(shifts), device=shifts.device)
-    rows = row_of.gather(1, true.edge_panels.long().clamp(min=0))
-    points = (true.edge_points.long() + shifts[rows][..., None]) % true.contours.shape[2]
-    return Edges(rows, points, true.edge_panels >= 0)
+    """The true edges, as slots of the queries that are matched to their panels."""
+    query_of, shift_of = torch.zeros_like(true.edge_counts), torch.zeros_like(true.edge_counts)
+    query_of[matched.garments, matched.panels] = matched.queries
+    shift_of[matched.garments, matched.panels] = shifts
+    panels = true.edge_panels.long().clamp(min=0)
+    counts = true.edge_counts.gather(1, panels).clamp(min=1)
+    slots = (true.edge_slots.long() - shift_of.gather(1, panels)) % counts
+    return Edges(query_of.gather(1, panels), slots, (slots + 1) % counts, true.edge_panels >= 0)
 
 
 def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) -> dict[str, Tensor]:
@@ -562,32 +564,6 @@ def _mean_of(values: Float[Tensor, "b e"], chosen: Bool[Tensor, "b e"]) -> Tenso
     return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
-def _correlation(contours: Float[Tensor, "*b c 2"], others: Float[Tensor, "*b c 2"]) -> Float[Tensor, "*b c"]:
-    """Sum over the points of contour · other, for every cyclic shift of the contour."""
-    ours, theirs = (torch.fft.fft(torch.view_as_complex(points.contiguous())) for points in (contours, others))
-    return torch.fft.ifft(ours * theirs.conj()).real
-
-
-def _outline_distance(contours: Float[Tensor, "b q c 2"], others: Float[Tensor, "b p c 2"]) -> Float[Tensor, "b q p"]:
-    """Root mean square distance of contours, each pair at its best cyclic shift."""
-    across = _correlation(contours[:, :, None], others[:, None]).amax(dim=-1)
-    squares = contours.square().sum(dim=(-2, -1))[:, :, None] + others.square().sum(dim=(-2, -1))[:, None]
-    return ((squares - 2 * across).clamp(min=0) / contours.shape[-2]).sqrt()
-
-
-def _shifts(contours: Float[Tensor, "m c 2"], others: Float[Tensor, "m c 2"]) -> Int[Tensor, " m"]:
-    """The cyclic shift by which each contour matches the other best."""
-    with torch.no_grad():
-        return _correlation(contours, others).argmax(dim=-1)
-
-
-def _rolled(values: Float[Tensor, "m c d"], shifts: Int[Tensor, " m"]) -> Float[Tensor, "m c d"]:
-    """Each contour rolled by its own shift."""
-    count = values.shape[1]
-    index = (torch.arange(count, device=values.device) - shifts[:, None]) % count
-    return values.gather(1, index[..., None].expand_as(values))
-
-
 # ---------------------------------------------------------------------------------------------------------- the answers
 
 
@@ -596,33 +572,28 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     layers, panels = decoder(tokens)
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))
-    rows = garments, _ = exists.nonzero(as_tuple=True)
-    first = Predicted(*(getattr(last, name)[rows] for name in Predicted.__dataclass_fields__))
-    placed = _placed(first.contours, first.centres, first.rotations)
-    moved, corners, features = decoder.outlines(panels[rows], first.contours, first.corners, placed, tokens, garments)
-    placed = _placed(moved, first.centres, first.rotations)
-    edges = _likeliest_edges(first.edges, corners, exists, decoder.config.edges)
-    sewn = decoder.seams(edges, panels[rows], moved, placed, features)
+    counts = LEAST_EDGES + last.edges[..., LEAST_EDGES:].argmax(dim=-1)
+    edges = _edges_of(exists, counts, decoder.config.edges)
+    moved, features = decoder.mover(edges, panels, last, tokens)
+    sewn = decoder.seams(edges, features, moved)
     partners = _partners(sewn.partners, edges.exists)
     mutual = partners.clamp(min=0)[..., None]
     labels = sewn.labels + torch.where(  # of both edges: sewn edges with different labels are a fault
         (partners >= 0)[..., None], sewn.labels.gather(1, mutual.expand_as(sewn.labels)), 0.0
     )
-    contours = last.contours.clone()
-    contours[rows] = moved
-    queries = exists.nonzero()[:, 1]
     return PanelTargets(
         points=tokens.new_zeros(len(tokens), 0, 6),
         exists=exists,
-        contours=contours,
-        corners=last.corners,
-        centres=last.centres,
-        rotations=last.rotations,
-        edge_counts=last.edges.argmax(dim=-1),
-        labels=last.labels.argmax(dim=-1),
+        corners=moved.corners,
+        bends=moved.bends,
+        extents=moved.extents,
+        centres=moved.centres,
+        rotations=moved.rotations,
+        edge_counts=counts,
+        labels=moved.labels.argmax(dim=-1),
         slimness=torch.zeros_like(last.exists),
-        edge_panels=torch.where(edges.exists, queries[edges.rows], -1),
-        edge_points=edges.points,
+        edge_panels=torch.where(edges.exists, edges.queries, -1),
+        edge_slots=edges.slots,
         edge_kinds=(sewn.kinds > 0).long(),
         edge_labels=labels.argmax(dim=-1),
         partners=partners,
@@ -630,33 +601,22 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     )
 
 
-def _likeliest_edges(
-    counts: Float[Tensor, "m n"], corners: Float[Tensor, "m c"], exists: Bool[Tensor, "b q"], room: int
-) -> Edges:
-    """The edges of each panel between its likeliest corners.
-
-    Their number n maximises p(n) · the probability that the n likeliest points are corners and the others are not.
-    """
-    ranked = corners.sort(dim=-1, descending=True)
-    yes = functional.pad(functional.logsigmoid(ranked.values).cumsum(dim=-1), (1, 0))
-    no = functional.pad(functional.logsigmoid(-ranked.values).flip(-1).cumsum(dim=-1), (1, 0)).flip(-1)
-    most = min(counts.shape[1], corners.shape[1] + 1)
-    likelihood = counts.log_softmax(dim=-1)[:, :most] + (yes + no)[:, :most]
-    likelihood[:, :LEAST_EDGES] = -torch.inf
-    numbers = likelihood.argmax(dim=-1).tolist()
-    panels = exists.sum(dim=1).tolist()
-    rows, points = np.zeros((len(panels), room), np.int64), np.zeros((len(panels), room, 2), np.int64)
-    known = np.zeros((len(panels), room), bool)
-    order, row = ranked.indices.cpu().numpy(), 0
-    for garment, count in enumerate(panels):
+def _edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
+    """The edges of the queries that exist; a panel beyond the room gets none."""
+    shape = (len(exists), room)
+    queries, slots, following = (np.zeros(shape, np.int64) for _ in range(3))
+    known = np.zeros(shape, bool)
+    for garment, (chosen, numbers) in enumerate(zip(exists.cpu().numpy(), counts.cpu().numpy(), strict=True)):
         filled = 0
-        for _ in range(count):
-            chosen = np.sort(order[row, : min(numbers[row], room - filled)])
-            ends = slice(filled, filled + len(chosen))
-            rows[garment, ends], known[garment, ends] = row, True
-            points[garment, ends] = np.stack([chosen, np.roll(chosen, -1)], axis=1)
-            filled, row = filled + len(chosen), row + 1
-    return Edges(*(torch.from_numpy(array).to(corners.device) for array in (rows, points, known)))
+        for query in np.flatnonzero(chosen).tolist():
+            count = int(numbers[query])
+            if filled + count > room:
+                continue
+            part, loop = slice(filled, filled + count), np.arange(count)
+            queries[garment, part], known[garment, part] = query, True
+            slots[garment, part], following[garment, part] = loop, np.roll(loop, -1)
+            filled += count
+    return Edges(*(torch.from_numpy(array).to(counts.device) for array in (queries, slots, following, known)))
 
 
 def _partners(logits: Float[Tensor, "b e f"], exists: Bool[Tensor, "b e"]) -> Int[Tensor, "b e"]:
