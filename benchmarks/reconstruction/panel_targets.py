@@ -176,7 +176,8 @@ def _chord(piece: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
 def patterns_from(garments: PanelTargets) -> list[Pattern]:
     """The patterns of targets, or of predictions in the same form.
 
-    Outlines that cross themselves are untangled (``simple_panel``), so that the patterns can be sewn.
+    Outlines that cross themselves are untangled (``simple_panel``), and panels without edges left out, so that the
+    patterns can be sewn.
     """
     columns = {field.name: getattr(garments, field.name).detach().cpu() for field in fields(garments)}
     arrays = {name: column.numpy() for name, column in columns.items() if name != "points"}
@@ -187,6 +188,8 @@ def _pattern(row: Mapping[str, np.ndarray]) -> Pattern:
     panels, refs = [], {}
     for number, query in enumerate(np.flatnonzero(row["exists"]).tolist()):
         edges = np.flatnonzero(row["edge_panels"] == query)
+        if not len(edges):
+            continue
         refs |= {edge: EdgeRef(str(number), i) for i, edge in enumerate(edges.tolist())}
         panels.append(_panel(str(number), row, query, edges))
     sewn = [(edge, int(row["partners"][edge])) for edge in refs]

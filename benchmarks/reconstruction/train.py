@@ -43,7 +43,10 @@ from gcd_dataset.spec import write_pattern
 __all__ = ["Result", "add_arguments", "main", "options_from", "run"]
 
 MINUTES = 8.0
-SMOKE: Mapping[str, Any] = {"train": 16, "test": 8, "resolution": 4.0, "design": {"meta": {"bottom": "none"}}}
+SMOKE: Mapping[str, Any] = {
+    "train": 16, "test": 8, "resolution": 4.0,
+    "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
+}  # fmt: skip
 """Options of the smallest run: few garments, coarse and all of one kind."""
 SHOWN = 8  # garments in pictures
 SIDE = 320  # pixels of a pattern's picture
@@ -121,7 +124,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
     usual = getattr(module, "SMOKE" if args.smoke else "USUAL", {})
     given = {name: value for name in ("batch", "lr", "steps", "minutes") if (value := getattr(args, name))}
     chosen = {**usual, **given}
-    if "minutes" in given:
+    if "minutes" in given and "steps" not in given:
         chosen.pop("steps", None)
     if "steps" not in chosen:
         chosen.setdefault("minutes", MINUTES)
@@ -160,6 +163,8 @@ def run(options: Options) -> Result | None:
     if not options.task.answers_patterns:
         raise ConfigError(f"{options.task.name}: its answers are no patterns: choose another task")
     begun = time.perf_counter()
+    if options.smoke:
+        torch.set_num_threads(1)  # fastest for tiny networks
     module, out = load_model(options.model), make_folder(options.out)
     with one_of_several_ranks(options.device) as device:
         split = _loaded(options)
@@ -313,8 +318,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_arguments(parser)
     args = parser.parse_args(arguments)
     try:
-        if args.smoke:
-            torch.set_num_threads(1)  # fastest for tiny networks
         result = run(options_from(args, args.model))
     except GcdError as error:
         print(f"train {args.model}: {error}", file=sys.stderr)

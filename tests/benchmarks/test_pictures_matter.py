@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.models.panel_set import NetConfig
+from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
     HELD_OUT,
     SIDES,
@@ -26,7 +27,6 @@ from benchmarks.reconstruction.picture_inputs import (
 )
 from benchmarks.reconstruction.picture_model import PictureNet
 from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, gaps, load, pool_of, run, train
-from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.run import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make

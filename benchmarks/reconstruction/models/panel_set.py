@@ -105,11 +105,17 @@ class Predicted:
     bends: Float[Tensor, "b q n k 2"]
     extents: Float[Tensor, "b q 2"]
     centres: Float[Tensor, "b q 3"]
-    rotations: Float[Tensor, "b q 3 3"]
+    axes: Float[Tensor, "b q 6"]
+    """First two columns of the rotations; not orthonormal."""
     edges: Float[Tensor, "b q m"]
     """Logits of the number of edges."""
     labels: Float[Tensor, "b q l"]
     """Logits of ``PANEL_LABELS``."""
+
+    @property
+    def rotations(self) -> Float[Tensor, "b q 3 3"]:
+        """Rotations of the panels."""
+        return rotation_of(self.axes)
 
 
 @dataclass(frozen=True)
@@ -282,7 +288,7 @@ class PanelDecoder(nn.Module):
         # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
             panels = self.norm(panels.float())
-            exists, loops, extents, centres, rotations, edges, labels = (head(panels) for head in self.heads)
+            exists, loops, extents, centres, axes, edges, labels = (head(panels) for head in self.heads)
         extents = FIRST_EXTENT * extents.clamp(-5.0, 5.0).exp()
         loops = loops.unflatten(-1, (self.config.slots, 1 + BENDS, 2)) * extents[..., None, None, :]
         return Predicted(
@@ -291,7 +297,7 @@ class PanelDecoder(nn.Module):
             bends=loops[..., 1:, :],
             extents=extents,
             centres=centres,
-            rotations=rotation_of(rotations),
+            axes=axes,
             edges=edges,
             labels=labels,
         )
@@ -385,7 +391,7 @@ class _EdgeFeatures(nn.Module):
         path = torch.cat([start[..., None, :], inner, end[..., None, :]], dim=-2)
         length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
         shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
-        turns, centres = said.rotations[garments, edges.queries], said.centres[garments, edges.queries]
+        turns, centres = rotation_of(said.axes[garments, edges.queries]), said.centres[garments, edges.queries]
         placed = shown @ turns[..., :2].transpose(-1, -2) + centres[..., None, :]
         numbers = torch.stack([edges.slots, edges.following], dim=-1) / 10.0
         known = torch.cat([shown.flatten(-2), placed.flatten(-2), length, numbers], dim=-1)
@@ -457,7 +463,7 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
         counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
         cost = (
             2.0 * torch.cdist(predicted.centres, true.centres)
-            + 0.5 * torch.cdist(predicted.rotations.flatten(2), true.rotations.flatten(2))
+            + 0.5 * torch.cdist(predicted.axes, _axes_of(true.rotations))
             + 1.0 * torch.cdist(predicted.extents.log(), true.extents.clamp(min=LEAST_EXTENT).log(), p=1.0)
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
@@ -482,10 +488,16 @@ def _loss_of_layer(
         **_loop_losses(predicted, true, matched, shifts),
         "extents": functional.l1_loss(predicted.extents[ours].log(), extents.log()),
         "centres": functional.l1_loss(predicted.centres[ours], true.centres[theirs]),
-        "rotations": functional.l1_loss(predicted.rotations[ours], true.rotations[theirs]),
+        # Of the columns as they are: rotations half a turn away from the truth would be a local minimum.
+        "rotations": functional.l1_loss(predicted.axes[ours], _axes_of(true.rotations[theirs])),
         "edges": functional.cross_entropy(predicted.edges[ours], true.edge_counts[theirs]),
         "labels": functional.cross_entropy(predicted.labels[ours], true.labels[theirs]),
     }
+
+
+def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
+    """The first two columns."""
+    return rotations[..., :2].transpose(-1, -2).flatten(-2)
 
 
 def _shifts(predicted: Predicted, true: PanelTargets, matched: Matched) -> Int[Tensor, " m"]:
