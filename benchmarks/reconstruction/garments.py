@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -122,21 +122,23 @@ class GarmentSet:
     def select(self, rows: Sequence[int] | Int[np.ndarray, " b"]) -> "GarmentSet":
         """The garments with these numbers, in this order."""
         chosen = np.asarray(rows, dtype=np.int64)
-        columns = {name: getattr(self, name)[chosen] for name in ("designs", "bodies", "shapes", "measures", "points")}
-        names = {name: tuple(getattr(self, name)[k] for k in chosen.tolist()) for name in ("keys", "kinds")}
+        columns: dict[str, Any] = {
+            name: getattr(self, name)[chosen] for name in ("designs", "bodies", "shapes", "measures", "points")
+        }
+        columns |= {name: tuple(getattr(self, name)[k] for k in chosen.tolist()) for name in ("keys", "kinds")}
         ragged = {name: entry.select(chosen) for name, entry in self.ragged.items()}
-        return replace(self, **columns, **names, ragged=ragged)
+        return replace(self, **columns, ragged=ragged)
 
     @staticmethod
     def join(parts: Sequence["GarmentSet"]) -> "GarmentSet":
         """The garments of several parts, in order; they have the same fields."""
-        columns = {
+        columns: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("designs", "bodies", "shapes", "measures", "points")
         }
-        names = {name: tuple(x for part in parts for x in getattr(part, name)) for name in ("keys", "kinds")}
+        columns |= {name: tuple(x for part in parts for x in getattr(part, name)) for name in ("keys", "kinds")}
         ragged = {name: Ragged.join([part.ragged[name] for part in parts]) for name in parts[0].ragged}
-        return replace(parts[0], **columns, **names, ragged=ragged)
+        return replace(parts[0], **columns, ragged=ragged)
 
     @cached_property
     def patterns_hash(self) -> str:
@@ -171,9 +173,11 @@ class GarmentSet:
                 for name, rows in arrays.items()
                 if name.endswith("/rows")
             }
-            columns = {name: arrays[name] for name in ("designs", "bodies", "shapes", "measures", "points")}
-            names = {name: tuple(arrays[name].tolist()) for name in ("keys", "kinds")}
-            return GarmentSet(**columns, **names, ragged=ragged, recipe=json.loads(str(arrays["recipe"])))
+            columns: dict[str, Any] = {
+                name: arrays[name] for name in ("designs", "bodies", "shapes", "measures", "points")
+            }
+            columns |= {name: tuple(arrays[name].tolist()) for name in ("keys", "kinds")}
+            return GarmentSet(**columns, ragged=ragged, recipe=json.loads(str(arrays["recipe"])))
         except (OSError, KeyError, ValueError) as error:
             raise ConfigError(f"{path}: no garment set ({error}): delete the file, it is made again") from error
 
@@ -257,9 +261,8 @@ def fresh_garments(
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": names, "dtype": None}
     transform = _Encoded(_Packed(points, tuple(extra)), encode)
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)
-    for one in FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1):
-        if one is not None:
-            yield one
+    fresh = FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1)
+    yield from (cast(Encoded, one) for one in fresh if one is not None)
 
 
 def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:

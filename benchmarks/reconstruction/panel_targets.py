@@ -185,7 +185,8 @@ def patterns_from(garments: PanelTargets) -> list[Pattern]:
 
 
 def _pattern(row: Mapping[str, np.ndarray]) -> Pattern:
-    panels, refs = [], {}
+    panels: list[Panel] = []
+    refs: dict[int, EdgeRef] = {}
     for number, query in enumerate(np.flatnonzero(row["exists"]).tolist()):
         edges = np.flatnonzero(row["edge_panels"] == query)
         if not len(edges):

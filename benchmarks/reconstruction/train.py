@@ -189,7 +189,7 @@ def _loaded(options: Options) -> Split:
     """The garments; the first rank makes them, the others read its cache."""
     if dist.is_initialized() and dist.get_rank():
         dist.barrier()
-    load = partial(options.task.load, data=options.data, **(options.recipe or {}))
+    load: Callable[..., Split] = partial(options.task.load, data=options.data, **(options.recipe or {}))
     if options.source:
         load = partial(options.task.read, options.source)
     split = load(options.train, workers=options.workers, tested=options.test)
@@ -252,7 +252,7 @@ def _answers(
         answer = cast(Callable[..., list[Pattern]], module.answers)
         return answer(split.train, split.test, device=device, workers=options.workers)
     examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
-    rows = torch.arange(len(split.test)).split(options.config.batch)
+    rows = torch.split(torch.arange(len(split.test)), options.config.batch)
     return [pattern for part in rows for pattern in trained.learner.predict(examples.batch(part))]
 
 
