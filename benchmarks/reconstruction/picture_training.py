@@ -376,6 +376,10 @@ def train(
         width=args.width,
         heads=args.heads,
         layers=args.layers,
+        edge_width=args.width,
+        edge_heads=args.heads,
+        edge_layers=max(1, args.layers // 2),
+        seam_layers=max(1, args.layers // 2),
     )
     net = PictureNet(config, views=SIDES, size=args.size).to(device)
     chance = torch.Generator().manual_seed(args.seed)

@@ -20,6 +20,6 @@ def free_port() -> int:
 def test_two_ranks_learn_what_one_process_learns(tmp_path: Path) -> None:
     for world in (1, 2):
         arguments = (world, free_port(), 30, tmp_path / f"{world}.pt")
-        spawn(train_rank, args=arguments, nprocs=world)
+        spawn(train_rank, args=arguments, nprocs=world)  # type: ignore[no-untyped-call]
     one, two = (torch.load(tmp_path / f"{world}.pt") for world in (1, 2))
     assert all(torch.allclose(one[name], two[name], atol=1e-5) for name in one)

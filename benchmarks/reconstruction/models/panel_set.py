@@ -383,20 +383,29 @@ class _EdgeFeatures(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(known, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
 
     def forward(self, edges: Edges, before: Float[Tensor, "b e d"], said: Predicted) -> Float[Tensor, "b e v"]:
-        garments = torch.arange(len(before), device=before.device)[:, None]
-        start, end = edges.of(said.corners, edges.slots), edges.of(said.corners, edges.following)
-        share = torch.arange(1, BENDS + 1, device=before.device)[:, None] / (BENDS + 1)
-        chord = (1 - share) * start[..., None, :] + share * end[..., None, :]
-        inner = chord + edges.of(said.bends, edges.slots)
-        path = torch.cat([start[..., None, :], inner, end[..., None, :]], dim=-2)
-        length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
-        shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
-        turns, centres = rotation_of(said.axes[garments, edges.queries]), said.centres[garments, edges.queries]
-        placed = shown @ turns[..., :2].transpose(-1, -2) + centres[..., None, :]
-        numbers = torch.stack([edges.slots, edges.following], dim=-1) / 10.0
-        known = torch.cat([shown.flatten(-2), placed.flatten(-2), length, numbers], dim=-1)
-        found: Tensor = self.mlp(torch.cat([waves(known), known, before], dim=-1))
+        # In float32: bfloat16 would round places before the waves of high frequency are taken.
+        with torch.autocast(before.device.type, enabled=False):
+            known = _numbers_of(edges, said)
+            known = torch.cat([waves(known), known], dim=-1)
+        found: Tensor = self.mlp(torch.cat([known, before], dim=-1))
         return found
+
+
+def _numbers_of(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
+    """Start, middle and end of edges in the panel and in space, their lengths, their numbers in the loop."""
+    device = edges.slots.device
+    garments = torch.arange(len(edges.slots), device=device)[:, None]
+    start, end = edges.of(said.corners, edges.slots), edges.of(said.corners, edges.following)
+    share = torch.arange(1, BENDS + 1, device=device)[:, None] / (BENDS + 1)
+    chord = (1 - share) * start[..., None, :] + share * end[..., None, :]
+    inner = chord + edges.of(said.bends, edges.slots)
+    path = torch.cat([start[..., None, :], inner, end[..., None, :]], dim=-2)
+    length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
+    shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
+    turns, centres = rotation_of(said.axes[garments, edges.queries]), said.centres[garments, edges.queries]
+    placed = shown @ turns[..., :2].transpose(-1, -2) + centres[..., None, :]
+    numbers = torch.stack([edges.slots, edges.following], dim=-1) / 10.0
+    return torch.cat([shown.flatten(-2), placed.flatten(-2), length, numbers], dim=-1)
 
 
 def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Float[Tensor, "b e e"]:
