@@ -62,7 +62,7 @@ CHUNK = 64  # garments that a process encodes at once
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
-    "steps": 300, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 25, "checks": 2,
+    "steps": 300, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "neighbours": 16, "width": 64, "heads": 4, "layers": 1,
