@@ -75,7 +75,7 @@ class PanelTargets(TensorExamples):
 
 @dataclass(frozen=True)
 class ToTargets:
-    """From garments to their ``PanelTargets``, on a CPU. Raises ``ConfigError`` for a garment beyond the sizes."""
+    """From garments to their ``PanelTargets``, on a CPU."""
 
     queries: int
     slots: int
@@ -85,8 +85,9 @@ class ToTargets:
     points: int
 
     def __call__(self, garments: GarmentSet) -> PanelTargets:
-        """Targets of all garments."""
-        found = PanelTargets.join([self.of(garments.pattern(k)) for k in range(len(garments))])
+        """Targets of all garments; one beyond the sizes gets no panels, so that it can be answered for, not learned."""
+        patterns = [garments.pattern(k) for k in range(len(garments))]
+        found = PanelTargets.join([self.of(p if self.has_room(p) else Pattern("", (), ())) for p in patterns])
         return replace(found, points=self.scaled(garments.points))
 
     def scaled(self, points: Float[np.ndarray, "g n 6"]) -> Float[Tensor, "g m 6"]:
@@ -94,12 +95,17 @@ class ToTargets:
         found = torch.from_numpy(points[:, : self.points])
         return torch.cat([found[..., :3] / UNIT, found[..., 3:]], dim=-1)
 
+    def has_room(self, pattern: Pattern) -> bool:
+        """Whether the pattern is within the sizes."""
+        counts = [len(panel.edges) for panel in pattern.panels]
+        return len(counts) <= self.queries and sum(counts) <= self.edges and max(counts, default=0) <= self.slots
+
     def of(self, pattern: Pattern) -> PanelTargets:
-        """The targets of a pattern, without surface points."""
+        """The targets of a pattern, without surface points. Raises ``ConfigError`` for one beyond the sizes."""
         panels = pattern.panels
         shapes = [PanelShape.of(panel) for panel in panels]
         counts = [len(panel.edges) for panel in panels]
-        if len(shapes) > self.queries or sum(counts) > self.edges or max(counts) > self.slots:
+        if not self.has_room(pattern):
             raise ConfigError(
                 f"{pattern.name}: {len(shapes)} panels, {sum(counts)} edges, up to {max(counts)} of a panel; the "
                 f"network has room for {self.queries}, {self.edges} and {self.slots}: raise queries, edges or slots"

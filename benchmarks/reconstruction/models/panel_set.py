@@ -174,7 +174,7 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         self.decoder = PanelDecoder(self.config)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
-        """Targets of the garments. Raises ``ConfigError`` for a garment beyond the network's sizes."""
+        """Targets of the garments."""
         bare = replace(garments, points=garments.points[:, :0])
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
@@ -193,6 +193,7 @@ class PanelSet(Learner[PanelTargets, Pattern]):
             layer.compile()
 
     def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
+        batch = batch[batch.exists.any(dim=1)]  # without garments beyond the network's sizes
         return set_loss(self.decoder, self.tokens(batch.points), batch)
 
     def predict(self, batch: PanelTargets) -> list[Pattern]:

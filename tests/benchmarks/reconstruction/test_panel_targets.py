@@ -52,6 +52,7 @@ def test_a_garment_beyond_the_sizes_is_refused(six: GarmentSet) -> None:
     for small in ({"queries": 1}, {"slots": 3}, {"edges": 7}):
         with pytest.raises(ConfigError, match="raise queries, edges or slots"):
             replace(TARGETS, **small).of(six.pattern(0))
+        assert not replace(TARGETS, **small)(six.select([0])).exists.any()
 
 
 def panel(corners: list[tuple[float, float]], *curves: Curve) -> Panel:
