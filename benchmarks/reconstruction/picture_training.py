@@ -511,6 +511,8 @@ def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | No
     if text["options"] != options:
         raise ConfigError(f"{path} has results of other options: give another --out")
     _log(f"{what}: read from {path}")
+    if any(len(row) != len(fields(PatternScore)) for rows in text["scores"].values() for row in rows):
+        raise ConfigError(f"{path} has the scores of another version: give another --out")
     scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
     return Result(what, text["figures"], scores)
 
