@@ -68,10 +68,10 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "iou", MESH, points=8192),
-        Task("T1", "points of the draped garment", "pattern", "iou", DRAPE, points=8192),
-        Task("T2", "pictures of the draped garment", "pattern", "iou", DRAPE),
-        Task("T3", "panels, in any order, without seams", "pattern", "stitch_f1", PATTERN),
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192),
+        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE),
+        Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
             extra=("verts", "faces", "panel_id", "labels", "seams"), sizes=(1000, 4000),
@@ -81,7 +81,7 @@ TASKS = {
             "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
             extra=("verts", "faces", "box", "panel_id"), sizes=(1000, 4000),
         ),
-        Task("T7", "patterns of other sources", "pattern", "stitch_f1", PATTERN),
+        Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
     )
 }  # fmt: skip
 
