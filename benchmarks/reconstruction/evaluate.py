@@ -38,14 +38,10 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
-    import torch
-
-    from benchmarks.reconstruction.data import GarmentBatch
-    from benchmarks.reconstruction.models import PatternNet
     from benchmarks.reconstruction.scoring.bodies import Wearers
     from benchmarks.reconstruction.scoring.distances import Shape
 
-__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "predict", "row_of", "scores_of"]
+__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "row_of", "scores_of"]
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
@@ -240,21 +236,6 @@ def _word(kind: str) -> str:
 
 
 # ---------------------------------------------------------------------------------------- scores of patterns in memory
-
-
-def predict(net: "PatternNet", garments: "GarmentBatch", *, batch: int, device: "torch.device") -> list[Pattern]:
-    """Patterns predicted from the garments' points."""
-    import torch
-
-    from benchmarks.reconstruction.data import patterns_from
-
-    net.eval()
-    with torch.no_grad():
-        parts = [
-            net(garments.points[first : first + batch].to(device))[-1].garments()
-            for first in range(0, len(garments), batch)
-        ]
-    return [pattern for part in parts for pattern in patterns_from(part)]
 
 
 def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:
