@@ -14,14 +14,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gcd_dataset.curves import LINE, sample_curve
-from gcd_dataset.metrics import PanelShape
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.tensors import require_closed
 
 __all__ = ["MAX_CUTS", "SAMPLES", "EdgeBatch", "EdgeGraph", "PackedGraphs", "edge_refs", "graph_of", "with_seams"]
 
 SAMPLES = 17  # points of an edge, both ends included
 MAX_CUTS = 6  # most subdivision points of an edge
 NO_CUT = -1.0
+LEAST_AREA = 1e-3  # cm²: the centroid of a smaller panel is the mean of its points
+ALIGNMENT = 8  # rows of a batch are a multiple: attention on a GPU needs aligned biases
 
 
 @dataclass(frozen=True)
@@ -87,31 +89,45 @@ class EdgeBatch:
 class PackedGraphs:
     """The graphs of many patterns as flat tensors on one device; ``graphs[rows]`` is a padded batch."""
 
-    def __init__(self, graphs: Sequence[EdgeGraph], device: torch.device | str = "cpu") -> None:
-        counts = torch.tensor([len(graph.lengths) for graph in graphs])
-        self.counts = counts.to(device)
-        self.first = (counts.cumsum(0) - counts).to(device)
-        self._flat = {
-            field.name: torch.from_numpy(
-                np.concatenate([getattr(graph, field.name) for graph in graphs]) if graphs else np.zeros(0)
-            ).to(device)
+    def __init__(self, counts: Int[Tensor, " n"], flat: Mapping[str, Tensor]) -> None:
+        self.counts, self.flat = counts, dict(flat)
+        self.first = counts.cumsum(0) - counts
+
+    @staticmethod
+    def of(graphs: Sequence[EdgeGraph]) -> "PackedGraphs":
+        """At least one graph."""
+        flat = {
+            field.name: torch.from_numpy(np.concatenate([getattr(graph, field.name) for graph in graphs]))
             for field in fields(EdgeGraph)
         }
+        return PackedGraphs(torch.tensor([len(graph.lengths) for graph in graphs]), flat)
+
+    def to(self, device: torch.device) -> "PackedGraphs":
+        return PackedGraphs(self.counts.to(device), {name: values.to(device) for name, values in self.flat.items()})
 
     def __len__(self) -> int:
         return len(self.counts)
 
     def __getitem__(self, rows: Int[Tensor, " b"]) -> EdgeBatch:
         rows = rows.to(self.counts.device)
-        counts = self.counts[rows]
-        columns = torch.arange(int(counts.max()), device=rows.device)
-        there = columns < counts[:, None]
-        index = torch.where(there, self.first[rows][:, None] + columns, 0)
-        values = {name: flat[index] for name, flat in self._flat.items()}
+        index, there = self._index(rows)
+        values = {name: flat[index] for name, flat in self.flat.items()}
         values["panels"] = torch.where(there, values["panels"], -1)
         values["partners"] = torch.where(there, values["partners"], -1)
-        values["following"] = torch.where(there, values["following"], columns)
+        values["following"] = torch.where(there, values["following"], torch.arange(there.shape[1], device=rows.device))
         return EdgeBatch(**values)
+
+    def padded(self, values: Float[Tensor, " all"], rows: Int[Tensor, " b"]) -> Float[Tensor, "b e"]:
+        """One value for each edge of the patterns ``rows``, out of one for each edge of all patterns."""
+        return values[self._index(rows)[0]]
+
+    def _index(self, rows: Int[Tensor, " b"]) -> tuple[Int[Tensor, "b e"], Bool[Tensor, "b e"]]:
+        """Flat rows of the edges, and which of them are not padding."""
+        counts = self.counts[rows]
+        width = -(-int(counts.max()) // ALIGNMENT) * ALIGNMENT
+        columns = torch.arange(width, device=rows.device)
+        there = columns < counts[:, None]
+        return torch.where(there, self.first[rows][:, None] + columns, 0), there
 
 
 def edge_refs(pattern: Pattern) -> list[EdgeRef]:
@@ -158,16 +174,19 @@ def with_seams(pattern: Pattern, pairs: Sequence[tuple[int, int, bool]]) -> Patt
 
 def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarray, "e 3 3"]]:
     """Points of the edges about the centroid, from the right side; start, middle and end of the edges in space."""
-    shape = PanelShape.of(panel)
+    require_closed(panel)
     shares = np.linspace(0, 1, SAMPLES)[:, None]
-    points = []
+    edges = []
     for index, edge in enumerate(panel.edges):
         start, end = panel.edge_ends(index)
         straight = edge.curve == LINE
-        points.append(
-            (1 - shares) * start + shares * end if straight else sample_curve(start, end, edge.curve, SAMPLES)
-        )
-    stacked = np.array(points)
-    seen = shape.seen(stacked.reshape(-1, 2)).reshape(stacked.shape)
-    placed = panel.placement.apply(stacked[:, [0, SAMPLES // 2, -1]].reshape(-1, 2)).reshape(-1, 3, 3)
-    return seen, placed
+        edges.append((1 - shares) * start + shares * end if straight else sample_curve(start, end, edge.curve, SAMPLES))
+    points = np.array(edges)
+    placed = panel.placement.apply(points[:, [0, SAMPLES // 2, -1]].reshape(-1, 2)).reshape(-1, 3, 3)
+    middle = points.mean(axis=(0, 1))
+    x, y = (points[:, :-1] - middle).reshape(-1, 2).T
+    crossed = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = 0.5 * crossed.sum()
+    moments = [((v + np.roll(v, -1)) * crossed).sum() / 6 for v in (x, y)]
+    centroid = middle + np.array(moments) / area if abs(area) > LEAST_AREA else middle
+    return (points - centroid) * [np.copysign(1.0, area), 1.0], placed

@@ -8,15 +8,17 @@ equally likely seams one; the next round is given the fixed seams. The boundary 
 too: two edges that meet where a seam ends are often sewn next.
 
 Seams between one long edge and several edges become pairs once the long edge is subdivided: a second head predicts the
-points of subdivision (``cuts``), and ``aligned_cuts`` moves them by the lengths of the edges sewn to the parts.
+points of subdivision (``cuts``), which then move to agree with the lengths of the edges sewn to the parts.
 
 ``StitchConfig.autosew()`` is the baseline: GraphSAGE over the loops, Sinkhorn, one round (AutoSew, WACV 2026).
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from multiprocessing import get_context
+from typing import TYPE_CHECKING
 
 import networkx
 import numpy as np
@@ -25,9 +27,25 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, SAMPLES, EdgeBatch
+from benchmarks.reconstruction.data import Arrays, pattern_of
+from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.stitching.graphs import (
+    MAX_CUTS,
+    SAMPLES,
+    EdgeBatch,
+    EdgeGraph,
+    PackedGraphs,
+    edge_refs,
+    graph_of,
+    with_seams,
+)
+from benchmarks.reconstruction.stitching.merging import aligned, merged, split
+from gcd_dataset.records import EdgeRef, Pattern
 
-__all__ = ["Stitch", "StitchConfig", "StitchNet", "greedy_by_length", "mirrored", "scaled"]
+if TYPE_CHECKING:
+    from benchmarks.reconstruction.garments import GarmentSet
+
+__all__ = ["StitchBatch", "StitchConfig", "StitchExamples", "StitchLearner", "StitchNet", "greedy_by_length", "sew"]
 
 Stitch = tuple[int, int, bool]
 """Two rows of a graph, and whether the seam is ``right_wrong``."""
@@ -39,7 +57,14 @@ LOOP_STEPS = 3  # neighbours in the loop that are told apart, each way
 WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.3)  # scales on which differences are compared
 WAVES = 4
 SEAMS_AT_CORNER = 4  # most seams that end in a corner of the partly sewn garment
+LEAST = 1e-3  # probability of a seam that may be predicted
 CUT_BINS = 24  # an edge has at most one cut in each
+WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
+SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
+MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
+VARIANTS = (0.5, 0.7)  # shares of training garments up to which they are as drawn, and joined; the rest: subdivided again
+PARTS = 4  # a batch is computed in parts of garments of like size: less padding
+ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +83,7 @@ class StitchConfig:
     """Of the Sinkhorn iterations."""
     relations: bool = True
     """Whether pairs are scored by their relations, too."""
-    rounds: int = 40
+    rounds: int = 24
     """Most rounds of a prediction; 1 predicts all seams at once, and trains without given seams."""
     confident: float = 0.9
     """Probability of the seams that are fixed together in a round."""
@@ -123,8 +148,9 @@ class StitchNet(nn.Module):
         self.key = nn.Linear(width, 128)
         self.free = nn.Linear(width, 1)
         self.cut = _mlp(width, width, 2 * CUT_BINS)
-        self.side = nn.Linear(width, config.pair_width)
-        self.judge = _mlp(config.pair_width, config.pair_width, 2)
+        if config.relations:
+            self.side = nn.Linear(width, config.pair_width)
+            self.judge = _mlp(config.pair_width, config.pair_width, 2)
 
     def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> Scores:
         """``known``: partners of the edges that are already sewn, -1 for the others."""
@@ -140,16 +166,17 @@ class StitchNet(nn.Module):
         else:
             related = self.relate(shapes.relations(config, known))
             biases = self.bias(related).unflatten(-1, (config.layers, config.heads)).permute(3, 0, 4, 1, 2)
-            biases = biases + torch.where(valid, 0.0, NEVER)[None, :, None, None, :].to(biases)
+            biases = (biases + torch.where(valid, 0.0, NEVER)[None, :, None, None, :].to(biases)).contiguous()
             for block, bias in zip(self.blocks, biases, strict=True):
                 edges = block(edges, bias)
         return self._scores(self.norm(edges), related, valid, known)
 
     def _scores(self, edges: Tensor, related: Tensor | None, valid: Tensor, known: Tensor) -> Scores:
-        keys, sides = self.key(edges), self.side(edges)
+        keys = self.key(edges)
         pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
         wrong = torch.zeros_like(pairs)
         if related is not None and self.config.relations:
+            sides = self.side(edges)
             judged = self.judge(functional.gelu(sides[:, :, None] + sides[:, None] + related))
             judged = judged + judged.transpose(1, 2)
             pairs, wrong = pairs + judged[..., 0], judged[..., 1]
@@ -365,21 +392,22 @@ def scaled(batch: EdgeBatch, factors: Float[Tensor, " b"]) -> EdgeBatch:
     )
 
 
-def revealed(batch: EdgeBatch, chance: Callable[..., Tensor]) -> Int[Tensor, "b e"]:
-    """Partners of a random part of the true seams: of none in half of the garments."""
-    shape, device = batch.panels.shape, batch.panels.device
-    share = (chance(shape[0], 1) * 2 - 1).clamp(min=0).to(device)
-    draw = chance(*shape).to(device)
+def revealed(batch: EdgeBatch, shares: Float[Tensor, " b"], draw: Float[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """Partners of a random part of the true seams, for numbers drawn from [0, 1): of none in half of the garments."""
     partners = batch.partners
     draw = torch.where(partners >= 0, torch.minimum(draw, draw.gather(1, partners.clamp(min=0))), 2.0)
-    share = 1 - (1 - share).sqrt()  # a seam is shown if either of its draws is below
-    return torch.where(draw < share, partners, -1)
+    shares = (2 * shares - 1).clamp(min=0)[:, None]
+    shown = 1 - (1 - shares).sqrt()  # a seam is shown if either of its draws is below
+    return torch.where(draw < shown, partners, -1)
 
 
 def stitch_loss(
     scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig, whole: Bool[Tensor, " b"]
-) -> dict[str, Tensor]:
-    """Loss terms by name. ``whole``: garments whose edges are still to be subdivided: they have cuts, but no pairs."""
+) -> dict[str, tuple[Tensor, Tensor]]:
+    """Sums and counts of the loss terms by name.
+
+    ``whole``: garments with joined edges: they have cuts, but not all pairs.
+    """
     valid, partners = batch.valid, batch.partners
     asked = valid & (known < 0) & ~whole[:, None]
     choices = scores.log_probabilities(config)
@@ -392,10 +420,10 @@ def stitch_loss(
     cut = functional.binary_cross_entropy_with_logits(scores.cuts, heat, reduction="none").sum(-1)
     missed = (scores.cut_offsets.gather(2, bins) - (batch.cuts * CUT_BINS - bins)).abs()
     return {
-        "pairs": _mean(chosen, asked),
-        "right_wrong": _mean(turned, asked & (partners >= 0)),
-        "cuts": _mean(cut, valid),
-        "cut_offsets": _mean(missed, there & valid[..., None]),
+        "pairs": _sum(chosen, asked),
+        "right_wrong": _sum(turned, asked & (partners >= 0)),
+        "cuts": _sum(cut, valid),
+        "cut_offsets": _sum(missed, there & valid[..., None]),
     }
 
 
@@ -403,49 +431,211 @@ def _cut_bins(cuts: Float[Tensor, "b e c"]) -> tuple[Int[Tensor, "b e c"], Bool[
     return (cuts * CUT_BINS).long().clamp(0, CUT_BINS - 1), cuts >= 0
 
 
-def _mean(values: Tensor, where: Tensor) -> Tensor:
-    return torch.where(where, values, 0.0).sum() / where.sum().clamp(min=1)
+def _sum(values: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
+    return torch.where(where, values, 0.0).sum(), where.sum()
+
+
+@dataclass(frozen=True)
+class StitchBatch:
+    """Garments in parts of like size, with what the network is told of each part."""
+
+    parts: tuple[EdgeBatch, ...]
+    known: tuple[Int[Tensor, "b e"], ...]
+    """Partners of the edges that are already sewn, -1 for the others."""
+    whole: tuple[Bool[Tensor, " b"], ...]
+    """Garments with joined edges."""
+    patterns: tuple[Pattern, ...]
+    """The garments' panels, in the order of the request, without seams; empty for batches drawn by chance."""
+
+
+@dataclass(frozen=True)
+class StitchExamples:
+    """Garments as drawn, with joined edges, and subdivided again at slightly wrong points."""
+
+    graphs: PackedGraphs
+    variants: Int[Tensor, "g 3"]
+    """Rows of ``graphs``: the three variants of each garment; as drawn, where no edges can be joined."""
+    arrays: tuple[Arrays, ...]
+    """The garments' patterns."""
+    config: StitchConfig
+
+    def __len__(self) -> int:
+        return len(self.variants)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> StitchBatch:
+        """Garments as drawn; with ``chance`` in a variant, mirrored, in another size, with a part of the seams."""
+        device = self.graphs.counts.device
+        at = rows.to(device)
+        if chance is None:
+            part = self.graphs[self.variants[at, 0]]
+            known = torch.full_like(part.partners, -1)
+            patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
+            return StitchBatch((part,), (known,), (at < 0,), patterns)
+        seed = int(torch.randint(2**62, (1,), generator=chance))
+        there = torch.Generator(device).manual_seed(seed)  # as many numbers on each rank: for all, not for these rows
+        kind, flip, shown = torch.rand(3, len(self), generator=there, device=device)[:, at]
+        sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
+        draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
+        kinds = (kind > VARIANTS[0]).long() + (kind > VARIANTS[1]).long()
+        variants = self.variants[at].gather(1, kinds[:, None])[:, 0]
+        whole = (kinds == 1) & (variants != self.variants[at, 0])
+        order = self.graphs.counts[variants].argsort()
+        parts, known_of = [], []
+        chunks = order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,)
+        for chunk in chunks:
+            part = scaled(mirrored(self.graphs[variants[chunk]], flip[chunk] < 0.5), sizes[chunk])
+            numbers = self.graphs.padded(draw, variants[chunk])
+            known = revealed(part, shown[chunk], numbers)
+            hidden = whole[chunk][:, None] | torch.tensor(self.config.rounds == 1, device=device)
+            parts.append(part)
+            known_of.append(torch.where(hidden, -1, known))
+        return StitchBatch(tuple(parts), tuple(known_of), tuple(whole[chunk] for chunk in chunks), ())
+
+
+class StitchLearner(Learner[StitchBatch, Pattern]):
+    """Panels to a pattern with seams (task T3)."""
+
+    def __init__(self, config: StitchConfig, *, subdivide: bool = False) -> None:
+        super().__init__()
+        self.net = StitchNet(config)
+        self.subdivide = subdivide
+        """Whether ``predict`` may subdivide edges."""
+
+    def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> StitchExamples:
+        """The graphs of the garments and of their variants."""
+        return self.examples([garments.arrays(k) for k in range(len(garments))], device=device, workers=workers)
+
+    def examples(self, patterns: Sequence[Arrays], *, device: torch.device, workers: int = 0) -> StitchExamples:
+        """The graphs of patterns, given as arrays, and of their variants."""
+        jobs = list(enumerate(patterns))
+        if workers > 1:
+            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+                found = list(pool.map(_variants, jobs, chunksize=32))
+        else:
+            found = [_variants(job) for job in jobs]
+        graphs = [three[0] for three in found]
+        rows = []
+        for number, three in enumerate(found):
+            rows.append([number, *range(len(graphs), len(graphs) + 2)] if len(three) == 3 else [number] * 3)
+            graphs += three[1:]
+        return StitchExamples(
+            PackedGraphs.of(graphs).to(device), torch.tensor(rows).to(device), tuple(patterns), self.net.config
+        )
+
+    def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
+        """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
+        terms = [
+            stitch_loss(self.net(part, known), part, known, self.net.config, whole)
+            for part, known, whole in zip(batch.parts, batch.known, batch.whole, strict=True)
+        ]
+        return {
+            name: weight * sum(term[name][0] for term in terms) / sum(term[name][1] for term in terms).clamp(min=1)
+            for name, weight in WEIGHTS.items()
+        }
+
+    def predict(self, batch: StitchBatch) -> list[Pattern]:
+        """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
+        return sew(self.net, batch.patterns, subdivide=self.subdivide)
+
+
+def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
+    """Graphs of a pattern: as drawn; and, if edges can be joined, joined and subdivided again."""
+    number, arrays = job
+    pattern, rng = pattern_of(arrays), np.random.default_rng(number)
+    graphs, joined = [graph_of(pattern)], merged(pattern, rng)
+    if joined is not None:
+        graphs.append(graph_of(joined.pattern, joined.cuts))
+        moved = {
+            ref: np.sort(np.clip(np.array(cuts) + MISPLACED * rng.standard_normal(len(cuts)), 0.01, 0.99)).tolist()
+            for ref, cuts in joined.cuts.items()
+        }
+        graphs.append(graph_of(replace(split(joined.pattern, moved), seams=joined.parts.seams)))
+    return graphs
 
 
 # ------------------------------------------------------------------------------------------------------- the prediction
 
 
-def predict_stitches(net: StitchNet, batch: EdgeBatch) -> list[list[Stitch]]:
-    """The stitches of each garment: in rounds, or all at once for ``rounds=1``."""
+@torch.no_grad()
+def sew(
+    net: StitchNet, patterns: Sequence[Pattern], *, subdivide: bool = False, batch: int = 64, seed: int = 0
+) -> list[Pattern]:
+    """The patterns with predicted seams instead of their own.
+
+    ``subdivide``: edges may be subdivided, for seams that join one edge to several. Rows are shuffled by ``seed``, so
+    that the order of panels, or of the edges in a loop, cannot help; it breaks ties between equally likely seams.
+    """
+    bare = [replace(pattern, seams=()) for pattern in patterns]
+    if not subdivide:
+        return _sewn(net, bare, batch, seed)
+    cuts = []
+    for first in range(0, len(bare), batch):
+        some = bare[first : first + batch]
+        found = predict_cuts(net, PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))])
+        cuts += [
+            {ref: own[row] for row, ref in enumerate(edge_refs(pattern)) if row in own}
+            for pattern, own in zip(some, found, strict=True)
+        ]
+    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], batch, seed)
+    return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
+
+
+def _moved(pattern: Pattern, cuts: dict[EdgeRef, list[float]], parts: Pattern) -> Pattern:
+    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do."""
+    better = {
+        ref: tuple(new if abs(new - old) < ALIGNED else old for new, old in zip(own, cuts[ref], strict=True))
+        for ref, own in aligned(pattern, cuts, parts).items()
+    }
+    return replace(split(pattern, better), seams=parts.seams)
+
+
+def _sewn(net: StitchNet, patterns: Sequence[Pattern], batch: int, seed: int) -> list[Pattern]:
+    graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
+    chance = torch.Generator().manual_seed(seed)
+    found: dict[int, Pattern] = {}
+    for rows in graphs.counts.argsort().split(batch):
+        part = graphs[rows]
+        order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(rows.device)
+        stitches = predict_stitches(net, part.permuted(order))
+        for row, own, places in zip(rows.tolist(), stitches, order.tolist(), strict=True):
+            found[row] = with_seams(patterns[row], [(places[left], places[right], w) for left, right, w in own])
+    return [found[row] for row in range(len(patterns))]
+
+
+def _device(net: nn.Module) -> torch.device:
+    return next(net.parameters()).device
+
+
+@torch.no_grad()
+def predict_stitches(net: StitchNet, batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
+    """Rows of the edges of each stitch, and whether it is ``right_wrong``: in rounds, or all at once for ``rounds=1``."""
     config = net.config
     known = torch.full_like(batch.partners, -1)
     wrong = torch.zeros_like(batch.right_wrong)
     open_rows = np.arange(len(batch))
     for number in range(config.rounds):
         rows = torch.from_numpy(open_rows).to(known.device)
-        part = batch if len(rows) == len(batch) else _part(batch, rows)
+        part = batch if len(rows) == len(batch) else EdgeBatch(*(value[rows] for value in vars(batch).values()))
         scores = net(part, known[rows])
         choices = scores.log_probabilities(config).cpu().double().numpy()
         turned = (scores.right_wrong > 0).cpu().numpy()
-        still = []
+        partners, flags, still = known[rows].cpu().numpy(), wrong[rows].cpu().numpy(), []
         for at, row in enumerate(open_rows.tolist()):
-            logs = choices[at]
-            final = number == config.rounds - 1
-            pairs = [] if final else _fixed(logs, config.confident)
+            pairs = [] if number == config.rounds - 1 else _fixed(choices[at], config.confident)
             if pairs:
                 still.append(row)
-            else:
-                pairs = _best_matching(logs)
-            for left, right in pairs:
-                known[row, left], known[row, right] = right, left
-                wrong[row, left] = wrong[row, right] = bool(turned[at, left, right])
+            for left, right in pairs or _best_matching(choices[at]):
+                partners[at, [left, right]] = right, left
+                flags[at, [left, right]] = turned[at, left, right]
+        known[rows] = torch.from_numpy(partners).to(known)
+        wrong[rows] = torch.from_numpy(flags).to(wrong)
         open_rows = np.array(still, int)
         if not still:
             break
-    partners, wrongs = known.tolist(), wrong.tolist()
     return [
         [(left, right, flags[left]) for left, right in enumerate(row) if right > left]
-        for row, flags in zip(partners, wrongs, strict=True)
+        for row, flags in zip(known.tolist(), wrong.tolist(), strict=True)
     ]
-
-
-def _part(batch: EdgeBatch, rows: Tensor) -> EdgeBatch:
-    return EdgeBatch(*(value[rows] for value in vars(batch).values()))
 
 
 def _fixed(logs: Float[np.ndarray, "e e+1"], confident: float) -> list[tuple[int, int]]:
@@ -456,25 +646,19 @@ def _fixed(logs: Float[np.ndarray, "e e+1"], confident: float) -> list[tuple[int
     sure = (mutual[rows, best] > math.log(confident)) & (best[best] == rows) & (rows < best)
     if sure.any():
         return [(row, int(best[row])) for row in np.flatnonzero(sure).tolist()]
-    gain = np.triu(np.where(_beats_free(logs, mutual), mutual, -np.inf), 1)
-    gain[np.tril_indices(len(gain))] = -np.inf
-    left, right = np.unravel_index(int(gain.argmax()), gain.shape)
-    return [(int(left), int(right))] if np.isfinite(gain[left, right]) and gain[left, right] > NEVER / 10 else []
-
-
-def _beats_free(logs: np.ndarray, mutual: np.ndarray) -> np.ndarray:
-    """Pairs of edges that are both rather sewn than free."""
     sewn = logs[:, -1] < math.log(0.5)
-    return sewn[:, None] & sewn[None] & (mutual > math.log(1e-3))
+    gain = np.where(sewn[:, None] & sewn & (mutual > math.log(LEAST)), mutual, -np.inf)
+    left, right = np.unravel_index(int(gain.argmax()), gain.shape)
+    return [(int(left), int(right))] if np.isfinite(gain[left, right]) else []
 
 
 def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:
     """The pairs of greatest total log-odds against staying free; each edge at most once."""
     free = logs[:, -1]
-    gain = 0.5 * (logs[:, :-1] + logs[:, :-1].T) - 0.5 * (free[:, None] + free[None])
     mutual = 0.5 * (logs[:, :-1] + logs[:, :-1].T)
+    gain = mutual - 0.5 * (free[:, None] + free)
     graph = networkx.Graph()
-    for left, right in zip(*np.nonzero(np.triu((gain > 0) & (mutual > math.log(1e-4)), 1)), strict=True):
+    for left, right in zip(*np.nonzero(np.triu((gain > 0) & (mutual > math.log(LEAST)), 1)), strict=True):
         graph.add_edge(int(left), int(right), weight=float(gain[left, right]))
     return sorted((min(pair), max(pair)) for pair in networkx.max_weight_matching(graph))
 
@@ -502,7 +686,7 @@ def _peaks(logits: Float[np.ndarray, " bins"]) -> list[int]:
     return sorted(strongest)
 
 
-def greedy_by_length(batch: EdgeBatch) -> list[list[Stitch]]:
+def greedy_by_length(batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
     """The baseline without learning: the two free edges closest in length are sewn, until they differ by over 10 %."""
     found = []
     for lengths, valid in zip(batch.lengths.cpu().double().numpy(), batch.valid.cpu().numpy(), strict=True):
