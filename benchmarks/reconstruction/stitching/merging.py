@@ -56,7 +56,9 @@ def merged(pattern: Pattern, rng: np.random.Generator | None = None) -> Merged |
     ``rng``: join a random half of the places only.
     """
     partner = {a: b for seam in pattern.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
-    panels, cuts, new_ref = [], {}, {}
+    panels = []
+    cuts: dict[EdgeRef, tuple[float, ...]] = {}
+    new_ref: dict[EdgeRef, EdgeRef] = {}
     for panel in pattern.panels:
         runs = _runs(panel, partner, rng)
         edges = []
@@ -99,7 +101,7 @@ def split(pattern: Pattern, cuts: Cuts) -> Pattern:
             ]
         panels.append(replace(panel, vertices=np.array(vertices), edges=tuple(edges)))
     whole = replace(pattern, panels=tuple(panels), seams=())
-    new_ref = {}
+    new_ref: dict[EdgeRef, EdgeRef] = {}
     for new, old in zip(edge_refs(whole), _origins(pattern, cuts), strict=True):
         new_ref.setdefault(old, new)
     seams = tuple(
@@ -172,7 +174,8 @@ def _may_join(panel: Panel, index: int, partner: Mapping[EdgeRef, EdgeRef]) -> b
     if panel.name in (sewn[0].panel, sewn[1].panel):
         return False
     one, other = (
-        curve_tangents(*panel.edge_ends(i), panel.edges[i].curve, np.array([t]))[0] for i, t in ((index, 1.0), (after, 0.0))
+        curve_tangents(*panel.edge_ends(i), panel.edges[i].curve, np.array([t]))[0]
+        for i, t in ((index, 1.0), (after, 0.0))
     )
     return bool(abs(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other)) < SMOOTH)
 

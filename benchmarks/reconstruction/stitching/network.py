@@ -57,12 +57,16 @@ LOOP_STEPS = 3  # neighbours in the loop that are told apart, each way
 WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.3)  # scales on which differences are compared
 WAVES = 4
 SEAMS_AT_CORNER = 4  # most seams that end in a corner of the partly sewn garment
+RARE = -8.0  # logit of a cut at first: one bin in some thousands has one
 LEAST = 1e-3  # probability of a seam that may be predicted
 CUT_BINS = 24  # an edge has at most one cut in each
 WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
-VARIANTS = (0.5, 0.7)  # shares of training garments up to which they are as drawn, and joined; the rest: subdivided again
+VARIANTS = (
+    0.5,
+    0.7,
+)  # shares of training garments up to which they are as drawn, and joined; the rest: subdivided again
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
 
@@ -148,6 +152,7 @@ class StitchNet(nn.Module):
         self.key = nn.Linear(width, 128)
         self.free = nn.Linear(width, 1)
         self.cut = _mlp(width, width, 2 * CUT_BINS)
+        nn.init.constant_(self.cut[2].bias[:CUT_BINS], RARE)  # type: ignore[index]
         if config.relations:
             self.side = nn.Linear(width, config.pair_width)
             self.judge = _mlp(config.pair_width, config.pair_width, 2)
@@ -282,7 +287,7 @@ class _Shapes:
         for _ in range(LOOP_STEPS):
             row = batch.following.gather(1, row)
             hops.append(_one_hot(row))
-        meeting = _one_hot(_next_on_boundary(batch.following, known))
+        meeting = _one_hot(next_on_boundary(batch.following, known))
         sewn = _one_hot(known.clamp(min=0)) * (known >= 0)[..., None]
         difference = self.log_length[:, :, None] - self.log_length[:, None]
         alike = torch.cdist(self.forward, self.backward)
@@ -357,7 +362,7 @@ def _inverse(following: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
     return torch.empty_like(following).scatter_(1, following, rows)
 
 
-def _next_on_boundary(following: Int[Tensor, "b e"], known: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+def next_on_boundary(following: Int[Tensor, "b e"], known: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
     """The unsewn edge that starts where each edge ends, once the known seams are sewn (start meets end)."""
     row = following
     for _ in range(SEAMS_AT_CORNER):
@@ -422,7 +427,7 @@ def stitch_loss(
     return {
         "pairs": _sum(chosen, asked),
         "right_wrong": _sum(turned, asked & (partners >= 0)),
-        "cuts": _sum(cut, valid),
+        "cuts": (torch.where(valid, cut, 0.0).sum(), there.sum()),  # few edges have cuts: a mean over all would vanish
         "cut_offsets": _sum(missed, there & valid[..., None]),
     }
 
@@ -528,9 +533,11 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
             stitch_loss(self.net(part, known), part, known, self.net.config, whole)
             for part, known, whole in zip(batch.parts, batch.known, batch.whole, strict=True)
         ]
+        totals = {
+            name: [torch.stack(column) for column in zip(*(t[name] for t in terms), strict=True)] for name in WEIGHTS
+        }
         return {
-            name: weight * sum(term[name][0] for term in terms) / sum(term[name][1] for term in terms).clamp(min=1)
-            for name, weight in WEIGHTS.items()
+            name: WEIGHTS[name] * values.sum() / counts.sum().clamp(min=1) for name, (values, counts) in totals.items()
         }
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:
@@ -571,7 +578,9 @@ def sew(
     cuts = []
     for first in range(0, len(bare), batch):
         some = bare[first : first + batch]
-        found = predict_cuts(net, PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))])
+        found = predict_cuts(
+            net, PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))]
+        )
         cuts += [
             {ref: own[row] for row, ref in enumerate(edge_refs(pattern)) if row in own}
             for pattern, own in zip(some, found, strict=True)
@@ -593,7 +602,7 @@ def _sewn(net: StitchNet, patterns: Sequence[Pattern], batch: int, seed: int) ->
     graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
     chance = torch.Generator().manual_seed(seed)
     found: dict[int, Pattern] = {}
-    for rows in graphs.counts.argsort().split(batch):
+    for rows in torch.split(graphs.counts.argsort(), batch):
         part = graphs[rows]
         order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(rows.device)
         stitches = predict_stitches(net, part.permuted(order))
@@ -608,7 +617,7 @@ def _device(net: nn.Module) -> torch.device:
 
 @torch.no_grad()
 def predict_stitches(net: StitchNet, batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
-    """Rows of the edges of each stitch, and whether it is ``right_wrong``: in rounds, or all at once for ``rounds=1``."""
+    """Rows of the edges of each stitch, and whether it is ``right_wrong``."""
     config = net.config
     known = torch.full_like(batch.partners, -1)
     wrong = torch.zeros_like(batch.right_wrong)

@@ -23,17 +23,17 @@ import numpy as np
 import torch
 
 from benchmarks.reconstruction.data import Arrays, pattern_of
-from benchmarks.reconstruction.stitching.network import StitchConfig, StitchLearner, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
+from benchmarks.reconstruction.stitching.network import StitchConfig, StitchLearner, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, score_stitches
 from benchmarks.reconstruction.training import TrainConfig, train
-from gcd_dataset.errors import PatternError
+from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.records import Pattern
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import read_pattern, write_pattern
 
 __all__ = ["main"]
 
@@ -58,27 +58,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     learner = StitchLearner(_config(args))
     examples = learner.examples(known, device=device, workers=args.workers)
     _say(f"{len(known)} + {len(unseen)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
-    watched = [pattern_of(arrays) for arrays in unseen[: args.check]]
+    tests = [replace(pattern_of(arrays), name=f"test_{k:05d}") for k, arrays in enumerate(unseen)]
+    watched = tests[: args.check]
 
     def check(step: int, current: Any) -> Mapping[str, float]:
         scores = [_score(true, own) for true, own in zip(watched, sew(current.net, watched), strict=True)]
         return {f"test_{name}": value for name, value in _means(scores).items()}
 
-    config = TrainConfig(
-        minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks, compile=args.compile
-    )
-    done = train(learner, examples, config, device=device, out=out, check=check if args.check else None)
+    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
+    trained = train(learner, examples, config, device=device, out=out, check=check if args.check else None)
+    best = trained.learner
+    assert isinstance(best, StitchLearner)
     report = {
         "arguments": vars(args),
         "config": asdict(learner.net.config),
         "parameters": sum(p.numel() for p in learner.parameters()),
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
-        "steps": done.steps,
-        "train_s": round(done.seconds, 1),
-        **evaluate(done.learner, [pattern_of(arrays) for arrays in unseen], args.workers),
+        "steps": trained.steps,
+        "train_s": round(trained.seconds, 1),
+        **evaluate(best, tests, out, args.workers),
     }
     if args.examples:
-        report["foreign"] = foreign(done.learner, Path(args.examples))
+        report["foreign"] = foreign(best, Path(args.examples))
     report["all_s"] = round(time.perf_counter() - began, 1)
     (out / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     print(json.dumps({name: value for name, value in report.items() if name not in ("arguments", "config")}, indent=2))
@@ -96,13 +97,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
     parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
-    parser.add_argument("--compile", action="store_true", help="compile the network")
     option("--train", 24_000, "patterns to train on")
     option("--test", 1_000, "patterns to test on, of another seed")
     option("--seed", 0, "seed of the patterns, the network and the order")
     option("--minutes", 8.0, "time of the training")
     option("--batch", 256, "patterns of a step")
-    option("--lr", 6e-4, "highest learning rate")
+    option("--lr", 8e-4, "highest learning rate")
     option("--width", 256, "features of an edge")
     option("--heads", 8, "heads of a layer")
     option("--layers", 8, "layers")
@@ -125,7 +125,7 @@ def _config(args: argparse.Namespace) -> StitchConfig:
     )  # fmt: skip
 
 
-# ----------------------------------------------------------------------------------------------------------- the patterns
+# --------------------------------------------------------------------------------------------------------- the patterns
 
 
 def read_or_draw(folder: Path, count: int, seed: int, workers: int) -> list[Arrays]:
@@ -157,11 +157,14 @@ def _drawn(job: tuple[int, int, int]) -> list[Arrays]:
     return [(item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy()) for item in items]
 
 
-# ------------------------------------------------------------------------------------------------------------- the scores
+# ----------------------------------------------------------------------------------------------------------- the scores
 
 
-def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], workers: int) -> dict[str, Any]:
-    """The tables of stitches one to one, and n to m; beside the length-greedy baseline."""
+def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int) -> dict[str, Any]:
+    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+
+    Writes the predicted and the true specifications into folders of ``out``.
+    """
     greedy = []
     for pattern in patterns:
         graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
@@ -171,6 +174,10 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], workers: int) 
     ours = sew(learner.net, patterns)
     seconds = time.perf_counter() - began
     parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=True)
+    write(out / "predictions", ours)
+    write(out / "truth", patterns)
+    write(out / "several" / "predictions", parted)
+    write(out / "several" / "truth", [entry.parts for entry in joined])
     pairs = list(zip(patterns, ours, strict=True)), list(zip(patterns, greedy, strict=True))
     if workers > 1:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -188,18 +195,28 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], workers: int) 
 
 
 def foreign(learner: StitchLearner, folder: Path) -> dict[str, Any]:
-    """Scores of the specifications in a folder, and of each by name; one to one as drawn."""
-    patterns, errors = [], {}
+    """Scores of the specifications in a folder, subdivided as drawn, and of each by name."""
+    patterns, graphs, unreadable = [], [], {}
     for path in sorted(folder.rglob("*_specification.json")):
         try:
-            patterns.append(read_pattern(path))
-            graph_of(patterns[-1])
+            pattern = read_pattern(path)
+            graphs.append(graph_of(pattern))
+            patterns.append(pattern)
         except PatternError as error:
-            errors[str(path.relative_to(folder))] = str(error)
-            patterns = patterns[:-1] if patterns else patterns
-    scores = [_score(true, own) for true, own in zip(patterns, sew(learner.net, patterns), strict=True)]
-    each = [(pattern.name, asdict(score)) for pattern, score in zip(patterns, scores, strict=True)]
-    return {**_table(scores), "unreadable": errors, "each": each}
+            unreadable[str(path.relative_to(folder))] = str(error)
+    if not patterns:
+        raise ConfigError(f"{folder}: no readable *_specification.json: give a folder of patterns")
+    found = sew(learner.net, patterns)
+    scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
+    each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
+    return {**_table(scores), "unreadable": unreadable, "each": each}
+
+
+def write(folder: Path, patterns: Sequence[Pattern]) -> None:
+    """The specifications of patterns, by name, for the evaluator."""
+    make_folder(folder)
+    for pattern in patterns:
+        write_pattern(pattern, folder / f"{pattern.name}_specification.json")
 
 
 def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:

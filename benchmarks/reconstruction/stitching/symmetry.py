@@ -99,9 +99,7 @@ def _lie_on(graph: EdgeGraph, rows: Int[np.ndarray, " k"], others: Int[np.ndarra
     """Whether a turn and a shift put one loop on another, edge by edge."""
     if np.abs(graph.lengths[rows] - graph.lengths[others]).max() > CONGRUENT:
         return False
-    ours, theirs = (
-        np.asarray(graph.points[r], float).reshape(-1, 2) @ np.array([1, 1j]) for r in (rows, others)
-    )
+    ours, theirs = (np.asarray(graph.points[r], float).reshape(-1, 2) @ np.array([1, 1j]) for r in (rows, others))
     ours, theirs = ours - ours.mean(), theirs - theirs.mean()
     turn = np.vdot(ours, theirs)
     return bool(np.abs(ours * (turn / max(abs(turn), 1e-12)) - theirs).max() <= CONGRUENT)
