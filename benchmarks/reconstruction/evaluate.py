@@ -5,29 +5,15 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
-import torch
 
 from benchmarks.cases.figures import Figure
-from benchmarks.reconstruction.data import GarmentBatch, patterns_from
-from benchmarks.reconstruction.models import PatternNet
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
 from gcd_dataset.records import Pattern
 
-__all__ = ["figures_of", "predict", "row_of", "scores_of"]
+__all__ = ["figures_of", "row_of", "scores_of"]
 
 UNITS = {"panel_l2": "cm", "panel_l2_pen": "cm", "transl_cm": "cm", "rot_deg": "degrees"}
 SEAMS = ("stitch_p", "stitch_r", "stitch_f1")
-
-
-def predict(net: PatternNet, garments: GarmentBatch, *, batch: int, device: torch.device) -> list[Pattern]:
-    """Patterns predicted from the garments' points."""
-    net.eval()
-    with torch.no_grad():
-        parts = [
-            net(garments.points[first : first + batch].to(device))[-1].garments()
-            for first in range(0, len(garments), batch)
-        ]
-    return [pattern for part in parts for pattern in patterns_from(part)]
 
 
 def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:

@@ -6,9 +6,9 @@ frozen dataclass of tensors with one row for each example.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 import torch
 from jaxtyping import Int
@@ -16,8 +16,9 @@ from torch import Tensor, nn
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
+    from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "TensorExamples"]
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples"]
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -49,6 +50,17 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
         """Inputs and targets of the garments, on the device; computed by ``workers`` processes."""
 
+    def encoder(self) -> "Callable[[GarmentSet], TensorExamples] | None":
+        """A function that computes the examples of garments on a CPU, and that can be pickled.
+
+        Processes that make fresh garments call it. ``None``: the learner learns from fixed sets only.
+        """
+        return None
+
+    def drawn_from(self, encoded: "TensorExamples") -> Examples[Batch]:
+        """Examples whose batches are drawn from what ``encoder`` returned; by default its rows."""
+        return cast(Examples[Batch], encoded)
+
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Weighted loss terms by name; their sum is minimised."""
@@ -65,6 +77,14 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         """Compile the parts of the network that gain by it (``nn.Module.compile``). By default none."""
 
 
+class Reference(Protocol):
+    """A model without training: it answers for the test garments, given those to train on."""
+
+    def __call__(
+        self, known: "GarmentSet", unseen: "GarmentSet", *, device: torch.device, workers: int = 0
+    ) -> "list[Pattern]": ...
+
+
 class TensorExamples:
     """Base of frozen dataclasses whose fields are tensors with one row for each example."""
 
@@ -76,7 +96,13 @@ class TensorExamples:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self:
         """The examples ``rows``, without augmentation."""
-        return self[rows.to(self._columns()[0].device)]
+        return self[rows.to(self.device)]
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the tensors."""
+        found: torch.device = self._columns()[0].device
+        return found
 
     def to(self, device: torch.device) -> Self:
         """The same examples on a device."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -256,7 +256,7 @@ class _Run:
 
     def average(self) -> Learner[Any, Any]:
         """The averaged learner, in evaluation mode."""
-        return self.averaged.module.eval()
+        return cast(Learner[Any, Any], self.averaged.module.eval())
 
     def row(self, checked: Mapping[str, float]) -> dict[str, float]:
         """A row of the curves. Raises ``TrainingError`` for a loss that is not finite."""
@@ -362,7 +362,7 @@ class _Curves:
         if folder is not None and importlib.util.find_spec("tensorboard") is not None:
             from torch.utils.tensorboard import SummaryWriter
 
-            self._board = SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+            self._board = SummaryWriter(str(folder / "tensorboard"))
 
     def resume(self, step: int) -> None:
         """Keep the rows of an earlier run up to its checkpoint."""
@@ -385,8 +385,8 @@ class _Curves:
             writer.writerows(self.rows)
         if self._board is not None:
             for name, value in row.items():
-                self._board.add_scalar(name, value, int(row["step"]))  # type: ignore[no-untyped-call]
+                self._board.add_scalar(name, value, int(row["step"]))
 
     def close(self) -> None:
         if self._board is not None:
-            self._board.close()  # type: ignore[no-untyped-call]
+            self._board.close()
