@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.reconstruction.data import fitted_curve
+from benchmarks.reconstruction.panel_targets import fitted_curve
 from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
 from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam

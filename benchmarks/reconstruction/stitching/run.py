@@ -3,7 +3,7 @@
     python -m benchmarks.reconstruction.stitching.run --train 24000 --workers 16 --out runs/stitches
     python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
 
-Training and test patterns are of different seeds: other bodies and other designs. Patterns are kept in ``--data``.
+The patterns are those of ``tasks``: training and test set share no design and no body. ``--data`` keeps them.
 ``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
 the seams of the parts) and, with ``--examples``, the specifications of a folder.
 """
@@ -22,23 +22,20 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.data import Arrays, pattern_of
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
-from benchmarks.reconstruction.stitching.network import StitchConfig, StitchLearner, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, score_stitches
+from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
-from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
 
 __all__ = ["main"]
 
-TEST_SEED = 1_000_003
-CHUNK = 64  # patterns of a job
 DRAWS = 1000  # of the bootstrap
 SMOKE: dict[str, Any] = {
     "train": 200, "test": 50, "minutes": 0.5, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
@@ -53,24 +50,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
-    known = read_or_draw(data, args.train, args.seed, args.workers)
-    unseen = read_or_draw(data, args.test, TEST_SEED, args.workers)
+    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
     learner = StitchLearner(_config(args))
-    examples = learner.examples(known, device=device, workers=args.workers)
-    _say(f"{len(known)} + {len(unseen)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
-    tests = [replace(pattern_of(arrays), name=f"test_{k:05d}") for k, arrays in enumerate(unseen)]
-    watched = tests[: args.check]
+    examples = learner.prepare(split.train, device=device, workers=args.workers)
+    tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
+    _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
 
     def check(step: int, current: Any) -> Mapping[str, float]:
         scores = [_score(true, own) for true, own in zip(watched, sew(current.net, watched), strict=True)]
-        return {f"test_{name}": value for name, value in _means(scores).items()}
+        return {f"check_{name}": value for name, value in _means(scores).items()}
 
     config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
-    trained = train(learner, examples, config, device=device, out=out, check=check if args.check else None)
+    trained = train(learner, examples, config, device=device, out=out, check=check)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
         "arguments": vars(args),
+        "data": {
+            name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash}
+            for name, part in (("train", split.train), ("test", split.test))
+        },
         "config": asdict(learner.net.config),
         "parameters": sum(p.numel() for p in learner.parameters()),
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
@@ -109,7 +108,6 @@ def _parser() -> argparse.ArgumentParser:
     option("--pair-width", 48, "features of a pair of edges")
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
-    option("--check", 100, "test patterns of each of them; 0 for none")
     option("--device", "auto", "auto, cpu or cuda:0")
     option("--data", "", "folder of the patterns; by default in the output folder")
     option("--examples", "", "folder whose specifications are scored, too")
@@ -123,38 +121,6 @@ def _config(args: argparse.Namespace) -> StitchConfig:
         width=args.width, heads=args.heads, layers=args.layers, pair_width=args.pair_width, placed=args.placed,
         rounds=1 if args.one_round else StitchConfig().rounds,
     )  # fmt: skip
-
-
-# --------------------------------------------------------------------------------------------------------- the patterns
-
-
-def read_or_draw(folder: Path, count: int, seed: int, workers: int) -> list[Arrays]:
-    """Patterns 0 … ``count`` - 1 of a seed as arrays, from the folder if they are there."""
-    path = folder / f"patterns_{seed}_{count}.npz"
-    if not path.exists():
-        jobs = [(seed, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
-        if workers > 1:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-                parts = list(pool.map(_drawn, jobs))
-        else:
-            parts = [_drawn(job) for job in jobs]
-        drawn = [arrays for part in parts for arrays in part]
-        columns = list(zip(*drawn, strict=True))
-        flat = {f"rows_{k}": np.concatenate(column) for k, column in enumerate(columns)}
-        counts = {f"counts_{k}": np.array([len(rows) for rows in column]) for k, column in enumerate(columns)}
-        np.savez(path, **flat, **counts)  # type: ignore[arg-type]
-    with np.load(path) as stored:
-        ragged = [np.split(stored[f"rows_{k}"], np.cumsum(stored[f"counts_{k}"])[:-1]) for k in range(3)]
-    return list(zip(*ragged, strict=True))
-
-
-def _drawn(job: tuple[int, int, int]) -> list[Arrays]:
-    seed, first, last = job
-    torch.set_num_threads(1)
-    names = ("panels", "edges", "stitches")
-    garments = GeneratedGarments(last, seed, drape=None, stage="pattern", fields=names, dtype=None)
-    items = [garments[number] for number in range(first, last)]
-    return [(item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy()) for item in items]
 
 
 # ----------------------------------------------------------------------------------------------------------- the scores

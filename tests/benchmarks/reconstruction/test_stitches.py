@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
-from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split
-from benchmarks.reconstruction.stitching.network import (
+from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchLearner,
     StitchNet,
@@ -22,6 +19,9 @@ from benchmarks.reconstruction.stitching.network import (
     scaled,
     sew,
 )
+from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
+from benchmarks.reconstruction.stitching.intervals import score_intervals
+from benchmarks.reconstruction.stitching.merging import aligned, merged, split
 from benchmarks.reconstruction.stitching.symmetry import congruences, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam

@@ -14,11 +14,11 @@ points of subdivision (``cuts``), which then move to agree with the lengths of t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
-from typing import TYPE_CHECKING
+from typing import Any
 
 import networkx
 import numpy as np
@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.data import Arrays, pattern_of
+from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
 from benchmarks.reconstruction.learners import Learner
 from benchmarks.reconstruction.stitching.graphs import (
     MAX_CUTS,
@@ -40,12 +40,27 @@ from benchmarks.reconstruction.stitching.graphs import (
     with_seams,
 )
 from benchmarks.reconstruction.stitching.merging import aligned, merged, split
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import EdgeRef, Pattern
 
-if TYPE_CHECKING:
-    from benchmarks.reconstruction.garments import GarmentSet
+__all__ = [
+    "SMOKE",
+    "USUAL",
+    "StitchBatch",
+    "StitchConfig",
+    "StitchExamples",
+    "StitchLearner",
+    "StitchNet",
+    "build",
+    "greedy_by_length",
+    "sew",
+]
 
-__all__ = ["StitchBatch", "StitchConfig", "StitchExamples", "StitchLearner", "StitchNet", "greedy_by_length", "sew"]
+USUAL: Mapping[str, Any] = {"batch": 256, "lr": 8e-4}
+"""Options of a training on a GPU."""
+SMOKE: Mapping[str, Any] = {"steps": 240, "batch": 8, "lr": 1.5e-3, "ema": 0.98, "log_every": 20}
+SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 3, "pair_width": 24}
+"""Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
 Stitch = tuple[int, int, bool]
 """Two rows of a graph, and whether the seam is ``right_wrong``."""
@@ -177,8 +192,9 @@ class StitchNet(nn.Module):
         return self._scores(self.norm(edges), related, valid, known)
 
     def _scores(self, edges: Tensor, related: Tensor | None, valid: Tensor, known: Tensor) -> Scores:
-        keys = self.key(edges)
-        pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
+        with torch.autocast(edges.device.type, enabled=False):  # bfloat16 would round logits to steps of 0.1
+            keys = self.key(edges.float())
+            pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
         wrong = torch.zeros_like(pairs)
         if related is not None and self.config.relations:
             sides = self.side(edges)
@@ -506,7 +522,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         self.subdivide = subdivide
         """Whether ``predict`` may subdivide edges."""
 
-    def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> StitchExamples:
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of the garments and of their variants."""
         return self.examples([garments.arrays(k) for k in range(len(garments))], device=device, workers=workers)
 
@@ -543,6 +559,17 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
     def predict(self, batch: StitchBatch) -> list[Pattern]:
         """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
         return sew(self.net, batch.patterns, subdivide=self.subdivide)
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
+    """The learner; ``options``: fields of ``StitchConfig``. Raises ``ConfigError`` for others."""
+    given = {**(SMALL if smoke else {}), **options}
+    unknown = set(given) - set(StitchConfig.__dataclass_fields__)
+    if unknown:
+        raise ConfigError(
+            f"no size {min(unknown)} of a stitch network: choose of {', '.join(StitchConfig.__dataclass_fields__)}"
+        )
+    return StitchLearner(StitchConfig(**given))
 
 
 def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
