@@ -39,7 +39,7 @@ from benchmarks.reconstruction.stitching.graphs import (
     graph_of,
     with_seams,
 )
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split
+from benchmarks.reconstruction.stitching.merging import aligned, merged, split, subdivided
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import EdgeRef, Pattern
 
@@ -78,10 +78,9 @@ CUT_BINS = 24  # an edge has at most one cut in each
 WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
-VARIANTS = (
-    0.5,
-    0.7,
-)  # shares of training garments up to which they are as drawn, and joined; the rest: subdivided again
+VARIETY = 3  # variants of a garment
+VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
+SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
 
@@ -471,24 +470,27 @@ class StitchBatch:
 
 @dataclass(frozen=True)
 class StitchExamples:
-    """Garments as drawn, with joined edges, and subdivided again at slightly wrong points."""
+    """Garments in three variants: as drawn; with joined edges; subdivided elsewhere.
+
+    In the third variant, edges that were joined are parted again at slightly wrong points, as they are where the points
+    are predicted, and some seams are cut in two: patterns of other sources are subdivided in other ways.
+    """
 
     graphs: PackedGraphs
-    variants: Int[Tensor, "g 3"]
-    """Rows of ``graphs``: the three variants of each garment; as drawn, where no edges can be joined."""
+    """Three rows for each garment."""
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
 
     def __len__(self) -> int:
-        return len(self.variants)
+        return len(self.arrays)
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> StitchBatch:
         """Garments as drawn; with ``chance`` in a variant, mirrored, in another size, with a part of the seams."""
         device = self.graphs.counts.device
         at = rows.to(device)
         if chance is None:
-            part = self.graphs[self.variants[at, 0]]
+            part = self.graphs[VARIETY * at]
             known = torch.full_like(part.partners, -1)
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
             return StitchBatch((part,), (known,), (at < 0,), patterns)
@@ -498,19 +500,19 @@ class StitchExamples:
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
         kinds = (kind > VARIANTS[0]).long() + (kind > VARIANTS[1]).long()
-        variants = self.variants[at].gather(1, kinds[:, None])[:, 0]
-        whole = (kinds == 1) & (variants != self.variants[at, 0])
+        variants = VARIETY * at + kinds
         order = self.graphs.counts[variants].argsort()
-        parts, known_of = [], []
+        parts, known_of, wholes = [], [], []
         chunks = order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,)
         for chunk in chunks:
             part = scaled(mirrored(self.graphs[variants[chunk]], flip[chunk] < 0.5), sizes[chunk])
             numbers = self.graphs.padded(draw, variants[chunk])
             known = revealed(part, shown[chunk], numbers)
-            hidden = whole[chunk][:, None] | torch.tensor(self.config.rounds == 1, device=device)
+            whole = (part.cuts >= 0).flatten(1).any(dim=1)
             parts.append(part)
-            known_of.append(torch.where(hidden, -1, known))
-        return StitchBatch(tuple(parts), tuple(known_of), tuple(whole[chunk] for chunk in chunks), ())
+            known_of.append(torch.where(whole[:, None] | (self.config.rounds == 1), -1, known))
+            wholes.append(whole)
+        return StitchBatch(tuple(parts), tuple(known_of), tuple(wholes), ())
 
 
 class StitchLearner(Learner[StitchBatch, Pattern]):
@@ -534,14 +536,8 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
                 found = list(pool.map(_variants, jobs, chunksize=32))
         else:
             found = [_variants(job) for job in jobs]
-        graphs = [three[0] for three in found]
-        rows = []
-        for number, three in enumerate(found):
-            rows.append([number, *range(len(graphs), len(graphs) + 2)] if len(three) == 3 else [number] * 3)
-            graphs += three[1:]
-        return StitchExamples(
-            PackedGraphs.of(graphs).to(device), torch.tensor(rows).to(device), tuple(patterns), self.net.config
-        )
+        graphs = [graph for three in found for graph in three]
+        return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
         """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
@@ -573,17 +569,19 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
 
 
 def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
-    """Graphs of a pattern: as drawn; and, if edges can be joined, joined and subdivided again."""
+    """Graphs of a pattern: as drawn, with joined edges, and subdivided elsewhere."""
     number, arrays = job
     pattern, rng = pattern_of(arrays), np.random.default_rng(number)
-    graphs, joined = [graph_of(pattern)], merged(pattern, rng)
+    joined, again = merged(pattern, rng), pattern
+    graphs = [graph_of(pattern)] * 2
     if joined is not None:
-        graphs.append(graph_of(joined.pattern, joined.cuts))
+        graphs[1] = graph_of(joined.pattern, joined.cuts)
         moved = {
             ref: np.sort(np.clip(np.array(cuts) + MISPLACED * rng.standard_normal(len(cuts)), 0.01, 0.99)).tolist()
             for ref, cuts in joined.cuts.items()
         }
-        graphs.append(graph_of(replace(split(joined.pattern, moved), seams=joined.parts.seams)))
+        again = replace(split(joined.pattern, moved), seams=joined.parts.seams)
+    graphs.append(graph_of(subdivided(again, rng, share=SUBDIVIDED)))
     return graphs
 
 

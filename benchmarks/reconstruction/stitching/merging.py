@@ -17,7 +17,7 @@ from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
 from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
 
-__all__ = ["Cuts", "Merged", "aligned", "merged", "split"]
+__all__ = ["Cuts", "Merged", "aligned", "merged", "split", "subdivided"]
 
 Cuts = Mapping[EdgeRef, Sequence[float]]
 """Shares of the length at which edges are subdivided, in order."""
@@ -110,6 +110,25 @@ def split(pattern: Pattern, cuts: Cuts) -> Pattern:
         if seam.left not in cuts and seam.right not in cuts
     )
     return replace(whole, seams=seams)
+
+
+def subdivided(pattern: Pattern, rng: np.random.Generator, *, share: float) -> Pattern:
+    """The pattern with a random share of the seams cut in two, each side at the same place of the seam."""
+    chosen = [number for number in range(len(pattern.seams)) if rng.random() < share]
+    cuts: dict[EdgeRef, tuple[float, ...]] = {}
+    for seam in (pattern.seams[number] for number in chosen):
+        at = float(rng.uniform(0.25, 0.75))
+        cuts |= {seam.left: (at,), seam.right: (at if seam.right_wrong else 1 - at,)}
+    cut = split(pattern, cuts)
+    parts: dict[EdgeRef, list[EdgeRef]] = {}
+    for new, old in zip(edge_refs(cut), _origins(pattern, cuts), strict=True):
+        parts.setdefault(old, []).append(new)
+    seams = []
+    for seam in pattern.seams:
+        left, right = parts[seam.left], parts[seam.right]
+        along = right if seam.right_wrong else right[::-1]
+        seams += [Seam(a, b, seam.right_wrong) for a, b in zip(left, along, strict=True)]
+    return replace(cut, seams=tuple(seams))
 
 
 def aligned(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[float, ...]]:

@@ -19,7 +19,7 @@ from jaxtyping import Int
 
 from benchmarks.reconstruction.stitching.graphs import EdgeGraph
 
-__all__ = ["StitchScore", "best_symmetry", "congruences", "partners_of", "score_stitches"]
+__all__ = ["StitchScore", "best_symmetry", "congruences", "partners_of", "random_symmetry", "score_stitches"]
 
 CONGRUENT = 0.05  # cm: largest distance of points of congruent outlines
 PASSES = 4  # of the local search
@@ -93,6 +93,27 @@ def congruences(graph: EdgeGraph) -> Turns:
                 if shifts:
                     turns[one, other] = shifts
     return turns
+
+
+def random_symmetry(graph: EdgeGraph, rng: np.random.Generator) -> Int[np.ndarray, " e"]:
+    """A random symmetry of the panels: the image of each row.
+
+    The strict score of the truth moved by it is what an answer without any fault is worth, where the answer depends on
+    the shapes of the panels only.
+    """
+    turns = congruences(graph)
+    first, sizes = np.flatnonzero(np.diff(graph.panels, prepend=-1)), np.bincount(graph.panels)
+    moved = np.arange(len(graph.lengths))
+    kinds: dict[int, list[int]] = {}
+    for one, other in turns:
+        if one == min(b for a, b in turns if a == other):
+            kinds.setdefault(one, []).append(other)
+    for panels in kinds.values():
+        for panel, target in zip(panels, rng.permutation(panels).tolist(), strict=True):
+            shift = int(rng.choice(turns[panel, target]))
+            places = np.arange(sizes[panel])
+            moved[first[panel] + places] = first[target] + (places + shift) % sizes[panel]
+    return moved
 
 
 def _lie_on(graph: EdgeGraph, rows: Int[np.ndarray, " k"], others: Int[np.ndarray, " k"]) -> bool:

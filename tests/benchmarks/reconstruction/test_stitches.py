@@ -21,8 +21,8 @@ from benchmarks.reconstruction.models.stitches import (
 )
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split
-from benchmarks.reconstruction.stitching.symmetry import congruences, score_stitches
+from benchmarks.reconstruction.stitching.merging import aligned, merged, split, subdivided
+from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
@@ -273,6 +273,16 @@ def test_edges_sewn_to_one_panel_are_not_joined() -> None:
     assert set(found.cuts) == {EdgeRef("two", CAP_1)}
 
 
+def test_a_seam_cut_in_two_is_sewn_in_the_same_places() -> None:
+    pattern = t_shirt()
+    found = subdivided(pattern, np.random.default_rng(0), share=1.0)
+    assert len(found.seams) == 20
+    assert {side for seam in found.seams for side in (seam.left, seam.right)} <= set(edge_refs(found))
+    lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
+    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=1e-3) for seam in found.seams)
+    assert subdivided(pattern, np.random.default_rng(0), share=0.0).seams == pattern.seams
+
+
 def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
     found = merged(t_shirt())
     assert found is not None
@@ -328,6 +338,15 @@ def test_every_symmetry_of_the_truth_is_right(seed: int) -> None:
     assert score_stitches(graph, cycle).perfect_symmetric == 1.0
     two_rings = [(4 * a + 1, 4 * b + 3) for a, b in ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))]
     assert score_stitches(graph, two_rings).perfect_symmetric == 0.0
+
+
+def test_a_random_symmetry_of_the_truth_is_right() -> None:
+    graph = graph_of(tube())
+    images = [random_symmetry(graph, np.random.default_rng(seed)) for seed in range(8)]
+    scores = [score_stitches(graph, [(moved[a], moved[b]) for a, b in rows_of(tube())]) for moved in images]
+    assert all(sorted(moved) == list(range(16)) for moved in images)
+    assert {score.perfect_symmetric for score in scores} == {1.0}
+    assert min(score.f1 for score in scores) < 1.0
 
 
 def test_stitches_on_edges_that_the_truth_lacks_are_wrong() -> None:
