@@ -3,9 +3,9 @@
 Edges of all panels are the tokens of a transformer whose attention is biased by relations of pairs: same panel, next in
 the loop, ratio of lengths, likeness of curves, angles that meet. Each edge chooses a partner or stays free. Identical
 panels make the choice ambiguous: front and back of a skirt may be exchanged, but not for one seam only. The network is
-therefore trained with some of the true seams given, and predicts in rounds: confident seams are fixed first, and of
-equally likely seams one; the next round is given the fixed seams. The boundary of the partly sewn garment is a relation
-too: two edges that meet where a seam ends are often sewn next.
+therefore trained with some of the true seams given, those that it is surest of, and predicts in rounds: confident seams
+of the best matching are fixed first, and of equally likely seams one; the next round is given the fixed seams. The
+boundary of the partly sewn garment is a relation too: two edges that meet where a seam ends are often sewn next.
 
 Seams between one long edge and several edges become pairs once the long edge is subdivided: a second head predicts the
 points of subdivision (``cuts``), which then move to agree with the lengths of the edges sewn to the parts.
@@ -80,6 +80,7 @@ SIZES = 0.1  # standard deviation of the logarithm of a garment's size in traini
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
 VARIETY = 3  # variants of a garment
 VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
+SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
@@ -103,7 +104,7 @@ class StitchConfig:
     """Whether pairs are scored by their relations, too."""
     rounds: int = 24
     """Most rounds of a prediction; 1 predicts all seams at once, and trains without given seams."""
-    confident: float = 0.9
+    confident: float = 0.7
     """Probability of the seams that are fixed together in a round."""
     placed: bool = False
     """Whether the network sees the placement of the panels in space (variant B)."""
@@ -412,23 +413,28 @@ def scaled(batch: EdgeBatch, factors: Float[Tensor, " b"]) -> EdgeBatch:
     )
 
 
-def revealed(batch: EdgeBatch, shares: Float[Tensor, " b"], draw: Float[Tensor, "b e"]) -> Int[Tensor, "b e"]:
-    """Partners of a random part of the true seams, for numbers drawn from [0, 1): of none in half of the garments."""
+def revealed(
+    batch: EdgeBatch, shares: Float[Tensor, " b"], sure: Float[Tensor, "b e"], draw: Float[Tensor, "b e"]
+) -> Int[Tensor, "b e"]:
+    """Partners of a share of the true seams of each garment, -1 for the others.
+
+    Seams of a high probability ``sure`` come first, as in a prediction; ``draw``, from [0, 1), varies their order.
+    """
     partners = batch.partners
-    draw = torch.where(partners >= 0, torch.minimum(draw, draw.gather(1, partners.clamp(min=0))), 2.0)
-    shares = (2 * shares - 1).clamp(min=0)[:, None]
-    shown = 1 - (1 - shares).sqrt()  # a seam is shown if either of its draws is below
-    return torch.where(draw < shown, partners, -1)
+    sewn, partner = partners >= 0, partners.clamp(min=0)
+    sure = 0.5 * (sure + sure.gather(1, partner))
+    varied = SPREAD * torch.minimum(draw, draw.gather(1, partner))
+    place = torch.where(sewn, varied - sure, torch.inf).argsort(dim=1).argsort(dim=1)
+    shown = sewn & (place < shares[:, None] * sewn.sum(dim=1, keepdim=True))
+    return torch.where(shown & shown.gather(1, partner), partners, -1)
 
 
 def stitch_loss(
-    scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig, whole: Bool[Tensor, " b"]
+    scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig
 ) -> dict[str, tuple[Tensor, Tensor]]:
-    """Sums and counts of the loss terms by name.
-
-    ``whole``: garments with joined edges: they have cuts, but not all pairs.
-    """
+    """Sums and counts of the loss terms by name. Garments with joined edges have cuts, but not all pairs."""
     valid, partners = batch.valid, batch.partners
+    whole = (batch.cuts >= 0).flatten(1).any(dim=1)
     asked = valid & (known < 0) & ~whole[:, None]
     choices = scores.log_probabilities(config)
     target = torch.where(partners >= 0, partners, choices.shape[-1] - 1)
@@ -460,10 +466,10 @@ class StitchBatch:
     """Garments in parts of like size, with what the network is told of each part."""
 
     parts: tuple[EdgeBatch, ...]
-    known: tuple[Int[Tensor, "b e"], ...]
-    """Partners of the edges that are already sewn, -1 for the others."""
-    whole: tuple[Bool[Tensor, " b"], ...]
-    """Garments with joined edges."""
+    shares: tuple[Float[Tensor, " b"], ...]
+    """Share of the seams that are given."""
+    draws: tuple[Float[Tensor, "b e"], ...]
+    """Random numbers in [0, 1) that vary which."""
     patterns: tuple[Pattern, ...]
     """The garments' panels, in the order of the request, without seams; empty for batches drawn by chance."""
 
@@ -491,28 +497,26 @@ class StitchExamples:
         at = rows.to(device)
         if chance is None:
             part = self.graphs[VARIETY * at]
-            known = torch.full_like(part.partners, -1)
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
-            return StitchBatch((part,), (known,), (at < 0,), patterns)
+            return StitchBatch(
+                (part,), (torch.zeros(len(at), device=device),), (torch.zeros_like(part.lengths),), patterns
+            )
         seed = int(torch.randint(2**62, (1,), generator=chance))
         there = torch.Generator(device).manual_seed(seed)  # as many numbers on each rank: for all, not for these rows
-        kind, flip, shown = torch.rand(3, len(self), generator=there, device=device)[:, at]
+        kind, flip, share = torch.rand(3, len(self), generator=there, device=device)[:, at]
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
         kinds = (kind > VARIANTS[0]).long() + (kind > VARIANTS[1]).long()
         variants = VARIETY * at + kinds
         order = self.graphs.counts[variants].argsort()
-        parts, known_of, wholes = [], [], []
-        chunks = order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,)
-        for chunk in chunks:
+        parts, shares, draws = [], [], []
+        for chunk in order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,):
             part = scaled(mirrored(self.graphs[variants[chunk]], flip[chunk] < 0.5), sizes[chunk])
-            numbers = self.graphs.padded(draw, variants[chunk])
-            known = revealed(part, shown[chunk], numbers)
-            whole = (part.cuts >= 0).flatten(1).any(dim=1)
+            alone = (part.cuts >= 0).flatten(1).any(dim=1) | (self.config.rounds == 1)
             parts.append(part)
-            known_of.append(torch.where(whole[:, None] | (self.config.rounds == 1), -1, known))
-            wholes.append(whole)
-        return StitchBatch(tuple(parts), tuple(known_of), tuple(wholes), ())
+            shares.append(torch.where(alone, 0.0, (2 * share[chunk] - 1).clamp(min=0)))
+            draws.append(self.graphs.padded(draw, variants[chunk]))
+        return StitchBatch(tuple(parts), tuple(shares), tuple(draws), ())
 
 
 class StitchLearner(Learner[StitchBatch, Pattern]):
@@ -541,16 +545,28 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
 
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
         """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
-        terms = [
-            stitch_loss(self.net(part, known), part, known, self.net.config, whole)
-            for part, known, whole in zip(batch.parts, batch.known, batch.whole, strict=True)
-        ]
+        terms = []
+        for part, shares, draw in zip(batch.parts, batch.shares, batch.draws, strict=True):
+            known = self._given(part, shares, draw)
+            terms.append(stitch_loss(self.net(part, known), part, known, self.net.config))
         totals = {
             name: [torch.stack(column) for column in zip(*(t[name] for t in terms), strict=True)] for name in WEIGHTS
         }
         return {
             name: WEIGHTS[name] * values.sum() / counts.sum().clamp(min=1) for name, (values, counts) in totals.items()
         }
+
+    @torch.no_grad()
+    def _given(self, part: EdgeBatch, shares: Float[Tensor, " b"], draw: Float[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+        """The seams that the network is given: first those that it finds most likely when none is given."""
+        known = torch.full_like(part.partners, -1)
+        rows = (shares > 0).nonzero()[:, 0]
+        if len(rows):
+            some = _of_rows(part, rows)
+            choices = self.net(some, known[rows]).log_probabilities(self.net.config)
+            sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
+            known[rows] = revealed(some, shares[rows], sure, draw[rows])
+        return known
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:
         """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
@@ -590,16 +606,23 @@ def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
 
 @torch.no_grad()
 def sew(
-    net: StitchNet, patterns: Sequence[Pattern], *, subdivide: bool = False, batch: int = 64, seed: int = 0
+    net: StitchNet,
+    patterns: Sequence[Pattern],
+    *,
+    subdivide: bool = False,
+    rounds: int = 0,
+    batch: int = 64,
+    seed: int = 0,
 ) -> list[Pattern]:
     """The patterns with predicted seams instead of their own.
 
-    ``subdivide``: edges may be subdivided, for seams that join one edge to several. Rows are shuffled by ``seed``, so
-    that the order of panels, or of the edges in a loop, cannot help; it breaks ties between equally likely seams.
+    ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: edges may be subdivided, for seams that
+    join one edge to several. Rows are shuffled by ``seed``, so that the order of panels, or of the edges in a loop,
+    cannot help; it breaks ties between equally likely seams.
     """
     bare = [replace(pattern, seams=()) for pattern in patterns]
     if not subdivide:
-        return _sewn(net, bare, batch, seed)
+        return _sewn(net, bare, rounds, batch, seed)
     cuts = []
     for first in range(0, len(bare), batch):
         some = bare[first : first + batch]
@@ -610,7 +633,7 @@ def sew(
             {ref: own[row] for row, ref in enumerate(edge_refs(pattern)) if row in own}
             for pattern, own in zip(some, found, strict=True)
         ]
-    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], batch, seed)
+    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], rounds, batch, seed)
     return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
 
 
@@ -623,14 +646,14 @@ def _moved(pattern: Pattern, cuts: dict[EdgeRef, list[float]], parts: Pattern) -
     return replace(split(pattern, better), seams=parts.seams)
 
 
-def _sewn(net: StitchNet, patterns: Sequence[Pattern], batch: int, seed: int) -> list[Pattern]:
+def _sewn(net: StitchNet, patterns: Sequence[Pattern], rounds: int, batch: int, seed: int) -> list[Pattern]:
     graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
     chance = torch.Generator().manual_seed(seed)
     found: dict[int, Pattern] = {}
     for rows in torch.split(graphs.counts.argsort(), batch):
         part = graphs[rows]
         order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(rows.device)
-        stitches = predict_stitches(net, part.permuted(order))
+        stitches = predict_stitches(net, part.permuted(order), rounds)
         for row, own, places in zip(rows.tolist(), stitches, order.tolist(), strict=True):
             found[row] = with_seams(patterns[row], [(places[left], places[right], w) for left, right, w in own])
     return [found[row] for row in range(len(patterns))]
@@ -641,24 +664,25 @@ def _device(net: nn.Module) -> torch.device:
 
 
 @torch.no_grad()
-def predict_stitches(net: StitchNet, batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
+def predict_stitches(net: StitchNet, batch: EdgeBatch, rounds: int = 0) -> list[list[tuple[int, int, bool]]]:
     """Rows of the edges of each stitch, and whether it is ``right_wrong``."""
-    config = net.config
+    config, rounds = net.config, rounds or net.config.rounds
     known = torch.full_like(batch.partners, -1)
     wrong = torch.zeros_like(batch.right_wrong)
     open_rows = np.arange(len(batch))
-    for number in range(config.rounds):
+    for number in range(rounds):
         rows = torch.from_numpy(open_rows).to(known.device)
-        part = batch if len(rows) == len(batch) else EdgeBatch(*(value[rows] for value in vars(batch).values()))
+        part = batch if len(rows) == len(batch) else _of_rows(batch, rows)
         scores = net(part, known[rows])
         choices = scores.log_probabilities(config).cpu().double().numpy()
         turned = (scores.right_wrong > 0).cpu().numpy()
         partners, flags, still = known[rows].cpu().numpy(), wrong[rows].cpu().numpy(), []
         for at, row in enumerate(open_rows.tolist()):
-            pairs = [] if number == config.rounds - 1 else _fixed(choices[at], config.confident)
-            if pairs:
+            is_last = number == rounds - 1
+            pairs = _best_matching(choices[at]) if is_last else _fixed(choices[at], config.confident)
+            if pairs and not is_last:
                 still.append(row)
-            for left, right in pairs or _best_matching(choices[at]):
+            for left, right in pairs:
                 partners[at, [left, right]] = right, left
                 flags[at, [left, right]] = turned[at, left, right]
         known[rows] = torch.from_numpy(partners).to(known)
@@ -672,18 +696,16 @@ def predict_stitches(net: StitchNet, batch: EdgeBatch) -> list[list[tuple[int, i
     ]
 
 
+def _of_rows(batch: EdgeBatch, rows: Int[Tensor, " r"]) -> EdgeBatch:
+    return EdgeBatch(*(value[rows] for value in vars(batch).values()))
+
+
 def _fixed(logs: Float[np.ndarray, "e e+1"], confident: float) -> list[tuple[int, int]]:
-    """The pairs that a round fixes: the confident ones, else the best one that beats staying free; else none."""
-    mutual = 0.5 * (logs[:, :-1] + logs[:, :-1].T)
-    best = mutual.argmax(axis=1)
-    rows = np.arange(len(mutual))
-    sure = (mutual[rows, best] > math.log(confident)) & (best[best] == rows) & (rows < best)
-    if sure.any():
-        return [(row, int(best[row])) for row in np.flatnonzero(sure).tolist()]
-    sewn = logs[:, -1] < math.log(0.5)
-    gain = np.where(sewn[:, None] & sewn & (mutual > math.log(LEAST)), mutual, -np.inf)
-    left, right = np.unravel_index(int(gain.argmax()), gain.shape)
-    return [(int(left), int(right))] if np.isfinite(gain[left, right]) else []
+    """The pairs of the best matching that a round fixes: the confident ones, else the likeliest one."""
+    pairs = _best_matching(logs)
+    chance = {(left, right): 0.5 * (logs[left, right] + logs[right, left]) for left, right in pairs}
+    sure = [pair for pair in pairs if chance[pair] > math.log(confident)]
+    return sure or sorted(pairs, key=lambda pair: -chance[pair])[:1]
 
 
 def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:

@@ -137,6 +137,7 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, wor
         greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
     rng = np.random.default_rng(0)
     joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
+    at_once = sew(learner.net, patterns, rounds=1)
     began = time.perf_counter()
     ours = sew(learner.net, patterns)
     seconds = time.perf_counter() - began
@@ -145,16 +146,17 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, wor
     write(out / "truth", patterns)
     write(out / "several" / "predictions", parted)
     write(out / "several" / "truth", [entry.parts for entry in joined])
-    pairs = list(zip(patterns, ours, strict=True)), list(zip(patterns, greedy, strict=True))
+    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
     if workers > 1:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            scores, floor = (list(pool.map(_scored, some, chunksize=16)) for some in pairs)
+            scores, first, floor = (list(pool.map(_scored, some, chunksize=16)) for some in pairs)
             several = list(pool.map(_interval_scored, zip(joined, parted, strict=True), chunksize=16))
     else:
-        scores, floor = ([_scored(pair) for pair in some] for some in pairs)
+        scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
         several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
     return {
         "one_to_one": _table(scores),
+        "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),
         "several": _table(several),
