@@ -11,7 +11,10 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = ["MODELS", "load_model"]
 
-MODELS = {name: f"benchmarks.reconstruction.models.{name}" for name in ("panel_set", "nearest", "typical", "ceiling")}
+MODELS = {
+    name: f"benchmarks.reconstruction.models.{name}"
+    for name in ("panel_set", "stitches", "nearest", "typical", "ceiling")
+}
 
 
 def load_model(name: str) -> ModuleType:
