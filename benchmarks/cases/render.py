@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=18)
     parser.add_argument("--resolution", type=float, default=2.0, help="edge length of the meshes [cm] (default: 2)")
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8)")
+    parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8; 0: none)")
     parser.add_argument("--preparers", type=int, default=2, help="threads that prepare batches (default: 2)")
     parser.add_argument("--profile", action="store_true", help="add host and device times of each stage, and bytes")
     parser.add_argument("--peer", choices=["pyrender"], help="rasterise the --checked garments with it too")
@@ -99,9 +99,11 @@ def run(options: argparse.Namespace) -> Measured:
         _compared(scene, own[0], number, device)
         for number, (scene, own) in enumerate(zip(scenes[: options.checked], views, strict=False))
     ]
-    figures.append(Figure("mask_agreement", min(row["mask"] for row in rows), "of pixels, worst picture"))
-    figures.append(Figure("shadow_agreement", min(row["lit"] for row in rows), "of pixels, worst picture"))
-    figures.append(Figure("depth_agreement", min(row["depth"] for row in rows), f"within {DEPTH} cm, worst picture"))
+    if rows:
+        worst = {key: min(row[key] for row in rows) for key in ("mask", "lit", "depth")}
+        figures.append(Figure("mask_agreement", worst["mask"], "of pixels, worst picture"))
+        figures.append(Figure("shadow_agreement", worst["lit"], "of pixels, worst picture"))
+        figures.append(Figure("depth_agreement", worst["depth"], f"within {DEPTH} cm, worst picture"))
     if options.peer:
         for size in SIZES:
             some = scenes[: max(2, options.checked)], views[: max(2, options.checked)]

@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
+from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
@@ -78,7 +79,8 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
 def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
     """Put the sleeves of one side on the arm, in ``placed``; ``side``: 1 for the left side, -1 for the right."""
     sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
-    put_on_limb(mesh, sleeve, arm, placed)
+    if not roll_round_limb(mesh, sleeve, arm, placed):
+        put_on_limb(mesh, sleeve, arm, placed)
 
 
 def _put_on_leg(
