@@ -15,7 +15,8 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.reconstruction.evaluate import figures_of, row_of
 from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
-from benchmarks.reconstruction.train import options_from, run as run_model
+from benchmarks.reconstruction.train import options_from
+from benchmarks.reconstruction.train import run as run_model
 
 __all__ = ["add_arguments", "run"]
 
