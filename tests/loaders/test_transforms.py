@@ -55,7 +55,7 @@ def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
         "camera": {"rt": rt[0].tolist(), "size": 9},
         "light": {"key_direction": rotation[0, 2].tolist(), "fill_direction": [0.0, 1.0, 0.0], "sky": 1.0},
     }
-    item = {"scan": points, "scan_camera_rt": rt, "camera_rt": rt, "sketch_rt": rt.half(), "view_0_json": facts}
+    item: Item = {"scan": points, "scan_camera_rt": rt, "camera_rt": rt, "sketch_rt": rt.half(), "view_0_json": facts}
     turned = Yaw()(item, rng())
     assert turned["scan"].isnan().any(dim=1).tolist() == points.isnan().any(dim=1).tolist()
     assert not torch.allclose(turned["scan"][:-2], points[:-2], atol=1.0)
