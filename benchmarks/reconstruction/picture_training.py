@@ -27,7 +27,7 @@ from torch import Tensor
 
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.reconstruction.data import GarmentBatch, ToTargets, patterns_from
-from benchmarks.reconstruction.evaluate import UNITS, scores_of
+from benchmarks.reconstruction.evaluate import SEAMS, UNITS, scores_of
 from benchmarks.reconstruction.models import NetConfig, set_loss
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
@@ -55,7 +55,6 @@ INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the
 TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
 METRICS = ("panel_count_acc", "edge_count_acc", "iou")
 """The metrics whose gaps are stated in points."""
-SEAMS = ("stitch_p", "stitch_r", "stitch_f1")  # the network predicts none
 ON_GPU: Mapping[str, Any] = {
     "resolution": 2.0, "pool": 65_536, "batch": 128, "fresh": 32, "width": 256, "heads": 8, "layers": 4, "lr": 5e-4,
 }  # fmt: skip
@@ -508,6 +507,8 @@ def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | No
     if text["options"] != options:
         raise ConfigError(f"{path} has results of other options: give another --out")
     _log(f"{what}: read from {path}")
+    if any(len(row) != len(fields(PatternScore)) for rows in text["scores"].values() for row in rows):
+        raise ConfigError(f"{path} has the scores of another version: give another --out")
     scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
     return Result(what, text["figures"], scores)
 
