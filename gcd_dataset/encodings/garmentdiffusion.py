@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, control_points, to_frame
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, control_points, sample_curve, to_frame
 from gcd_dataset.encodings.rows import (
     control_of,
     loop_corners,
@@ -39,6 +39,7 @@ MAX_PANELS, MAX_EDGES = 37, 39
 LEAST_EDGES = 3  # a panel with fewer is padding
 ABSENT = 3.0  # cm: a point this close to the origin, the middle of the ground, is none
 IN_LINE = 1e-3  # share of the length of a row of points by which they may lie beside their line
+SAMPLES = 9  # points of an edge, to tell the direction of an outline
 FRONT = np.array([0.0, 0.0, 1.0])
 LEAST_RADIUS = 0.5  # cm: a smaller radius is none
 
@@ -77,7 +78,7 @@ def encode(pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = M
     for number, panel in enumerate(pattern.panels):
         rows = array[number, : len(panel.edges)]
         rows[:, Column.START : Column.CONTROL0] = panel.placement.apply(loop_corners(panel))
-        behind = _runs_clockwise(loop_corners(panel))
+        behind = _runs_clockwise(panel)
         for index, edge in enumerate(panel.edges):
             if isinstance(edge.curve, Arc):
                 arc = edge.curve
@@ -119,10 +120,14 @@ def decode(array: Float[np.ndarray, "p e 16"], name: str = "", *, names: Sequenc
     return Pattern(name, tuple(panels), seams_of(pairs, refs))
 
 
-def _runs_clockwise(corners: Float[np.ndarray, "e 2"]) -> bool:
-    """Whether the polygon of the corners runs clockwise in the panel's plane; not if it encloses nothing."""
-    x, y = corners.T
-    return not _in_line(corners) and bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
+def _runs_clockwise(panel: Panel) -> bool:
+    """Whether the polygon of the corners runs clockwise in the panel's plane; the outline, if they lie in one line."""
+    loop = loop_corners(panel)
+    if _in_line(loop):
+        pieces = [sample_curve(*panel.edge_ends(i), edge.curve, SAMPLES)[:-1] for i, edge in enumerate(panel.edges)]
+        loop = np.concatenate(pieces)
+    x, y = loop.T
+    return bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
 
 
 def _in_line(points: Float[np.ndarray, "n d"]) -> bool:
