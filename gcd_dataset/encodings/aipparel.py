@@ -138,7 +138,7 @@ def decode(garment: AIpparelTokens, name: str = "") -> Pattern:
         if curves:
             steps = np.diff(np.array(points), axis=0)
             panels.append(panel_from_vectors(title, steps, curves, [""] * len(curves), placement[3:], placement[:3]))
-    seams = tuple(Seam(*edges) for edges in tags.values() if len(edges) == 2)
+    seams = tuple(Seam(edges[0], edges[1]) for edges in tags.values() if len(edges) == 2)
     return Pattern(name, tuple(panels), seams)
 
 
@@ -189,7 +189,9 @@ def _panels(tokens: Sequence[str]) -> list[list[str]]:
     starts = [i for i, word in enumerate(words) if word == PANEL_START]
     ends = [i for i, word in enumerate(words) if word == PANEL_END]
     if not starts or len(starts) != len(ends) or any(a > b for a, b in zip(starts, ends, strict=True)):
-        raise PatternError(f"{len(starts)} {PANEL_START} and {len(ends)} {PANEL_END} tokens: give one end for each start")
+        raise PatternError(
+            f"{len(starts)} {PANEL_START} and {len(ends)} {PANEL_END} tokens: give one end for each start"
+        )
     return [words[a + 1 : b] for a, b in zip(starts, ends, strict=True)]
 
 

@@ -33,7 +33,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement
 from gcd_dataset.spec import euler_angles
 
-__all__ = ["Column", "decode", "encode"]
+__all__ = ["WIDTH", "Column", "decode", "encode"]
 
 MAX_PANELS, MAX_EDGES = 37, 39
 LEAST_EDGES = 3  # a panel with fewer is padding
@@ -68,7 +68,9 @@ class Column(IntEnum):
 WIDTH = 16
 
 
-def encode(pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = MAX_EDGES) -> Float[np.ndarray, "p e 16"]:
+def encode(
+    pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = MAX_EDGES
+) -> Float[np.ndarray, "p e 16"]:
     """The pattern's panels, in their order, as GarmentDiffusion's array.
 
     Raises ``PatternError`` for too many panels or edges, an open loop or a seam to a missing edge.
@@ -97,16 +99,16 @@ def decode(array: Float[np.ndarray, "p e 16"], name: str = "", *, names: Sequenc
     """The pattern of an array; seams join the edges with the nearest stitch tags.
 
     Each panel lies in the plane that fits its corners and control points best, its right side where the polygon of
-    the corners runs counter-clockwise; y points up in the plane, or to the back in a level one. A row is no edge if its start lies
-    within 3 cm of the origin. ``names``: of the panels (``panel_0``, … if ``None``). Raises ``PatternError`` for another
-    shape, or values that are not finite.
+    the corners runs counter-clockwise; y points up in the plane, or to the back in a level one. A row is no edge if its
+    start lies within 3 cm of the origin. ``names``: of the panels (``panel_0``, … if ``None``). Raises
+    ``PatternError`` for another shape, or values that are not finite.
     """
     if array.ndim != 3 or array.shape[2] != WIDTH:
         raise PatternError(
             f"GarmentDiffusion's array has shape {array.shape}, not (panels, edges, {WIDTH}): give one garment"
         )
     require_finite(array, "the array")
-    panels, refs = [], {}
+    panels, refs = list[Panel](), dict[int, EdgeRef]()
     for number, rows in enumerate(array):
         kept = np.flatnonzero(_present(rows[:, Column.START : Column.CONTROL0]))
         if len(kept) < LEAST_EDGES:

@@ -1,12 +1,12 @@
 """NeuralTailor's arrays (Korosteleva and Lee, 2022): 23 panels of 14 edges, placements and stitch tags.
 
-An edge is (dx, dy, cx, cy): the step to its end [cm] and the control point of a quadratic curve in the edge frame, zeros
-for a straight edge. A panel is placed by the quaternion (x, y, z, w) of its rotation and the position in space of its
-top (``rows.top_of``) [cm]. Edges with near stitch tags are sewn together.
+An edge is (dx, dy, cx, cy): the step to its end [cm] and the control point of a quadratic curve in the edge frame,
+zeros for a straight edge. A panel is placed by the quaternion (x, y, z, w) of its rotation and the position in space of
+its top (``rows.top_of``) [cm]. Edges with near stitch tags are sewn together.
 
 Not held: cubic curves and arcs become quadratic curves through the same middle; edge and panel labels; which seams are
-``right_wrong``; more panels or edges than there is room for. ``decode`` skips edges that step at most 1.5 cm in x and in
-y, which their code takes for padding.
+``right_wrong``; more panels or edges than there is room for. ``decode`` skips edges that step at most 1.5 cm in x and
+in y, which their code takes for padding.
 """
 
 from collections.abc import Callable, Sequence
@@ -87,7 +87,7 @@ class NeuralTailorArrays(Record):
 
 
 def edge_rows(panel: Panel) -> Float[np.ndarray, "e 4"]:
-    """(dx, dy, cx, cy) of every edge. Raises ``PatternError`` for an open loop or an arc that does not span its chord."""
+    """(dx, dy, cx, cy) of every edge. Raises ``PatternError`` for an open loop or an arc too small for its chord."""
     rows = np.zeros((len(panel.edges), 4))
     rows[:, :2] = edge_vectors(panel)
     for index, edge in enumerate(panel.edges):
@@ -159,7 +159,9 @@ def decode_panels(
             continue
         title = f"panel_{number}" if names is None or number >= len(names) else names[number]
         ends = np.concatenate([np.zeros((1, 2)), np.cumsum(rows[kept, :2], axis=0)]).tolist()
-        curves = [curve(row, (a[0], a[1]), (b[0], b[1])) for row, (a, b) in zip(rows[kept], pairwise(ends), strict=True)]
+        curves = [
+            curve(row, (a[0], a[1]), (b[0], b[1])) for row, (a, b) in zip(rows[kept], pairwise(ends), strict=True)
+        ]
         panel = panel_from_vectors(
             title, rows[kept, :2], curves, [""] * len(kept), rotations[number], translations[number]
         )

@@ -93,9 +93,7 @@ def quaternion(placement: Placement) -> Float[np.ndarray, "4"]:
     return Rotation.from_euler("xyz", placement.rotation).as_quat()
 
 
-def placement_rows(
-    pattern: Pattern, max_panels: int
-) -> tuple[Float[np.ndarray, "p 4"], Float[np.ndarray, "p 3"]]:
+def placement_rows(pattern: Pattern, max_panels: int) -> tuple[Float[np.ndarray, "p 4"], Float[np.ndarray, "p 3"]]:
     """Quaternion (x, y, z, w) and top in space [cm] of each panel, padded with zeros."""
     turns, tops = np.zeros((max_panels, 4)), np.zeros((max_panels, 3))
     for row, panel in enumerate(pattern.panels):
@@ -120,7 +118,8 @@ def panel_from_vectors(
     """The panel of edges drawn one after the other from (0, 0), hung by its top; see ``top_of``.
 
     The last edge ends at the first corner if it comes within ``GAP`` of it; else a straight edge closes the outline,
-    as their count of edges assumes. An arc too small for its chord becomes a half circle. ``turn``: quaternion (x, y, z, w) of any length but 0. Raises ``PatternError``.
+    as their count of edges assumes. An arc too small for its chord becomes a half circle. ``turn``: quaternion
+    (x, y, z, w) of any length but 0. Raises ``PatternError``.
     """
     ends = np.cumsum(steps, axis=0)
     closes = bool(np.all(np.abs(ends[-1]) <= GAP))
@@ -195,7 +194,8 @@ def arc_through(start: Point, end: Point, middle: Point) -> Arc | Line:
 def seam_ends(pattern: Pattern) -> list[tuple[int, int]]:
     """The rows of the edges that each seam joins, edges counted over all panels. Raises ``PatternError``."""
     row = {
-        ref: n for n, ref in enumerate(EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges)))
+        ref: n
+        for n, ref in enumerate(EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges)))
     }
     for number, seam in enumerate(pattern.seams):
         for side in (seam.left, seam.right):
@@ -259,14 +259,14 @@ def require_room(pattern: Pattern, *, panels: int, edges: int, what: str) -> Non
     """Raise ``PatternError`` if a pattern has more panels, or a panel more edges, than an encoding holds."""
     if len(pattern.panels) > panels:
         raise PatternError(
-            f"{shown(pattern.name)}: {len(pattern.panels)} panels, {what} hold {panels}: raise max_panels, or leave the "
-            "garment out"
+            f"{shown(pattern.name)}: {len(pattern.panels)} panels, {what} hold {panels}: raise max_panels, or "
+            "leave the garment out"
         )
     for panel in pattern.panels:
         if len(panel.edges) > edges:
             raise PatternError(
-                f"{shown(pattern.name)}, panel {shown(panel.name)}: {len(panel.edges)} edges, {what} hold {edges}: raise "
-                "max_edges, or leave the garment out"
+                f"{shown(pattern.name)}, panel {shown(panel.name)}: {len(panel.edges)} edges, {what} hold {edges}: "
+                "raise max_edges, or leave the garment out"
             )
 
 

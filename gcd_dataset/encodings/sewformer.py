@@ -1,8 +1,8 @@
 """SewFormer's arrays (Liu et al., 2023), and their form with seven numbers an edge used for GarmentCodeData.
 
 Panels and placements are those of ``neuraltailor``. Four numbers an edge are NeuralTailor's. Seven are (dx, dy, x0, y0,
-x1, y1, arc): two control points of a cubic curve in the edge frame; for an arc its middle, twice, and ``arc`` = 1. Seams
-come from a score of each edge to be sewn, and a similarity of each pair of edges.
+x1, y1, arc): two control points of a cubic curve in the edge frame; for an arc its middle, twice, and ``arc`` = 1.
+Seams come from a score of each edge to be sewn, and a similarity of each pair of edges.
 
 Not held: with four numbers, cubic curves and arcs become quadratic curves through the same middle; with seven,
 quadratic curves become equal cubic ones. Edge and panel labels, which seams are ``right_wrong``, and more panels or
@@ -117,7 +117,10 @@ def decode(
         raise PatternError(f"outlines have {width} numbers an edge, not 4 or 7: give SewFormer's outlines")
     require_shapes(arrays.outlines, arrays.rotations, arrays.translations, width=width)
     scores, similarity = arrays.edge_cls.reshape(-1), arrays.edge_similarity
-    if similarity.shape != (len(scores), len(scores)) or len(scores) != arrays.outlines.shape[0] * arrays.outlines.shape[1]:
+    if (
+        similarity.shape != (len(scores), len(scores))
+        or len(scores) != arrays.outlines.shape[0] * arrays.outlines.shape[1]
+    ):
         raise PatternError(
             f"edge_cls has {len(scores)} scores and edge_similarity shape {similarity.shape} for outlines of shape "
             f"{arrays.outlines.shape}: give one score an edge and one similarity a pair of edges"

@@ -32,9 +32,9 @@ from gcd_dataset.encodings.rows import (
     top_of,
 )
 from gcd_dataset.errors import PatternError
-from gcd_dataset.records import EdgeRef, EdgeRole, Pattern
+from gcd_dataset.records import EdgeRef, EdgeRole, Panel, Pattern
 
-__all__ = ["CONTINUOUS", "PANEL_SLOTS", "SCALING", "Column", "decode", "encode"]
+__all__ = ["CONTINUOUS", "PANEL_SLOTS", "SCALING", "SLOT_NAMES", "WIDTH", "Column", "decode", "encode"]
 
 MAX_PANELS, MAX_EDGES = 39, 37
 LARGEST_RADIUS = 950.0  # cm: larger radii are stored as this; pattern/core.py (there with up to 10 cm of noise)
@@ -65,6 +65,13 @@ PANEL_SLOTS: Mapping[str, int] = {
     for name in names.split()
 }  # fmt: skip
 """Slot of a GarmentCode panel by name (panel_order.json); a panel with another name takes the next free slot."""
+
+
+SLOT_NAMES = tuple(
+    f"bottom_panel_{slot - 24}" if 24 <= slot < 38 else next(name for name, at in PANEL_SLOTS.items() if at == slot)
+    for slot in range(MAX_PANELS)
+)
+"""Name of each slot in predictions (panel_order.json)."""
 
 
 class Column(IntEnum):
@@ -103,7 +110,7 @@ class Column(IntEnum):
 WIDTH = 29
 CONTINUOUS = 19
 """Number of continuous columns, which come first."""
-LABELS = {
+LABELS: Mapping[tuple[int, ...], EdgeRole] = {
     (0, 0, 1): EdgeRole.LOWER_INTERFACE,
     (0, 1, 0): EdgeRole.RIGHT_COLLAR,
     (0, 1, 1): EdgeRole.LEFT_COLLAR,
@@ -132,7 +139,9 @@ SCALING = Scaling(
 """How the released network standardises the continuous columns (configs/ae/ae.py)."""
 
 
-def encode(pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = MAX_EDGES) -> Float[np.ndarray, "p e 29"]:
+def encode(
+    pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = MAX_EDGES
+) -> Float[np.ndarray, "p e 29"]:
     """The pattern as SewingLDM's array, not standardised; flags are 1 and -1.
 
     Raises ``PatternError`` for too many panels or edges, an open loop, a seam to a missing edge or an unknown label.
@@ -176,7 +185,7 @@ def decode(array: Float[np.ndarray, "p e 29"], name: str = "", *, names: Sequenc
     if array.ndim != 3 or array.shape[2] != WIDTH:
         raise PatternError(f"SewingLDM's array has shape {array.shape}, not (panels, edges, {WIDTH}): give one garment")
     require_finite(array, "the array")
-    panels, refs = [], {}
+    panels, refs = list[Panel](), dict[int, EdgeRef]()
     for slot, rows in enumerate(array):
         kept = np.flatnonzero(rows[:, Column.EDGE] > 0)
         if len(kept) < LEAST_EDGES:

@@ -5,8 +5,8 @@ empty slots: the presets differ from each other and from ``PatternScore`` on the
 leaves the garment the same can cost a prediction all its points. Where a source averages over no garment at all, the
 value is NaN.
 
-A prediction is a pattern or ``None`` for a failure. Its panels without a closed outline, and those with an arc too small
-for its chord, count as missing. What the sources leave open is marked "chosen".
+A prediction is a pattern or ``None`` for a failure. Its panels without a closed outline, and those with an arc too
+small for its chord, count as missing. What the sources leave open is marked "chosen".
 
 ``neuraltailor`` (Korosteleva and Lee 2022, ``nn/metrics/metrics.py``): a slot is a panel name. Arrays have 23 slots, or
 as many as there are names in ``true`` and ``predicted``; a panel that is missing is a row of zeros.
@@ -26,13 +26,14 @@ in the list, for ``edges`` by name; seams by names.
 
 - ``panels``: garments with the right number of panels; failures count as wrong.
 - ``edges``: predicted panels with the right number of edges, divided by the predicted number; without failures.
-- ``edges_correct``, ``panel_l2`` (with the first control point of a cubic curve), ``transl_l2``, ``rot_l2`` (quaternions
-  without sign), ``stitch_recall``: over garments with the right number of panels only.
+- ``edges_correct``, ``panel_l2`` (with the first control point of a cubic curve), ``transl_l2``, ``rot_l2``
+  (quaternions without sign), ``stitch_recall``: over garments with the right number of panels only.
 
 ``garmentdiffusion`` (Li et al. 2025; no code is public, so that all but the names is chosen): a slot is a place in the
 list; a missing panel is a row of zeros.
 
-- ``panel_l2``, ``panels``, ``edges``, ``transl_l2``: as in ``neuraltailor``, with plain numbers of edges, over true panels.
+- ``panel_l2``, ``panels``, ``edges``, ``transl_l2``: as in ``neuraltailor``, with plain numbers of edges, over true
+  panels.
 - ``rot_l2``: distance of Euler angles [rad], over true panels.
 - ``stitch_precision``, ``stitch_recall``, ``stitch_f1``: mean over garments.
 
@@ -74,7 +75,6 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern
 __all__ = ["PRESETS", "legacy_scores"]
 
 Pair: TypeAlias = tuple[Pattern | None, Pattern]
-Refs: TypeAlias = tuple[EdgeRef, EdgeRef]
 
 EMPTY = 0.07  # standardised units: an edge with all values this close to those of padding is padding; metrics.py
 RELATIVE = 1e-5  # rtol of numpy.isclose, which adds to it
@@ -83,9 +83,7 @@ CURVE_POINTS = 50  # points of an edge; config.py: points_per_curve
 RINGS = (0.25, 0.5, 0.75, 1.0)  # copies of an outline that fill the panel with points
 
 
-def legacy_scores(
-    preset: str, predicted: Sequence[Pattern | None], true: Sequence[Pattern]
-) -> dict[str, float]:
+def legacy_scores(preset: str, predicted: Sequence[Pattern | None], true: Sequence[Pattern]) -> dict[str, float]:
     """The mean scores of a preset; see the module for their definitions.
 
     Raises ``ConfigError`` for an unknown preset, lists of unequal length or empty ones, and ``PatternError`` for a true
@@ -113,7 +111,9 @@ def _neuraltailor(pairs: Sequence[Pair]) -> dict[str, float]:
         right.append(len(real) == len(wanted))
         right_edges = sum(name in wanted and count == len(wanted[name].edges) for name, count in real.items())
         edges.append(_share(right_edges, len(wanted)))
-        shapes.append([_shape_distance(mine.get(name), panel) for name, panel in wanted.items() if len(panel.edges) > 2])
+        shapes.append(
+            [_shape_distance(mine.get(name), panel) for name, panel in wanted.items() if len(panel.edges) > 2]
+        )
         every = mine.keys() | wanted.keys()
         rot.append(sum(_step(mine.get(name), wanted.get(name), _turn) for name in every) / slots)
         transl.append(sum(_step(mine.get(name), wanted.get(name), _top) for name in every) / slots)
@@ -177,7 +177,9 @@ def _aipparel(pairs: Sequence[Pair]) -> dict[str, float]:
         kept["panel_l2"].append(_mean([_padded_distance(a, b) for a, b in both]))
         kept["transl_l2"].append(_mean([_step(a, b, _top) for a, b in both]))
         kept["rot_l2"].append(_mean([_unsigned(_turn(a), _turn(b)) for a, b in both]))
-        partner = {ref: other for seam in ours.seams for ref, other in ((seam.left, seam.right), (seam.right, seam.left))}
+        partner = {
+            ref: other for seam in ours.seams for ref, other in ((seam.left, seam.right), (seam.right, seam.left))
+        }
         found = sum(partner.get(seam.left) == seam.right for seam in theirs.seams)
         kept["stitch_recall"].append(_share(found, len(theirs.seams)))
     return {"panels": _mean(right), "edges": _mean(edges), **{name: _mean(values) for name, values in kept.items()}}
