@@ -14,7 +14,7 @@ as many as there are names in ``true`` and ``predicted``; a panel that is missin
 - ``panel_l2``: distance of corners and control points, each panel's mean at the origin and cut to the true number of
   edges, over all true panels [cm].
 - ``panels``: garments with the right number of panels. An edge that steps at most 1.8 cm in x and 2.2 cm in y and is
-  straight is not counted; a gap over 3 cm is one more edge; fewer than three edges are no panel.
+  straight is not counted; fewer than three edges are no panel.
 - ``edges``: slots with the right number of edges, so counted, divided by the true number of panels.
 - ``rot_l2``: distance of quaternions with their signs, mean over all slots, empty ones included.
 - ``transl_l2``: distance of the panels' tops in space, mean over all slots [cm].
@@ -67,7 +67,7 @@ from scipy.spatial import KDTree
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.encodings.neuraltailor import MAX_PANELS, SCALINGS, edge_rows
-from gcd_dataset.encodings.rows import GAP, loop_corners, quaternion, top_of
+from gcd_dataset.encodings.rows import loop_corners, quaternion, top_of
 from gcd_dataset.encodings.sewformer import edge_rows_7
 from gcd_dataset.errors import ConfigError, PatternError, did_you_mean
 from gcd_dataset.records import EdgeRef, Panel, Pattern
@@ -141,12 +141,11 @@ def _neuraltailor(pairs: Sequence[Pair]) -> dict[str, float]:
 
 
 def _counted_edges(rows: Float[np.ndarray, "e 4"]) -> int:
-    """Edges that differ from padding, and one more for a gap between the ends."""
+    """Edges that differ from padding. (The source adds one for a gap between the ends; here outlines are closed.)"""
     scaling = SCALINGS["outlines"]
     scale, shift = np.array(scaling.scale), np.array(scaling.shift)
     empty = np.all(np.abs(rows) / scale <= EMPTY + RELATIVE * np.abs(shift / scale), axis=1)
-    gap = bool(np.any(np.abs(rows[:, :2].sum(axis=0)) > GAP))
-    return int(np.sum(~empty)) + gap
+    return int(np.sum(~empty))
 
 
 def _shape_distance(ours: Panel | None, theirs: Panel) -> float:
