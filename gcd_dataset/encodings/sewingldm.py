@@ -34,7 +34,7 @@ from gcd_dataset.encodings.rows import (
 from gcd_dataset.errors import PatternError
 from gcd_dataset.records import EdgeRef, EdgeRole, Panel, Pattern
 
-__all__ = ["CONTINUOUS", "PANEL_SLOTS", "SCALING", "SLOT_NAMES", "WIDTH", "Column", "decode", "encode"]
+__all__ = ["CONTINUOUS", "PANEL_SLOTS", "SCALING", "SLOT_NAMES", "WIDTH", "Column", "decode", "encode", "panel_slots"]
 
 MAX_PANELS, MAX_EDGES = 39, 37
 LARGEST_RADIUS = 950.0  # cm: larger radii are stored as this; pattern/core.py (there with up to 10 cm of noise)
@@ -149,7 +149,7 @@ def encode(
     require_room(pattern, panels=max_panels, edges=max_edges, what="SewingLDM's arrays")
     array = np.zeros((max_panels, max_edges, WIDTH))
     array[..., CONTINUOUS:] = -1.0
-    slots = _slots([panel.name for panel in pattern.panels], max_panels)
+    slots = panel_slots([panel.name for panel in pattern.panels], max_panels)
     flags_of = {label: flags for flags, label in LABELS.items()}
     for slot, panel in zip(slots, pattern.panels, strict=True):
         rows = array[slot, : len(panel.edges)]
@@ -210,7 +210,7 @@ def decode(array: Float[np.ndarray, "p e 29"], name: str = "", *, names: Sequenc
     return Pattern(name, tuple(panels), seams_of(pairs, refs, turned))
 
 
-def _slots(names: Sequence[str], count: int) -> list[int]:
+def panel_slots(names: Sequence[str], count: int) -> list[int]:
     """A slot for each panel: by its name, or the next free one."""
     wanted = [PANEL_SLOTS.get(name, count) for name in names]
     taken: dict[int, int] = {}
