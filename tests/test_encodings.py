@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, Pattern, Placeme
 from gcd_dataset.spec import read_pattern
 
 CONFIG = MakeConfig(bodies="neutral", stage="pattern")
-ROOM = {"max_panels": 40, "max_edges": 40}
+ROOM: dict[str, Any] = {"max_panels": 40, "max_edges": 40}
 ALL_EDGES = 1e-6  # cm
 
 
@@ -153,8 +154,7 @@ def test_any_curve_survives_or_keeps_its_ends_and_middle(name: str, curve: Curve
     if isinstance(curve, ENCODINGS[name].exact):
         assert_same(found, in_slots(pattern) if name == "sewingldm" else pattern, 1e-5)
         return
-    middles = [sample_middle(panel) for panel in (found.panels[0], pattern.panels[0])]
-    np.testing.assert_allclose(*middles, atol=1e-6)
+    np.testing.assert_allclose(sample_middle(found.panels[0]), sample_middle(pattern.panels[0]), atol=1e-6)
 
 
 def sample_middle(panel: Panel) -> np.ndarray:
@@ -167,7 +167,7 @@ def sample_middle(panel: Panel) -> np.ndarray:
 def test_neuraltailor_holds_a_square_by_hand() -> None:
     arrays = neuraltailor.encode(pair(Quadratic((0.5, 0.2))))
     assert arrays.outlines.shape == (23, 14, 4)
-    expected = [[10, 0, 0.5, 0.2], [0, 10, 0, 0], [-10, 0, 0, 0], [0, -10, 0, 0]]
+    expected: list[list[float]] = [[10, 0, 0.5, 0.2], [0, 10, 0, 0], [-10, 0, 0, 0], [0, -10, 0, 0]]
     np.testing.assert_allclose(arrays.outlines[0, :4], expected, atol=1e-12)
     assert not arrays.outlines[0, 4:].any() and not arrays.outlines[2:].any()
     panel = pair().panels[0]
@@ -266,7 +266,8 @@ def test_aipparel_reads_an_arc_through_any_of_its_points() -> None:
     values = {**garment.values, "<pattern_cmd_ARC>": np.array([[*end, *third]])}
     found = aipparel.decode(replace(garment, values=values)).panels[0].edges[0].curve
     assert isinstance(found, Arc)
-    assert (found.radius, found.large, found.right) == (pytest.approx(10.0), True, False)
+    assert found.radius == pytest.approx(10.0)
+    assert found.large and not found.right
 
 
 def test_aipparel_closes_a_panel_without_a_closing_edge() -> None:

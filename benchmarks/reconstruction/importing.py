@@ -130,7 +130,7 @@ def _neuraltailor(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pat
 
 
 def _sewformer(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pattern:
-    if not raw and arrays["outlines"].shape[-1] != 4:
+    if not raw and arrays["outlines"].ndim == 3 and arrays["outlines"].shape[2] == 7:
         raise SpecError("outlines with seven numbers an edge have no published scaling: convert them to cm, give --raw")
     outlines, rotations, translations = _placed(arrays, {} if raw else sewformer.SCALINGS)
     count = outlines.shape[0] * outlines.shape[1]
