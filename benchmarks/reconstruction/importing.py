@@ -143,8 +143,12 @@ def _sewformer(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Patter
 def _placed(arrays: Mapping[str, np.ndarray], scalings: Mapping[str, Scaling]) -> list[np.ndarray]:
     """Outlines, rotations and translations in cm. SewFormer's outlines may hold all edges of a panel in one row."""
     outlines, rotations, translations = (arrays[name] for name in ("outlines", "rotations", "translations"))
-    if outlines.ndim == 2 and len(rotations):
+    if outlines.ndim == 2 and len(rotations) and outlines.size % (4 * len(rotations)) == 0:
         outlines = outlines.reshape(len(rotations), -1, 4)
+    if outlines.ndim != 3:
+        raise SpecError(
+            f"outlines have shape {outlines.shape}, not (panels, edges, numbers): save the network's output"
+        )
     parts = {"outlines": outlines, "rotations": rotations, "translations": translations}
     for name, values in parts.items():
         if name in scalings and values.shape[-1] != len(scalings[name].shift):
@@ -233,7 +237,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             content = torch.load(path, map_location="cpu", weights_only=True)
             parts = content if isinstance(content, dict) else {SINGLE: content}
             arrays = {
-                str(key): value.detach().to(torch.float64).numpy()
+                str(key): _real((value if value.is_complex() else value.double()).numpy(force=True))
                 for key, value in parts.items()
                 if isinstance(value, torch.Tensor)
             }
@@ -242,15 +246,21 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             return arrays
         content = np.load(path, allow_pickle=False)
         if isinstance(content, np.ndarray):
-            return {SINGLE: content.astype(float)}
+            return {SINGLE: _real(content)}
         with content:
             plain = {key: content[key] for key in content.files}
-        return {key: value if key == "names" else value.astype(float) for key, value in plain.items()}
+        return {key: value if key == "names" else _real(value) for key, value in plain.items()}
     except FileNotFoundError as cause:
         raise SpecError(f"{path}: no such file: give a prediction") from cause
     except UNREADABLE as cause:
         reason = str(cause).partition("\n")[0].partition(". ")[0]
         raise SpecError(f"{path}: cannot be read ({shown(reason)}): {advice}") from cause
+
+
+def _real(values: np.ndarray) -> np.ndarray:
+    if np.iscomplexobj(values):
+        raise ValueError("complex numbers")
+    return values.astype(float)
 
 
 def _tokens(tree: Mapping[str, Any], path: Path, *, raw: bool) -> aipparel.AIpparelTokens:

@@ -56,14 +56,14 @@ def repaired(spec: Any, *, source: str = "specification") -> tuple[Mapping[str, 
             dict(within.mapping(edge, f"edge {i}")) for i, edge in enumerate(within.list_of(entry, "edges"))
         ]
         remarks += [f"panel {key}: {fault}" for fault in _mend_panel(entry)]
-    stitches = body.get("stitches") or []
+    stitches = at.list_of(body, "stitches") if body.get("stitches") is not None else []
     kept = [stitch for stitch in stitches if _joins(stitch, panels)]
     if len(kept) < len(stitches):
         remarks.append(f"{len(stitches) - len(kept)} of {len(stitches)} seams to missing edges: left out")
     body |= {"panels": panels, "stitches": kept}
     if (order := body.get("panel_order")) is not None:
-        named = [name for name in dict.fromkeys(order) if name in panels] if isinstance(order, list) else []
-        body["panel_order"] = named + [name for name in panels if name not in named]
+        given = [name for name in at.list_of(body, "panel_order") if isinstance(name, str) and name in panels]
+        body["panel_order"] = list(dict.fromkeys((*given, *panels)))
         if body["panel_order"] != order:
             remarks.append("panel_order: did not name every panel once: completed")
     return whole | {"pattern": body}, tuple(remarks)
@@ -114,7 +114,8 @@ def _joins(stitch: Any, panels: Mapping[str, Mapping[str, Sequence[Any]]]) -> bo
     sides = stitch[:2] if isinstance(stitch, list) else []
     return len(sides) == 2 and all(
         isinstance(side, Mapping)
-        and side.get("panel") in panels
+        and isinstance(side.get("panel"), str)
+        and side["panel"] in panels
         and isinstance(side.get("edge"), int)
         and 0 <= side["edge"] < len(panels[side["panel"]]["edges"])
         for side in sides

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
 from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.importing import garment_name, main
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
@@ -162,7 +163,8 @@ def test_a_batch_of_garments_with_names(tmp_path: Path) -> None:
     save(tmp_path / "batch.npz", batch, names=np.array(["thin", "wide"]))
     assert run("neuraltailor", tmp_path / "batch.npz", out=tmp_path / "out") == 0
     assert_perfect(tmp_path / "out" / "wide_specification.json", garment(width=50.0))
-    torch.save({key: torch.from_numpy(value) for key, value in batch.items()}, tmp_path / "batch.pt")
+    tensors = {key: torch.from_numpy(value.copy()).requires_grad_() for key, value in batch.items()}
+    torch.save(tensors, tmp_path / "batch.pt")
     assert run("neuraltailor", tmp_path / "batch.pt", out=tmp_path / "out") == 0
     assert_perfect(tmp_path / "out" / "batch_1_specification.json", garment(width=50.0))
 
@@ -222,6 +224,14 @@ def test_imported_predictions_are_scored(tmp_path: Path, capsys: pytest.CaptureF
     assert "evaluate.stitched.panels 1 " in said
 
 
+def test_losses_of_encodings_are_measured() -> None:
+    found = {name: losses_of(again, [garment()]) for name, again in AGAIN.items()}
+    assert all(fit == 1.0 and means["topology_exact"] == 1.0 for fit, means in found.values())
+    many = Pattern("many", tuple(garment().panels[0] for _ in range(24)), ())
+    fit, means = losses_of(AGAIN["NeuralTailor, 23 × 14 × 4"], [garment(), many])
+    assert (fit, means["iou"]) == pytest.approx((0.5, 1.0))
+
+
 # --------------------------------------------------------------------------------------------------------------- errors
 
 
@@ -233,6 +243,28 @@ class Evil:
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"stitches": [[{"panel": {}, "edge": 0}, {"panel": [], "edge": 1}]]},
+        {"panel_order": [[], {}, None, "front", "back"]},
+    ],
+)
+def test_odd_names_are_no_panels(fault: dict[str, Any]) -> None:
+    spec = old_specification()
+    spec["pattern"] |= fault
+    mended, remarks = repaired(spec)
+    assert len(remarks) == 1
+    assert mended["pattern"].get("panel_order", ["front", "back"]) == ["front", "back"]
+
+
+def test_half_precision_tensors_are_read(tmp_path: Path) -> None:
+    tensors = {key: torch.from_numpy(value.copy()).bfloat16() for key, value in standardised(garment()).items()}
+    torch.save(tensors, tmp_path / "belt.pt")
+    assert run("neuraltailor", tmp_path / "belt.pt", out=tmp_path / "out") == 0
+    assert score_pattern(read_pattern(tmp_path / "out" / "belt_specification.json"), garment()).iou > 0.95
 
 
 @pytest.mark.parametrize("suffix", ["npz", "npy", "pt"])
@@ -275,6 +307,14 @@ def test_errors_name_file_place_and_remedy(tmp_path: Path, capsys: pytest.Captur
 
     assert run("neuraltailor", tmp_path / "none.npz", out=out) == 1
     assert "none.npz: no such file: give a prediction" in one_line_of(capsys)
+
+    save(source, {**parts, "outlines": parts["outlines"].reshape(-1)})
+    assert run("neuraltailor", source, out=out) == 1
+    assert "belt.npz: belt: outlines have shape (1288,), not (panels, edges, numbers)" in one_line_of(capsys)
+
+    save(source, {**parts, "outlines": parts["outlines"] * 1j})
+    assert run("neuraltailor", source, out=out) == 1
+    assert "belt.npz: cannot be read (complex numbers): save plain arrays" in one_line_of(capsys)
 
     (tmp_path / "empty").mkdir()
     assert run("sewformer", tmp_path / "empty", out=out) == 1
