@@ -345,11 +345,17 @@ def test_moved_corners_keep_the_seams(noise: float) -> None:
 # ------------------------------------------------------------------------------------------------------------ failures
 
 
+def far_away(panel: Panel) -> Panel:
+    return replace(panel, placement=replace(panel.placement, translation=panel.placement.translation + 500.0))
+
+
 def test_a_failure_is_no_better_than_any_prediction() -> None:
     whole = garment()
     worst = failed_score(whole)
     wrong = replace(whole, panels=whole.panels[:1], seams=())
-    for other in (score_pattern(whole, whole), score_pattern(wrong, whole), score_pattern(Pattern("", (), ()), whole)):
+    large = each(lambda panel: replace(panel, vertices=30 * panel.vertices))(whole)
+    for answer in (whole, wrong, large, each(far_away)(whole), Pattern("", (), ())):
+        other = score_pattern(answer, whole)
         for name in PatternScore.__dataclass_fields__:
             low_is_good = name in ("panel_l2", "panel_l2_pen", "transl_cm", "rot_deg", "seam_mismatch")
             better, worse = (getattr(score, name) for score in (other, worst))

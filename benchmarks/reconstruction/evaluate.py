@@ -10,6 +10,7 @@ definitions are in docs/evaluate.md. Exit code 0, or 1 with one line on what to 
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -30,22 +31,19 @@ from benchmarks.reconstruction.scoring.table import (
     tree_of,
 )
 from gcd_dataset import __version__
-from gcd_dataset.errors import GcdError, OutputError, SpecError
+from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
 from gcd_dataset.files import write_whole
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
-    import torch
-
-    from benchmarks.reconstruction.data import GarmentBatch
-    from benchmarks.reconstruction.models import PatternNet
     from benchmarks.reconstruction.scoring.bodies import Wearers
     from benchmarks.reconstruction.scoring.distances import Shape
 
-__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "predict", "row_of", "scores_of"]
+__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "row_of", "scores_of"]
 
+INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
 SEAMS = (
     "stitch_p", "stitch_r", "stitch_f1", "stitch_nm_p", "stitch_nm_r", "stitch_nm_f1", "garment_perfect",
@@ -55,7 +53,10 @@ SEAMS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code: 0, or 1 for bad input; exits 2 for wrong usage."""
+    """Run the command. Returns the exit code: 0, or 1 for bad input, 2 for a missing device, 130 after Ctrl-C.
+
+    Exits 2 for wrong usage.
+    """
     parser = _parser()
     options = parser.parse_args(arguments)
     if not options.drape and (given := [name for name in ("bodies", "inputs") if getattr(options, name) is not None]):
@@ -65,8 +66,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for line in evaluate(options):
             print(line, flush=True)
+    except KeyboardInterrupt:
+        print("evaluate: interrupted", file=sys.stderr)
+        return INTERRUPTED
     except GcdError as error:
         print(f"evaluate: {error}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
+    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return 0
 
@@ -84,24 +91,23 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
     garments = list(_with_bar(scored, len(folders.cases), "scored", options.quiet))
     if wearers is not None:
         garments = list(_with_bar(_draped(garments, wearers, inputs, options), len(garments), "draped", options.quiet))
+    figures, kinds = summaries(garments), summaries_by_kind(garments)
+    presets = {preset: _preset(preset, garments) for preset in options.preset}
+    if options.json is not None:
+        tree = tree_of(garments, figures, kinds, presets, _settings(options))
+        write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
     yield garment_table(garments)
     yield ""
-    failed = sum(bool(garment.failure) for garment in garments)
     yield f"evaluate.garments {len(garments)} garments"
-    yield f"evaluate.failed {failed} garments"
-    figures, kinds = summaries(garments), summaries_by_kind(garments)
+    yield f"evaluate.failed {sum(bool(garment.failure) for garment in garments)} garments"
     yield from map(line_of, figures)
     if options.by_kind:
         for kind, rows in kinds.items():
             count = sum(garment.kind == kind for garment in garments)
             yield f"evaluate.{_word(kind)}.garments {count} garments"
             yield from (line_of(row, f"evaluate.{_word(kind)}") for row in rows)
-    presets = {preset: _preset(preset, garments) for preset in options.preset}
     for preset, scores in presets.items():
         yield from (f"evaluate.{preset}.{name} {value:.4g} as published" for name, value in scores.items())
-    if options.json is not None:
-        tree = tree_of(garments, figures, kinds, presets, _settings(options))
-        write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -230,21 +236,6 @@ def _word(kind: str) -> str:
 
 
 # ---------------------------------------------------------------------------------------- scores of patterns in memory
-
-
-def predict(net: "PatternNet", garments: "GarmentBatch", *, batch: int, device: "torch.device") -> list[Pattern]:
-    """Patterns predicted from the garments' points."""
-    import torch
-
-    from benchmarks.reconstruction.data import patterns_from
-
-    net.eval()
-    with torch.no_grad():
-        parts = [
-            net(garments.points[first : first + batch].to(device))[-1].garments()
-            for first in range(0, len(garments), batch)
-        ]
-    return [pattern for part in parts for pattern in patterns_from(part)]
 
 
 def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:

@@ -34,11 +34,12 @@ class PatternScore:
     iou: float
     """Sum of the IoU of matched outlines, centroids aligned, divided by the larger number of panels."""
     panel_l2: float
-    """Mean distance of matched outlines, centroids aligned, at equal shares of their length [cm]."""
+    """Mean distance of matched outlines, centroids aligned, at equal shares of their length; for each panel at most the
+    mean radius of the true one [cm]."""
     panel_l2_pen: float
     """``panel_l2`` over all true panels; an unmatched panel counts with its mean radius [cm]."""
     transl_cm: float
-    """Distance between the centroids of matched panels in space [cm]."""
+    """Distance between the centroids of matched panels in space, for each panel at most 40 [cm]."""
     rot_deg: float
     """Angle between the placements of matched panels [degrees]."""
     stitch_p: float
@@ -73,9 +74,9 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     predicted_shapes = [shape_or_none(panel) for panel in predicted.panels]
     pairs = match_shapes(predicted_shapes, true_shapes)
     larger = max(len(predicted_shapes), len(true_shapes))
-    distances = {pair.true: _contour_distance(pair.predicted, pair.true) for pair in pairs}
-    radii = [float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in true_shapes]
-    penalised = _mean([distances.get(shape, radius) for shape, radius in zip(true_shapes, radii, strict=True)], 0.0)
+    radii = {shape: float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in true_shapes}
+    distances = {pair.true: min(_contour_distance(pair.predicted, pair.true), radii[pair.true]) for pair in pairs}
+    penalised = _mean([distances.get(shape, radius) for shape, radius in radii.items()], 0.0)
     alike = sum(pair.iou >= SAME_OUTLINE for pair in pairs)
     right_edges = sum(len(pair.predicted.panel.edges) == len(pair.true.panel.edges) for pair in pairs)
     right, found, wanted = seam_counts(predicted, true, pairs)
@@ -89,7 +90,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
         iou=sum(pair.iou for pair in pairs) / larger if larger else 1.0,
         panel_l2=_mean(list(distances.values()), penalised),
         panel_l2_pen=penalised,
-        transl_cm=_mean([pair.distance for pair in pairs], FAR if larger else 0.0),
+        transl_cm=_mean([min(pair.distance, FAR) for pair in pairs], FAR if larger else 0.0),
         rot_deg=_mean([float(np.degrees(pair.angle)) for pair in pairs], 180.0 if larger else 0.0),
         stitch_p=right / found if found else float(not wanted),
         stitch_r=right / wanted if wanted else float(not found),

@@ -147,7 +147,7 @@ def seam_lengths_score(
     if not true.seams and not predicted.seams:
         return 1.0, 1.0, 1.0
     # A seam to a missing edge has no length: it weighs as much as a mean seam.
-    n_found += lost * (n_found / max(len(predicted.seams) - lost, 1) or 1.0)
+    n_found += lost * (n_found / max(len(predicted.seams) - lost, 1))
     precision = _agreeing(found, wanted, lengths) / max(n_found, SHORT)
     recall = _agreeing(wanted, found, lengths) / max(n_wanted, SHORT)
     return precision, recall, 2 * precision * recall / max(precision + recall, SHORT)
@@ -174,10 +174,11 @@ def _carried(pieces: Sequence[SewnPiece], pairs: Sequence[PanelPair]) -> tuple[l
 
 def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths: Mapping[str, float]) -> float:
     """Total length of the parts of ``pieces`` that ``others`` sew in the same way [cm]."""
-    directed = [way for piece in others for way in piece.both_ways]
+    between: dict[tuple[str, str], list[SewnPiece]] = defaultdict(list)
     ends: dict[str, list[float]] = defaultdict(list)
-    for piece in directed:
-        ends[piece.left_panel] += piece.left
+    for way in (way for piece in others for way in piece.both_ways):
+        between[way.left_panel, way.right_panel].append(way)
+        ends[way.left_panel] += way.left
     total = 0.0
     for piece in pieces:
         cuts = {0.0, 1.0}
@@ -187,17 +188,15 @@ def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths:
                 reached = (np.array(ends[panel]) - low) % lengths[panel] / span
                 inside = reached[(reached > 0) & (reached < 1)]
                 cuts |= set((inside if last > first else 1 - inside).tolist())
-        bounds = sorted(cuts)
-        for start, stop in pairwise(bounds):
-            if any(_sews(other, piece, start, stop, lengths) for other in directed):
+        candidates = between[piece.left_panel, piece.right_panel]
+        for start, stop in pairwise(sorted(cuts)):
+            if any(_sews(other, piece, start, stop, lengths) for other in candidates):
                 total += (stop - start) * piece.length
     return total
 
 
 def _sews(other: SewnPiece, piece: SewnPiece, start: float, stop: float, lengths: Mapping[str, float]) -> bool:
-    """Whether ``other`` sews the part ``start`` to ``stop`` (shares) of a piece to the same points."""
-    if (other.left_panel, other.right_panel) != (piece.left_panel, piece.right_panel):
-        return False
+    """Whether ``other`` sews the part ``start`` to ``stop`` (shares) of a piece, of the same panels, alike."""
     low, span = min(other.left), abs(other.left[1] - other.left[0])
     if span <= SHORT:
         return False

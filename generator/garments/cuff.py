@@ -23,7 +23,7 @@ __all__ = [
     "Cuff",
     "PantsCuffDesign",
     "SleeveCuffDesign",
-    "arm_girth_in_cuff",
+    "arm_girth_in_end",
     "cuff",
     "cuff_words",
     "single_cuff_words",
@@ -113,10 +113,8 @@ def skirt_share(design: CuffDesign) -> float:
     return {Cuff.BAND: 0.0, Cuff.BAND_SKIRT: design.skirt_fraction, Cuff.SKIRT: 1.0, None: 1.0}[design.type]
 
 
-def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
-    """Largest girth of the arm inside a cuff: in its band, or at the top of a skirt [cm]; 0 without cuff."""
-    if design.cuff.type is None:
-        return 0.0
+def arm_girth_in_end(size: Measurements, design: "CuffedSleeve") -> float:
+    """Largest girth of the arm in a sleeve's end: in the band of its cuff, at the top of a skirt, or at the hem [cm]."""
     skirt = skirt_share(design.cuff)
     end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
     band = sleeve_cuff_length(size, design) / size.arm_length

@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
     corner_angles,
-    cuff_and_arm_girth,
+    end_and_arm_girth,
     girth_of_cloth,
     has_narrow_strap,
     is_mismatched,
@@ -161,17 +161,18 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
 
 
 def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
-    """The cuff of a leg or sleeve is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
+    """A sleeve's end or the cuff of a leg is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg_girth(size, design)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     for half in design.halves():
-        cuff, arm = cuff_and_arm_girth(size, design, half)
-        if 0.0 < cuff * CLOTH_GIVES < girth_of_cloth(arm):
-            figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
-            return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
+        end, arm = end_and_arm_girth(size, design, half)
+        if 0.0 < end * CLOTH_GIVES < girth_of_cloth(arm):
+            what, remedy = ("cuff", "lower top_ruffle") if half[-1].cuff.type else ("sleeve end", "raise end_width")
+            figures = f"a {what} of {end:.1f} cm round an arm of {arm:.1f} cm: {remedy}"
+            return Reject("tight_cuff", figures, {"cuff_cm": end, "limb_cm": arm})
     return None
 
 

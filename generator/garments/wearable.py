@@ -121,25 +121,26 @@ class _Fitting:
         garment = design.meta.upper.garment
         if isinstance(garment, Shirt):
             limited = self._with_shoulders
-            design = self._with_wide_cuffs(limited(design))
+            design = self._with_wide_ends(limited(design))
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
         section = Remedy((garment.section,))
         return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
 
-    def _with_wide_cuffs(self, design: OutfitDesign) -> OutfitDesign:
-        """The design with bands at the ends of the sleeves that are wide enough for the arms."""
+    def _with_wide_ends(self, design: OutfitDesign) -> OutfitDesign:
+        """The design with sleeves whose ends are wide enough for the arms."""
         for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
             for _ in range(TRIES):
                 tightness = max(sleeve_tightness(size, design, design.halves()[number]) for size in self.sizes)
                 if tightness <= 1:
                     break
-                design = self._with_wider_cuff(design, f"{prefix}sleeve", tightness)
+                design = self._with_wider_end(design, f"{prefix}sleeve", tightness)
         return design
 
-    def _with_wider_cuff(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
+    def _with_wider_end(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
         """The design with fewer gathers over the cuff; if they do not suffice, a wider end; else a longer sleeve."""
         sleeve = value_at(self.redrawing.space, design, path)
-        ruffle, end = sleeve.cuff.top_ruffle / tightness, sleeve.end_width * tightness / sleeve.cuff.top_ruffle
+        gathers = sleeve.cuff.top_ruffle if sleeve.cuff.type else 1.0
+        ruffle, end = gathers / tightness, sleeve.end_width * tightness / gathers
         if ruffle >= 1:
             return self.redrawing.again(design, "tight_cuff", f"{path}.cuff.top_ruffle", high=ruffle)
         if end <= WIDEST_END:

@@ -182,5 +182,5 @@ def test_every_design_is_drawn_and_sewn() -> None:
     for name, drawing in zip(names, draw(requests(len(names), 0, names)), strict=True):
         assert drawing["faults"] == []
         pattern = require_valid(pattern_of_drawing(name, DESIGNS[name], drawing), source=name)
-        sewn = sum(2 for _ in pattern.seams) / sum(len(panel.edges) for panel in pattern.panels)
+        sewn = 2 * len(pattern.seams) / sum(len(panel.edges) for panel in pattern.panels)
         assert sewn > 0.6

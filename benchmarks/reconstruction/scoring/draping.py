@@ -1,8 +1,8 @@
 """Predictions draped on the bodies of their garments by our own solver, and their distance to the true drape or input.
 
-Both drapes get panels in the same order, about the same local origins, with the names and labels of the true pattern:
-they number the mesh and tell the solver which edges to hold, and few models predict them. So a prediction that differs
-from the true pattern only in these drapes to the same shape.
+A prediction gets the order, the local origins, the names and the labels of the true panels: they number the mesh and
+tell the solver which edges to hold, and few models predict them. So a prediction that differs from the true pattern
+only in these, or by the rounding of a file, drapes to the same bytes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +13,12 @@ import numpy as np
 from benchmarks.reconstruction.scoring.bodies import Wearers
 from benchmarks.reconstruction.scoring.distances import WORST, Shape, Surface, distance
 from benchmarks.reconstruction.scoring.garments import Scored, mesh_of
-from gcd_dataset.curves import mirrored
+from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, drape_all
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.quality import grade_of
-from gcd_dataset.metrics import PanelShape, match_panels, matched_edges
+from gcd_dataset.metrics import PanelPair, match_panels, matched_edges
 from gcd_dataset.records import (
     Body,
     BoxMesh,
@@ -34,10 +34,11 @@ from gcd_dataset.records import (
 )
 from gcd_dataset.spec import euler_angles
 
-__all__ = ["DRAPED", "WITHIN", "arranged", "canonical", "with_drapes"]
+__all__ = ["DRAPED", "WITHIN", "arranged", "with_drapes"]
 
 WITHIN = 1.0  # cm: the largest distance to the input of a right reconstruction
-DIGITS = 9  # decimals of positions [cm, rad]: drops rounding errors of a change of coordinates
+ROUNDING = 1e-3  # cm: a panel drawn and placed this close to the true one is the true one
+TURN = 1e-5  # rad: likewise
 DRAPED = ("sim_ok", "redrape_cd_cm", "within_1cm")
 """Names of the scores of drapes."""
 
@@ -107,7 +108,7 @@ def _jobs(garments: Sequence[Scored], wearers: Wearers, spacing: float, *, with_
     for row, garment in enumerate(garments):
         wearer = _wearer(garment, wearers)
         if with_true:
-            yield _job(row, False, canonical(garment.true), wearer, spacing)
+            yield _job(row, False, garment.true, wearer, spacing)
         if garment.predicted is None:
             yield _Job(row, True, None, garment.failure)
         elif not garment.values["valid"]:
@@ -172,43 +173,36 @@ def _scored(
 # ------------------------------------------------------------------------------------------------------ arranged panels
 
 
-def canonical(pattern: Pattern) -> Pattern:
-    """The same garment with every panel about its centroid, seen from its right side."""
-    panels = tuple(_redrawn(PanelShape.of(panel), panel, 0, panel) for panel in pattern.panels)
-    return Pattern(pattern.name, panels, pattern.seams)
-
-
 def arranged(predicted: Pattern, true: Pattern) -> Pattern:
-    """A prediction with order, names and labels of the true pattern, where panels match; redrawn as by ``canonical``.
+    """A prediction with order, local origins, names and labels of the true panels, where panels match.
 
-    Loops start at the true first edge, and seams have the true order, as far as edges and seams agree.
+    Loops start at the true first edge, and seams have the true order, as far as edges and seams agree. A prediction
+    that is the true garment within ``ROUNDING`` becomes the true pattern.
     """
     pairs = {id(pair.true.panel): pair for pair in match_panels(predicted, true)}
     matched = [(pairs[id(panel)], panel) for panel in true.panels if id(panel) in pairs]
-    rest = [p for p in predicted.panels if all(pair.predicted.panel is not p for pair, _ in matched)]
     taken = {panel.name for _, panel in matched}
     refs: dict[EdgeRef, EdgeRef] = {}
     panels: list[Panel] = []
     for pair, true_panel in matched:
-        own, first = pair.predicted.panel, 0
-        alike = len(own.edges) == len(true_panel.edges)
-        if alike:
-            edge_of = {mine.edge: other.edge for mine, other in matched_edges(pair).items()}
-            first = next(mine for mine, other in edge_of.items() if other == 0)
-        panels.append(_redrawn(pair.predicted, true_panel, first, true_panel if alike else own))
-        refs |= _renumbered(own, true_panel.name, first)
-    for panel in rest:
+        first = _first_edge(pair)
+        panels.append(_redrawn(pair, first))
+        refs |= _renumbered(pair.predicted.panel, true_panel.name, first)
+    for panel in predicted.panels:
+        if any(pair.predicted.panel is panel for pair, _ in matched):
+            continue
         name = next(n for n in (panel.name, *(f"extra {i}" for i in range(len(predicted.panels)))) if n not in taken)
         taken.add(name)
-        panels.append(_redrawn(PanelShape.of(panel), replace(panel, name=name), 0, panel))
+        panels.append(replace(panel, name=name))
         refs |= _renumbered(panel, name, 0)
-    order = {frozenset((seam.left, seam.right)): (number, seam) for number, seam in enumerate(true.seams)}
-    seams = []
-    for seam in predicted.seams:
-        moved = Seam(refs[seam.left], refs[seam.right], seam.right_wrong)
-        number, like = order.get(frozenset((moved.left, moved.right)), (len(order), moved))
-        seams.append((number, replace(like, right_wrong=seam.right_wrong)))
-    return Pattern(true.name, tuple(panels), tuple(seam for _, seam in sorted(seams, key=lambda item: item[0])))
+    return Pattern(true.name, tuple(panels), _ordered([_moved(seam, refs) for seam in predicted.seams], true.seams))
+
+
+def _first_edge(pair: PanelPair) -> int:
+    """The predicted edge that is the true first edge; 0 if the numbers of edges differ."""
+    if len(pair.predicted.panel.edges) != len(pair.true.panel.edges):
+        return 0
+    return next(mine.edge for mine, other in matched_edges(pair).items() if other.edge == 0)
 
 
 def _renumbered(panel: Panel, name: str, first: int) -> dict[EdgeRef, EdgeRef]:
@@ -216,17 +210,55 @@ def _renumbered(panel: Panel, name: str, first: int) -> dict[EdgeRef, EdgeRef]:
     return {EdgeRef(panel.name, edge): EdgeRef(name, (edge - first) % count) for edge in range(count)}
 
 
-def _redrawn(shape: PanelShape, named: Panel, first: int, labelled: Panel) -> Panel:
-    """A panel about its centroid, its loop from edge ``first``; name and label of ``named``, edge labels of another."""
-    own = shape.panel
+def _moved(seam: Seam, refs: Mapping[EdgeRef, EdgeRef]) -> Seam:
+    return Seam(refs[seam.left], refs[seam.right], seam.right_wrong)
+
+
+def _ordered(seams: Sequence[Seam], true: Sequence[Seam]) -> tuple[Seam, ...]:
+    """The seams in the order of the true ones, their sides as there; then the others."""
+    place = {frozenset((seam.left, seam.right)): number for number, seam in enumerate(true)}
+    numbered = []
+    for seam in seams:
+        number = place.get(frozenset((seam.left, seam.right)), len(true))
+        like = true[number] if number < len(true) else seam
+        numbered.append((number, replace(like, right_wrong=seam.right_wrong)))
+    return tuple(seam for _, seam in sorted(numbered, key=lambda item: item[0]))
+
+
+def _redrawn(pair: PanelPair, first: int) -> Panel:
+    """The predicted panel about the true local origin, its loop from edge ``first``, with the true name and labels.
+
+    Edges keep their own labels if their number is not the true one.
+    """
+    shape, true, own = pair.predicted, pair.true, pair.predicted.panel
     turned = own.edges[first:] + own.edges[:first]
-    labels = [edge.label for edge in labelled.edges]
-    if labelled is own:
-        labels = labels[first:] + labels[:first]
+    labelled = true.panel.edges if len(turned) == len(true.panel.edges) else turned
+    flipped = shape.side * true.side < 0
     edges = tuple(
-        Edge(row, (row + 1) % len(turned), edge.curve if shape.side > 0 else mirrored(edge.curve), label)
-        for row, (edge, label) in enumerate(zip(turned, labels, strict=True))
+        Edge(row, (row + 1) % len(turned), mirrored(edge.curve) if flipped else edge.curve, like.label)
+        for row, (edge, like) in enumerate(zip(turned, labelled, strict=True))
     )
-    corners = np.round(shape.seen(own.vertices[[edge.start for edge in turned]]), DIGITS)
-    placement = Placement(np.round(shape.centre, DIGITS), np.round(euler_angles(shape.matrix), DIGITS))
-    return Panel(named.name, corners, edges, placement, named.label)
+    corners = shape.seen(own.vertices[[edge.start for edge in turned]]) * [true.side, 1.0] + true.centroid
+    matrix = shape.matrix @ np.diag([true.side, 1.0, true.side])
+    placement = Placement(shape.centre - matrix[:, :2] @ true.centroid, euler_angles(matrix))
+    panel = Panel(true.panel.name, corners, edges, placement, true.panel.label)
+    return true.panel if _is_same(panel, true.panel) else panel
+
+
+def _is_same(panel: Panel, true: Panel) -> bool:
+    """Whether two panels with loops that start alike differ by rounding errors only."""
+    if len(panel.edges) != len(true.edges):
+        return False
+    corners = np.array([true.vertices[edge.start] for edge in true.edges])
+    return bool(
+        np.allclose(panel.vertices, corners, rtol=0, atol=ROUNDING)
+        and np.allclose(panel.placement.translation, true.placement.translation, rtol=0, atol=ROUNDING)
+        and np.allclose(panel.placement.matrix, true.placement.matrix, rtol=0, atol=TURN)
+        and all(_is_same_curve(panel, true, row) for row in range(len(true.edges)))
+    )
+
+
+def _is_same_curve(panel: Panel, true: Panel, row: int) -> bool:
+    one, other = panel.edges[row].curve, true.edges[row].curve
+    ours, theirs = (sample_curve(*p.edge_ends(row), p.edges[row].curve, 9) for p in (panel, true))
+    return one.kind == other.kind and np.allclose(ours, theirs, rtol=0, atol=ROUNDING)

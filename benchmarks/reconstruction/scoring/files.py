@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, SpecError, shown
+from gcd_dataset.errors import SpecError, shown
 
 __all__ = ["Case", "Folders", "garment_files", "match_folders"]
 
@@ -63,7 +63,7 @@ def garment_files(folder: Path) -> dict[str, Path]:
 
     Files are ``NAME.json`` or ``NAME_specification.json`` in the folder. If it holds no JSON, they are
     ``NAME_specification.json`` at any depth, or ``NAME/specification.json``. Raises ``SpecError`` for a folder that is
-    missing or holds no specification, and ``ConfigError`` for two files with the same name.
+    missing or holds no specification, and for two files with the same name.
     """
     if not folder.is_dir():
         raise SpecError(f"{folder}: no such folder: give a folder of specification files")
@@ -74,7 +74,7 @@ def garment_files(folder: Path) -> dict[str, Path]:
     for path in paths:
         name = name_of(path)
         if name in files:
-            raise ConfigError(f"{path}: {files[name]} is named after the same garment: leave one of them")
+            raise SpecError(f"{path}: {files[name]} is named after the same garment: leave one of them")
         files[name] = path
     return files
 

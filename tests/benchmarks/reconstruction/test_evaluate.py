@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.reconstruction.evaluate import main
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import spec_from_pattern
@@ -175,6 +177,38 @@ def test_missing_bodies_and_folders_are_errors_at_once(
     assert "no body for d" in capsys.readouterr().err
     assert run(ours, truth, "--json", tmp_path / "nowhere" / "out.json") == 1
     assert "no such folder" in capsys.readouterr().err
+
+
+def test_the_headline_counts_right_drapes_of_all_garments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A copy, a copy without one seam, and no prediction: a third."""
+    skirt = outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    true = save(tmp_path / "true", dict.fromkeys("abc", skirt))
+    ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
+    options = ("--drape", "--resolution", 8, "--device", "cpu", "--json", tmp_path / "out.json")
+    assert run(ours, true, *options) == 0
+    printed = capsys.readouterr().out
+    found = figures(printed)
+    assert found["within_1cm"] == pytest.approx(1 / 3, abs=1e-4)
+    assert found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    assert list(found)[-1] == "within_1cm"
+    rows = {row["name"]: row for row in json.loads((tmp_path / "out.json").read_text())["garments"]}
+    assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
+    assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100
+
+
+def test_a_device_that_is_missing(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    assert run(ours, truth, "--drape", "--device", "cuda:99") == 2
+    assert "cuda:99" in capsys.readouterr().err
+
+
+def test_a_reader_that_exits_early(tmp_path: Path, truth: Path) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()
 
 
 @pytest.mark.parametrize("arguments", [["--bodies", "neutral"], ["--drape", "--partial"], ["--workers", "0"]])

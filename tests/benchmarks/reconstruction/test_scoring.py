@@ -19,11 +19,11 @@ from benchmarks.reconstruction.scoring.distances import (
     input_files,
     read_shape,
 )
-from benchmarks.reconstruction.scoring.draping import arranged, canonical, with_drapes
+from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
 from benchmarks.reconstruction.scoring.files import garment_files, match_folders
 from benchmarks.reconstruction.scoring.garments import box_mesh_distance, kind_of, score_garment
 from gcd_dataset.curves import Cubic
-from gcd_dataset.errors import BodyError, ConfigError, GcdError, SpecError
+from gcd_dataset.errors import BodyError, GcdError, SpecError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
@@ -76,7 +76,7 @@ def test_folders_that_cannot_be_matched(tmp_path: Path) -> None:
         match_folders(write(tmp_path / "empty"), truth)
     with pytest.raises(SpecError, match="no such folder"):
         match_folders(tmp_path / "nowhere", truth)
-    with pytest.raises(ConfigError, match="the same garment"):
+    with pytest.raises(SpecError, match="the same garment"):
         garment_files(write(tmp_path / "twice", "dress.json", "dress_specification.json"))
 
 
@@ -242,18 +242,27 @@ def test_missing_and_broken_bodies(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", SAME)
-def test_the_same_garment_is_arranged_alike(change: str) -> None:
+def test_the_same_garment_is_arranged_as_the_true_one(change: str, skirt: Pattern) -> None:
     """However it is numbered, named or drawn: so it drapes to the same bytes."""
+    for whole in (garment(), skirt):
+        ours = arranged(SAME[change](whole), whole)
+        assert ours.panels == whole.panels
+        assert ours.seams == whole.seams
+
+
+def test_arranging_rounds_no_real_difference() -> None:
     whole = garment()
-    ours, theirs = arranged(SAME[change](whole), whole), canonical(whole)
-    assert ours.seams == theirs.seams
-    for own, other in zip(ours.panels, theirs.panels, strict=True):
-        assert (own.name, own.label) == (other.name, other.label)
-        assert np.allclose(own.vertices, other.vertices, atol=1e-8)
-        assert np.allclose(own.placement.matrix, other.placement.matrix, atol=1e-8)
-        assert [(edge.start, edge.end, edge.label) for edge in own.edges] == [
-            (edge.start, edge.end, edge.label) for edge in other.edges
-        ]
+    moved = each(lambda panel: replace(panel, vertices=1.001 * panel.vertices))(SAME["all of it"](whole))
+    ours = arranged(moved, whole)
+    assert [panel.name for panel in ours.panels] == [panel.name for panel in whole.panels]
+    assert ours.seams == whole.seams
+    for panel, own, true in zip(
+        ours.panels, each(lambda p: replace(p, vertices=1.001 * p.vertices))(whole).panels, whole.panels, strict=True
+    ):
+        assert panel != true
+        assert np.allclose(panel.edge_lengths(), own.edge_lengths(), rtol=1e-3)
+        placed, wanted = (p.placement.apply(p.vertices[[e.start for e in p.edges]]) for p in (panel, true))
+        assert np.abs(placed - wanted).max() < 0.2  # 0.1 % of panels of 60 cm, and of moved origins
 
 
 def test_arranging_keeps_panels_and_seams_without_a_match() -> None:

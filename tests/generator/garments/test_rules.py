@@ -140,6 +140,15 @@ def test_a_cuff_too_tight_for_the_arm_is_rejected(woman: Measurements, length: f
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
 
 
+@pytest.mark.parametrize(("length", "tight"), [(0.37, True), (1.0, False)])
+def test_a_sleeve_without_cuff_that_ends_narrower_than_the_arm_is_rejected(
+    woman: Measurements, length: float, tight: bool
+) -> None:
+    """Less than half as wide at its end as at the armhole: a long sleeve fits the wrist, a short one no upper arm."""
+    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.46}}
+    assert reasons(woman, design) == (["tight_cuff"] if tight else [])
+
+
 @pytest.mark.parametrize(("top_ruffle", "tight"), [(1.0, False), (2.0, True)])
 def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffle: float, tight: bool) -> None:
     """A band from the knee down, as wide as the leg of the trousers or half as wide."""

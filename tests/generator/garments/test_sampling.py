@@ -11,8 +11,9 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Upper
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.garments.rules import garment_length, room_to_floor
-from gcd_dataset.generator.garments.sampling import attempted_design
+from gcd_dataset.generator.garments.redrawing import Redraw
+from gcd_dataset.generator.garments.rules import DrawnOutfit, check_outfit, garment_length, room_to_floor
+from gcd_dataset.generator.garments.sampling import attempted_design, drafted_design
 from gcd_dataset.generator.garments.space import to_dict
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -109,6 +110,35 @@ def test_designs_stay_within_an_overlay() -> None:
         values = to_dict(design)
         assert values["collar"]["component"]["style"] == "Hood2Panels"
         assert 0.8 <= design.sleeve.length <= 1.1
+
+
+def test_a_sleeve_that_ends_narrower_than_the_arm_is_widened_and_else_unchanged() -> None:
+    """Of sleeves to the elbow that taper to half their width or less, the end alone is drawn again."""
+    tapered = Overlay.from_dict(
+        {
+            "meta": {"upper": {"options": ["Shirt"]}, "bottom": "none"},
+            "left": {"enable_asym": False},
+            "sleeve": {
+                "sleeveless": False,
+                "length": {"range": [0.2, 0.4]},
+                "connecting_width": 0.2,
+                "connect_ruffle": 1.0,
+                "end_width": {"range": [0.2, 1.2], "keep": 0.0},
+                "cuff": {"type": "none"},
+            },
+        }
+    )
+    widened = 0
+    for number in range(12):
+        sizes, draft = (wearers()[number % 8],), drafted_design(5, number, 0, tapered).sleeve
+        drawn = attempted_design(5, number, 0, sizes, tapered)
+        sleeve = drawn.design.sleeve
+        assert not any(reject.rule == "tight_cuff" for reject in check_outfit(DrawnOutfit.of(*sizes, drawn.design)))
+        assert replace(sleeve, end_width=draft.end_width) == draft
+        assert sleeve.end_width >= draft.end_width
+        widened += drawn.redraws.get(Redraw("tight_cuff", "sleeve.end_width"), 0) > 0
+        assert (sleeve == draft) == (Redraw("tight_cuff", "sleeve.end_width") not in drawn.redraws)
+    assert 3 <= widened < 12
 
 
 @pytest.mark.parametrize(("hips", "with_band"), [(6.0, True), (1.0, False)])
