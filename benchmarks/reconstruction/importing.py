@@ -15,6 +15,7 @@ import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -62,10 +63,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if written else 1
 
 
-def read_garments(form: str, path: Path, *, raw: bool = False) -> Iterator[Garment | GcdError]:
+def read_garments(
+    form: str, path: Path, *, raw: bool = False, panels: Sequence[str] = ()
+) -> Iterator[Garment | GcdError]:
     """The garments of a file: several for arrays with a first axis of garments.
 
-    ``raw``: arrays are in cm, not in the network's units. A garment that cannot be decoded gives its error; raises
+    ``raw``: arrays are in cm, not in the network's units; ``panels``: names of the panels of arrays, in their order, in
+    place of the network's own. A garment that cannot be decoded gives its error; raises
     ``GcdError`` for a file that cannot be read at all.
     """
     name = garment_name(path)
@@ -83,7 +87,8 @@ def read_garments(form: str, path: Path, *, raw: bool = False) -> Iterator[Garme
     names = [str(item) for item in arrays.pop("names", np.zeros(0, str)).reshape(-1).tolist()]
     for number, (title, part) in enumerate(_garments(arrays, reader, path, name)):
         title = names[number] if number < len(names) else title
-        yield _attempt(lambda part=part, title=title: Garment(reader.decode(part, title, raw)), path, title)  # type: ignore[misc]
+        read = partial(reader.decode, part, title, raw, panels or reader.panels)
+        yield _attempt(lambda read=read: Garment(read()), path, title)  # type: ignore[misc]
 
 
 def garment_name(path: Path) -> str:
@@ -109,11 +114,13 @@ class ArrayReader:
     """Of that array, for one garment."""
     needed: tuple[str, ...]
     optional: tuple[str, ...]
-    decode: Callable[[Mapping[str, np.ndarray], str, bool], Pattern]
-    """The pattern of one garment's arrays, its name, and whether they are in cm."""
+    decode: Callable[[Mapping[str, np.ndarray], str, bool, Sequence[str]], Pattern]
+    """The pattern of one garment's arrays, its name, whether they are in cm, and the names of the panels."""
+    panels: Sequence[str] = ()
+    """Names of the panels, unless others are given."""
 
 
-def _neuraltailor(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pattern:
+def _neuraltailor(arrays: Mapping[str, np.ndarray], name: str, raw: bool, panels: Sequence[str]) -> Pattern:
     outlines, rotations, translations = _placed(arrays, {} if raw else neuraltailor.SCALINGS)
     rows = outlines.shape[:-1]
     tags = arrays.get("stitch_tags", np.zeros((*rows, 3)))
@@ -126,10 +133,10 @@ def _neuraltailor(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pat
     parts = neuraltailor.NeuralTailorArrays(
         outlines, rotations, translations, tags.reshape(*rows, 3), free.reshape(rows)
     )
-    return neuraltailor.decode(parts, name, names=neuraltailor.PANEL_CLASSES)
+    return neuraltailor.decode(parts, name, names=panels)
 
 
-def _sewformer(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pattern:
+def _sewformer(arrays: Mapping[str, np.ndarray], name: str, raw: bool, panels: Sequence[str]) -> Pattern:
     if not raw and arrays["outlines"].ndim == 3 and arrays["outlines"].shape[2] == 7:
         raise SpecError("outlines with seven numbers an edge have no published scaling: convert them to cm, give --raw")
     outlines, rotations, translations = _placed(arrays, {} if raw else sewformer.SCALINGS)
@@ -137,7 +144,7 @@ def _sewformer(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Patter
     sewn = arrays.get("edge_cls", -np.ones(count)).reshape(-1)
     similarity = arrays.get("edge_similarity", np.zeros((count, count)))
     parts = sewformer.SewFormerArrays(outlines, rotations, translations, sewn[None], similarity)
-    return sewformer.decode(parts, name, names=sewformer.PANEL_CLASSES)
+    return sewformer.decode(parts, name, names=panels)
 
 
 def _placed(arrays: Mapping[str, np.ndarray], scalings: Mapping[str, Scaling]) -> list[np.ndarray]:
@@ -159,7 +166,7 @@ def _placed(arrays: Mapping[str, np.ndarray], scalings: Mapping[str, Scaling]) -
     return [scalings[name].undo(values) if name in scalings else values for name, values in parts.items()]
 
 
-def _sewingldm(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pattern:
+def _sewingldm(arrays: Mapping[str, np.ndarray], name: str, raw: bool, panels: Sequence[str]) -> Pattern:
     array = _edge_rows(arrays["samples"], sewingldm.SLOT_NAMES, sewingldm.WIDTH)
     if not raw:
         plain = sewingldm.SCALING.undo(array[..., : sewingldm.CONTINUOUS])
@@ -167,15 +174,14 @@ def _sewingldm(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Patter
         tags = slice(sewingldm.Column.TAG, sewingldm.Column.QUATERNION)
         plain[..., tags] = array[..., tags]
         array = np.concatenate([plain, array[..., sewingldm.CONTINUOUS :]], axis=-1)
-    return sewingldm.decode(array, name, names=sewingldm.SLOT_NAMES)
+    return sewingldm.decode(array, name, names=panels)
 
 
-def _garmentdiffusion(arrays: Mapping[str, np.ndarray], name: str, raw: bool) -> Pattern:
+def _garmentdiffusion(arrays: Mapping[str, np.ndarray], name: str, raw: bool, panels: Sequence[str]) -> Pattern:
     if not raw:
         raise SpecError("GarmentDiffusion published no scaling of its numbers: convert them to cm, and give --raw")
-    return garmentdiffusion.decode(
-        _edge_rows(arrays["edges"], range(garmentdiffusion.MAX_PANELS), garmentdiffusion.WIDTH), name
-    )
+    array = _edge_rows(arrays["edges"], range(garmentdiffusion.MAX_PANELS), garmentdiffusion.WIDTH)
+    return garmentdiffusion.decode(array, name, names=panels)
 
 
 def _edge_rows(array: np.ndarray, panels: Sequence[Any], width: int) -> np.ndarray:
@@ -189,10 +195,22 @@ def _edge_rows(array: np.ndarray, panels: Sequence[Any], width: int) -> np.ndarr
 
 ARRAYS = {
     "neuraltailor": ArrayReader(
-        "outlines", 3, ("rotations", "translations"), ("stitch_tags", "free_edges_mask"), _neuraltailor
+        main="outlines",
+        axes=3,
+        needed=("rotations", "translations"),
+        optional=("stitch_tags", "free_edges_mask"),
+        decode=_neuraltailor,
+        panels=neuraltailor.PANEL_CLASSES,
     ),
-    "sewformer": ArrayReader("outlines", 3, ("rotations", "translations"), ("edge_cls", "edge_similarity"), _sewformer),
-    "sewingldm": ArrayReader("samples", 3, (), (), _sewingldm),
+    "sewformer": ArrayReader(
+        main="outlines",
+        axes=3,
+        needed=("rotations", "translations"),
+        optional=("edge_cls", "edge_similarity"),
+        decode=_sewformer,
+        panels=sewformer.PANEL_CLASSES,
+    ),
+    "sewingldm": ArrayReader("samples", 3, (), (), _sewingldm, sewingldm.SLOT_NAMES),
     "garmentdiffusion": ArrayReader("edges", 3, (), (), _garmentdiffusion),
 }
 FORMATS = ("specification", *ARRAYS, "aipparel")
@@ -302,6 +320,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="predictions, or folders of them")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the specification files")
     parser.add_argument("--raw", action="store_true", help="arrays and tokens hold cm, not the network's units")
+    parser.add_argument(
+        "--panels",
+        type=Path,
+        metavar="FILE",
+        help="JSON list of the names of the panels of arrays, in their order; presets that match panels by name need "
+        "the names of the true patterns",
+    )
     parser.add_argument("--quiet", action="store_true", help="no line for each repair")
     return parser
 
@@ -309,12 +334,13 @@ def _parser() -> argparse.ArgumentParser:
 def _import(options: argparse.Namespace) -> tuple[int, int]:
     """Numbers of garments written and failed. Raises ``GcdError`` for wrong options."""
     paths = [file for path in options.files for file in _files(path, options.format)]
+    panels = _names(options.panels) if options.panels is not None else ()
     make_folder(options.out)
     origin: dict[str, Path] = {}
     failed = 0
     for path in paths:
         try:
-            for garment in read_garments(options.format, path, raw=options.raw):
+            for garment in read_garments(options.format, path, raw=options.raw, panels=panels):
                 if isinstance(garment, GcdError):
                     failed += 1
                     print(f"importing: {garment}", file=sys.stderr)
@@ -356,6 +382,14 @@ def _files(path: Path, form: str) -> list[Path]:
     if not kept:
         raise SpecError(f"{path}: no prediction: it should hold files that end in {', '.join(FILES)}")
     return kept
+
+
+def _names(path: Path) -> list[str]:
+    """The names in a JSON list. Raises ``ConfigError``."""
+    names = read_json(path, "JSON list of panel names", error=ConfigError)
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names) and len(set(names)) == len(names)):
+        raise ConfigError(f"{path}: no list of names, each once: give one name for each panel of the arrays")
+    return names
 
 
 def _attempt(read: Callable[[], Garment], path: Path, name: str) -> Garment | GcdError:

@@ -15,6 +15,7 @@ from benchmarks.reconstruction.importing import garment_name, main
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
 from gcd_dataset.encodings.specifications import repaired
 from gcd_dataset.metrics import score_pattern
+from gcd_dataset.metrics.legacy import legacy_scores
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern, write_pattern
 
@@ -167,6 +168,21 @@ def test_a_batch_of_garments_with_names(tmp_path: Path) -> None:
     torch.save(tensors, tmp_path / "batch.pt")
     assert run("neuraltailor", tmp_path / "batch.pt", out=tmp_path / "out") == 0
     assert_perfect(tmp_path / "out" / "batch_1_specification.json", garment(width=50.0))
+
+
+def test_panels_get_the_names_of_the_true_patterns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Presets that match panels by name see the panels of NeuralTailor's classes as strangers."""
+    save(tmp_path / "belt.npz", standardised(garment()))
+    names, out = tmp_path / "names.json", tmp_path / "out"
+    names.write_text('["wb_front", "wb_back"]')
+    assert run("neuraltailor", tmp_path / "belt.npz", out=out) == 0
+    strangers = legacy_scores("neuraltailor", [read_pattern(out / "belt_specification.json")], [garment()])
+    assert run("neuraltailor", tmp_path / "belt.npz", out=out, flags=("--panels", str(names))) == 0
+    known = legacy_scores("neuraltailor", [read_pattern(out / "belt_specification.json")], [garment()])
+    assert (strangers["stitch_recall"], known["stitch_recall"]) == (0.0, 1.0)
+    names.write_text('["wb_front", "wb_front"]')
+    assert run("neuraltailor", tmp_path / "belt.npz", out=out, flags=("--panels", str(names))) == 1
+    assert "names.json: no list of names, each once" in capsys.readouterr().err
 
 
 def test_sewformer_with_all_edges_of_a_panel_in_one_row(tmp_path: Path) -> None:
