@@ -1,5 +1,7 @@
 """Augmentations: geometry, and draws by seed, index and epoch."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -55,7 +57,9 @@ def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
         "camera": {"rt": rt[0].tolist(), "size": 9},
         "light": {"key_direction": rotation[0, 2].tolist(), "fill_direction": [0.0, 1.0, 0.0], "sky": 1.0},
     }
-    item: Item = {"scan": points, "scan_camera_rt": rt, "camera_rt": rt, "sketch_rt": rt.half(), "view_0_json": facts}
+    item: dict[str, Any] = {
+        "scan": points, "scan_camera_rt": rt, "camera_rt": rt, "sketch_rt": rt.half(), "view_0_json": facts
+    }  # fmt: skip
     turned = Yaw()(item, rng())
     assert turned["scan"].isnan().any(dim=1).tolist() == points.isnan().any(dim=1).tolist()
     assert not torch.allclose(turned["scan"][:-2], points[:-2], atol=1.0)
