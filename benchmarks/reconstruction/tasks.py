@@ -20,6 +20,12 @@ CHECKED = 32  # garments that watch a training
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
+SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
+SURFACES = (
+    "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
+    "labels", "panel_classes", "pose", "scan",
+)  # fmt: skip
+"""Arrays of T4, T5 and T6, which share their garments and so their cache."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +79,16 @@ TASKS = {
         Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
-            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
-            extra=("verts", "faces", "panel_id", "labels", "seams"), sizes=(1000, 4000),
+            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        Task("T5", "points of body and garment", "measures", "error_cm", DRAPE, points=8192, sizes=(1000, 4000)),
         Task(
-            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
-            extra=("verts", "faces", "box", "panel_id"), sizes=(1000, 4000),
+            "T5", "points of garment and visible body", "measures", "error_cm", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
+        ),
+        Task(
+            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
         Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
     )

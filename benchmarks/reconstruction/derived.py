@@ -1,0 +1,93 @@
+"""Arrays of a garment that are computed from other fields of its item, for tasks about surfaces and bodies."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcd_dataset.loaders import VIEW_FIELDS, Scan
+from gcd_dataset.loaders.base import Item
+
+__all__ = ["CENTRE", "DERIVED", "MIRRORED", "PANEL_CLASSES", "SCAN_CAMERAS", "Derived", "derived_arrays", "item_fields", "panel_class"]
+
+CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
+PANEL_CLASSES = (
+    "other",
+    *(f"{side}_{part}" for side in ("left", "right") for part in (
+        "ftorso", "btorso", "sleeve_f", "sleeve_b", "collar_front", "collar_back", "hood",
+    )),
+    *(f"sl_{side}_cuff{kind}_{part}" for side in ("left", "right") for kind in ("", "_skirt") for part in "fb"),
+    *(f"pant_{part}_{side}" for side in "lr" for part in "fb"),
+    *(f"pant_{side}_cuff{kind}_{part}" for side in "lr" for kind in ("", "_skirt") for part in "fb"),
+    "wb_front", "wb_back", "skirt_front", "skirt_back", "skirt_panel", "ins_skirt_front", "ins_skirt_back",
+)  # fmt: skip
+"""Names of panels without numbers, the classes of task T4; ``other`` for names that are not listed."""
+SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
+CLASS_OF = {name: row for row, name in enumerate(PANEL_CLASSES)}
+MIRRORED = tuple(
+    CLASS_OF.get(re.sub("left|right|_[lr](?=_|$)", lambda found: SIDES[found[0]], name), row)
+    for row, name in enumerate(PANEL_CLASSES)
+)
+"""The class of the mirror image of a panel."""
+SCAN_CAMERAS, SCAN_POINTS, SCAN_SIZE = 4, 4096, 200
+
+
+def panel_class(name: str) -> int:
+    """The row of ``PANEL_CLASSES`` for the name of a panel.
+
+    >>> PANEL_CLASSES[panel_class("ins_skirt_front_3")], PANEL_CLASSES[panel_class("pocket")]
+    ('ins_skirt_front', 'other')
+    """
+    return CLASS_OF.get(re.sub(r"_?\d+", "", name), 0)
+
+
+@dataclass(frozen=True)
+class Derived:
+    """An array that is computed from an item."""
+
+    needs: tuple[str, ...]
+    """Fields of the item."""
+    of: Callable[[Item], np.ndarray]
+
+
+def derived_arrays(item: Item, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays of an item by name: derived ones, and fields of the item."""
+    return {name: DERIVED[name].of(item) if name in DERIVED else item[name].numpy() for name in names}
+
+
+def item_fields(names: Sequence[str]) -> list[str]:
+    """The item fields that these arrays need, each once."""
+    needed = (field for name in names for field in (DERIVED[name].needs if name in DERIVED else (name,)))
+    return list(dict.fromkeys(needed))
+
+
+def _panel_classes(item: Item) -> np.ndarray:
+    return np.array([panel_class(name) for name in item["meta"]["panel_names"]], np.int32)
+
+
+def _pose(item: Item) -> np.ndarray:
+    pose = item["meta"]["pose"]
+    return np.array([[pose["arm_angle"], float(pose["legs_apart"])]], np.float32)
+
+
+def _scan(item: Item) -> np.ndarray:
+    """Noiseless, so that the error of the measures is that of the model; empty for a diverged drape."""
+    if not np.isfinite(item["verts"].numpy()).all():
+        return np.zeros((0, 7), np.float16)
+    from gcd_dataset.generator.render.depth_noise import NOISELESS
+
+    found = Scan(SCAN_CAMERAS, SCAN_POINTS, body=True, size=SCAN_SIZE, noise=NOISELESS)(item)
+    points = found["scan"].double().numpy()
+    points[:, :3] -= CENTRE
+    return np.concatenate([points, found["scan_panel_id"].numpy()[:, None] >= 0], axis=1).astype(np.float16)
+
+
+DERIVED: Mapping[str, Derived] = {
+    "panel_classes": Derived(("meta",), _panel_classes),
+    "pose": Derived(("meta",), _pose),
+    "scan": Derived(VIEW_FIELDS, _scan),
+}
+"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose``
+(1, 2): angle of the arms [rad], whether the legs are apart; ``scan`` (n, 7): points of garment and visible body as four
+cameras see them, relative to ``CENTRE`` [cm], normals, whether on the garment."""

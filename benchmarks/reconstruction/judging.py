@@ -1,0 +1,146 @@
+"""How the answers of a task are scored, drawn and written: one ``Judge`` for each kind of answer."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, astuple, fields, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import UInt8
+
+from benchmarks.reconstruction.evaluate import scores_of
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.tasks import Task
+from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
+from gcd_dataset.metrics import bootstrap_means
+from gcd_dataset.spec import write_pattern
+
+__all__ = ["Judge", "Patterns", "Vertices", "beside_truth", "draw_mesh", "intervals", "judge_of", "means_of"]
+
+SIDE = 320  # pixels of a picture
+BACKWARDS = np.array([-1.0, 1.0, -1.0])  # half a turn about the vertical
+WRONG = (0.86, 0.08, 0.08)  # sRGB
+
+
+class Judge(Protocol):
+    """Scores, pictures and files of the answers for garments."""
+
+    def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
+        """One dataclass of numbers for each answer."""
+
+    def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
+        """Answers beside the truth."""
+
+    def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
+        """The answers as files in ``out``."""
+
+
+def judge_of(task: Task) -> Judge:
+    """The judge of a task."""
+    return Vertices() if task.name == "T4" else Patterns()
+
+
+def means_of(scores: Sequence[Any]) -> dict[str, float]:
+    """The mean of each score."""
+    means = np.mean([astuple(score) for score in scores], axis=0).tolist()
+    return dict(zip(asdict(scores[0]), means, strict=True))
+
+
+def intervals(scores: Sequence[Any]) -> dict[str, list[float]]:
+    """Mean, and lower and upper end of the 95 % bootstrap interval, of each score."""
+    values = np.array([astuple(score) for score in scores], float).reshape(len(scores), -1)
+    low, high = bootstrap_means(values, np.random.default_rng(0))
+    rows = zip(fields(scores[0]), values.mean(axis=0).tolist(), low.tolist(), high.tolist(), strict=True)
+    return {field.name: [mean, least, most] for field, mean, least, most in rows}
+
+
+# --------------------------------------------------------------------------------------------------------- the patterns
+
+
+class Patterns:
+    """Answers are patterns: specification files, which the evaluator reads too."""
+
+    def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
+        return scores_of(answers, [garments.pattern(k) for k in range(len(garments))], workers=workers)
+
+    def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
+        return beside_truth(answers, [garments.pattern(k) for k in range(len(answers))])
+
+    def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
+        truth = [garments.pattern(k) for k in range(len(garments))]
+        for folder, patterns in (("predictions", answers), ("truth", truth)):
+            make_folder(out / folder)
+            for key, pattern in zip(garments.keys, patterns, strict=True):
+                write_pattern(replace(pattern, name=key), out / folder / f"{key}.json")
+
+
+def beside_truth(answers: Sequence[Any], truth: Sequence[Any], *, size: int = SIDE) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of patterns: truth on the left, the answer on its right, two pairs in a row."""
+    pictures = [draw_pattern(pattern, size=size) for pair in zip(truth, answers, strict=True) for pattern in pair]
+    return contact_sheet(pictures, columns=4)
+
+
+# --------------------------------------------------------------------------------------------- the labels of vertices
+
+
+class Vertices:
+    """Answers are ``VertexLabels``, written as ``predictions/KEY.npz``."""
+
+    def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
+        from benchmarks.reconstruction.vertex_labels import score_labels, true_labels
+
+        return [score_labels(answer, true_labels(garments, k)) for k, answer in enumerate(answers)]
+
+    def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
+        """Front and back with true panels, then with the answer: assigned panels in their colours, others in red."""
+        from benchmarks.reconstruction.vertex_labels import assigned, true_labels
+
+        pictures = []
+        for k, answer in enumerate(answers):
+            faces, panels = garments.ragged["faces"][k], garments.ragged["panel_id"][k]
+            found = assigned(answer.panels, true_labels(garments, k).panels)[faces]
+            # The label of two corners of a face, or of its first.
+            said = np.where(found[:, 1] == found[:, 2], found[:, 1], found[:, 0])
+            for numbers in (panels, said):
+                pictures += _both_sides(garments.ragged["verts"][k], faces, numbers % len(PALETTE) * (numbers >= 0)
+                                        + len(PALETTE) * (numbers < 0))  # fmt: skip
+        return contact_sheet(pictures, columns=4)
+
+    def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
+        folder = make_folder(out / "predictions")
+        for key, answer in zip(garments.keys, answers, strict=True):
+            with open_whole(folder / f"{key}.npz") as file:
+                np.savez_compressed(file, **vars(answer))
+
+
+def _both_sides(
+    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, size: int = SIDE
+) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """A mesh from the front and from behind."""
+    return [draw_mesh(vertices * turn, faces, colours, size=size) for turn in (np.ones(3), BACKWARDS)]
+
+
+def draw_mesh(
+    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, size: int = SIDE
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A mesh seen along -z, its faces drawn from the farthest to the nearest.
+
+    ``colours``: rows of ``PALETTE``, or its length for red.
+    """
+    from PIL import Image, ImageDraw
+
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    scale = 0.94 * 2 * size / max(float((high - low).max()), 1.0)
+    flat = (vertices[:, :2] - 0.5 * (low + high)) * scale * [1, -1] + size
+    corner = vertices[faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    light = 0.55 + 0.45 * np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=1), 1e-9)
+    palette = np.array([*PALETTE, WRONG])
+    fills = (255 * palette[colours] * light[:, None]).astype(int)
+    image = Image.new("RGB", (2 * size, 2 * size), (250, 250, 248))
+    canvas = ImageDraw.Draw(image)
+    for face in np.argsort(corner[:, :, 2].mean(axis=1)).tolist():
+        canvas.polygon([tuple(point) for point in flat[faces[face]].tolist()], fill=tuple(fills[face].tolist()))
+    return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
