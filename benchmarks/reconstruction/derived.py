@@ -9,7 +9,17 @@ import numpy as np
 from gcd_dataset.loaders import VIEW_FIELDS, Scan
 from gcd_dataset.loaders.base import Item
 
-__all__ = ["CENTRE", "DERIVED", "MIRRORED", "PANEL_CLASSES", "SCAN_CAMERAS", "Derived", "derived_arrays", "item_fields", "panel_class"]
+__all__ = [
+    "CENTRE",
+    "DERIVED",
+    "MIRRORED",
+    "PANEL_CLASSES",
+    "SCAN_CAMERAS",
+    "Derived",
+    "derived_arrays",
+    "item_fields",
+    "panel_class",
+]
 
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 PANEL_CLASSES = (

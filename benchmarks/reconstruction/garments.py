@@ -210,7 +210,8 @@ def generated(
 ) -> GarmentSet:
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
 
-    ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set; a larger set there holds the smaller one.
+    ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set; a larger set there
+    holds the smaller one.
     ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
     ``mesh``.
     """
@@ -263,7 +264,7 @@ def fresh_garments(
 
     Garments whose drape did not settle are left out.
     """
-    names, read = _names(points, extra)
+    _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
     transform = _Encoded(_Packed(points, tuple(extra)), encode)
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)

@@ -7,7 +7,7 @@ clusters are tokens that attend to each other, and so to the whole garment. Both
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -115,7 +115,7 @@ class _Round(nn.Module):
         for layer in self.layers:
             tokens = layer(tokens, src_key_padding_mask=hidden)
         tokens = tokens[:, extra:]
-        own = tokens.reshape(-1, tokens.shape[-1])[batch.clusters]
+        own = gathered(tokens.reshape(-1, tokens.shape[-1]), batch.clusters)
         offset = (batch.positions - centres[batch.clusters]) * EDGE_SCALE
         return features + self.spread(torch.cat([own, offset.to(own)], dim=-1)), tokens
 
@@ -135,7 +135,7 @@ class EdgeConvolution(nn.Module):
         self, features: Float[Tensor, "v w"], batch: SurfaceBatch, along: Float[Tensor, "v k e"]
     ) -> Float[Tensor, "v w"]:
         seen = self.norm(features)
-        messages = self.own(seen)[:, None] + self.other(seen)[batch.neighbours] + self.along(along.to(seen))
+        messages = self.own(seen)[:, None] + gathered(self.other(seen), batch.neighbours) + self.along(along.to(seen))
         messages = functional.gelu(messages)
         features = features + self.merge(torch.cat([messages.amax(dim=1), messages.mean(dim=1)], dim=-1))
         moved: Tensor = features + self.inner(features)
@@ -154,6 +154,11 @@ def pooled(values: Float[Tensor, "v *d"], batch: SurfaceBatch, members: Tensor) 
     """Means of the clusters, in float32."""
     total = values.new_zeros((batch.size * batch.tokens, values.shape[-1]), dtype=torch.float32)
     return total.index_add(0, batch.clusters, values.float()) / members[:, None]
+
+
+def gathered(values: Float[Tensor, "n w"], rows: Int[Tensor, "*v"]) -> Float[Tensor, "*v w"]:
+    """Rows of values; the gradient of ``index_select`` needs no sorting, unlike that of ``values[rows]``."""
+    return values.index_select(0, rows.flatten()).view(*rows.shape, values.shape[-1])
 
 
 def waves(positions: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n f"]:

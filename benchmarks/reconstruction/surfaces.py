@@ -21,7 +21,16 @@ from benchmarks.reconstruction.derived import CENTRE
 from gcd_dataset.workers import parallel_map
 
 __all__ = [
-    "METRE", "SurfaceBatch", "SurfaceStore", "Surface", "Turn", "drawn_turn", "packed_rows", "cloud_of", "surface_of", "surfaces_of",
+    "METRE",
+    "Surface",
+    "SurfaceBatch",
+    "SurfaceStore",
+    "Turn",
+    "cloud_of",
+    "drawn_turn",
+    "packed_rows",
+    "surface_of",
+    "surfaces_of",
     "vertex_normals",
 ]  # fmt: skip
 
@@ -109,9 +118,7 @@ def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Bool[
     return pairs, counts == 1
 
 
-def _neighbours(
-    pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int
-) -> Int[np.ndarray, "v k"]:
+def _neighbours(pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int) -> Int[np.ndarray, "v k"]:
     """The nearest ``NEIGHBOURS`` along edges, padded with the vertex itself."""
     start = np.concatenate([pairs[:, 0], pairs[:, 1]])
     end = np.concatenate([pairs[:, 1], pairs[:, 0]])
@@ -241,7 +248,7 @@ def packed_rows(
     return starts[rows][owners] + numbers, owners, numbers
 
 
-# ------------------------------------------------------------------------------------------------------ the augmentation
+# ----------------------------------------------------------------------------------------------------- the augmentation
 
 
 @dataclass(frozen=True)
@@ -262,9 +269,7 @@ class Turn:
         return replace(batch, positions=positions, normals=normals)
 
 
-def drawn_turn(
-    rows: Int[Tensor, " b"], count: int, chance: torch.Generator, device: torch.device
-) -> Turn:
+def drawn_turn(rows: Int[Tensor, " b"], count: int, chance: torch.Generator, device: torch.device) -> Turn:
     """A turn for each garment ``rows`` of ``count``: yaw, growth, and for every second a mirror image.
 
     A garment's turn does not depend on the others in the batch.
@@ -275,4 +280,8 @@ def drawn_turn(
     zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
     columns = [yaw.cos() * mirror, zero, yaw.sin(), zero, one, zero, -yaw.sin() * mirror, zero, yaw.cos()]
     matrices = torch.stack(columns, dim=1).reshape(-1, 3, 3) * growth[:, None, None]
-    return Turn(matrices.to(device), (draws[1] < 0.5).to(device), (JITTER * torch.randn(JITTERED, 3, generator=chance)).to(device))
+    return Turn(
+        matrices.to(device),
+        (draws[1] < 0.5).to(device),
+        (JITTER * torch.randn(JITTERED, 3, generator=chance)).to(device),
+    )

@@ -5,8 +5,9 @@
     torchrun --nproc-per-node 4 -m benchmarks.reconstruction.train panel_set --task T0 --train 24000 --out out
 
 ``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too
-(answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json`` with mean scores, 95 % intervals, options and hashes of the
-data; ``curves.csv``; ``pictures/`` with answers beside truth; and the checkpoint, from which a repeated call continues.
+(answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
+with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
+truth; and the checkpoint, from which a repeated call continues.
 """
 
 import argparse

@@ -150,4 +150,3 @@ def _mean(values: Bool[np.ndarray, " n"], *, otherwise: bool) -> float:
 def _mean_of_two(both: int, true: int, said: int) -> float:
     """F1 from counts; 1 if there is nothing to find and nothing is found."""
     return 2 * both / (true + said) if true + said else 1.0
-
