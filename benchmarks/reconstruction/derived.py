@@ -8,11 +8,14 @@ import numpy as np
 
 from gcd_dataset.loaders import VIEW_FIELDS, Scan
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.records import EdgeRole
+from gcd_dataset.tensors import EDGE_LABELS
 
 __all__ = [
     "CENTRE",
     "DERIVED",
     "MIRRORED",
+    "MIRRORED_EDGES",
     "PANEL_CLASSES",
     "SCAN_CAMERAS",
     "Derived",
@@ -40,6 +43,8 @@ MIRRORED = tuple(
     for row, name in enumerate(PANEL_CLASSES)
 )
 """The class of the mirror image of a panel."""
+MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else "") for name in EDGE_LABELS)
+"""The label of the mirror image of an edge."""
 SCAN_CAMERAS, SCAN_POINTS, SCAN_SIZE = 4, 4096, 200
 
 

@@ -11,14 +11,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.surfaces import SurfaceBatch
+from benchmarks.reconstruction.surfaces import SHAPE, SurfaceBatch
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["LAYER_OPTIONS", "EdgeConvolution", "SurfaceNet", "SurfaceNetConfig", "mlp", "waves"]
 
 FREQUENCIES = 8  # octaves of the positional encoding
 EDGE_SCALE = 20.0  # scales offsets along edges to about 1: 5 cm
-EDGE_FEATURES = 6
+EDGE_FEATURES = 7
 LAYER_OPTIONS = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 
 
@@ -51,7 +51,7 @@ class SurfaceNet(nn.Module):
         """``features``: numbers given for each vertex, besides position and normal."""
         super().__init__()
         self.config = config
-        self.stem = nn.Linear(6 + 6 * FREQUENCIES + 1 + features, config.width)
+        self.stem = nn.Linear(6 + 6 * FREQUENCIES + SHAPE + features, config.width)
         self.rounds = nn.ModuleList(_Round(config) for _ in range(config.rounds))
         self.last = _convolutions(config)
         self.norm = nn.LayerNorm(config.width)
@@ -62,7 +62,7 @@ class SurfaceNet(nn.Module):
         """Features of the vertices; the tokens, and which of them exist. ``context``: further tokens to attend to."""
         place = torch.cat([batch.positions, batch.normals], dim=-1)
         features = self.stem(
-            torch.cat([place, waves(batch.positions), batch.on_border[:, None].to(place), given], dim=-1)
+            torch.cat([place, waves(batch.positions), batch.shape, given], dim=-1)
         )
         along = edge_features(batch)
         room = batch.size * batch.tokens
@@ -142,12 +142,13 @@ class EdgeConvolution(nn.Module):
         return moved
 
 
-def edge_features(batch: SurfaceBatch) -> Float[Tensor, "v k 6"]:
-    """Offset and length of each edge, the turn of the normal, and the offset along the normal."""
+def edge_features(batch: SurfaceBatch) -> Float[Tensor, "v k 7"]:
+    """Offset and distance of each neighbour, its distance along the cloth, the turn of the normal, the offset along it."""
     offsets = (batch.positions[batch.neighbours] - batch.positions[:, None]) * EDGE_SCALE
     turn = (batch.normals[batch.neighbours] * batch.normals[:, None]).sum(dim=-1, keepdim=True)
     out = (offsets * batch.normals[:, None]).sum(dim=-1, keepdim=True)
-    return torch.cat([offsets, offsets.norm(dim=-1, keepdim=True), 1 - turn, out], dim=-1)
+    rest = batch.lengths[..., None] * EDGE_SCALE
+    return torch.cat([offsets, offsets.norm(dim=-1, keepdim=True), rest, 1 - turn, out], dim=-1)
 
 
 def pooled(values: Float[Tensor, "v *d"], batch: SurfaceBatch, members: Tensor) -> Float[Tensor, "c *d"]:

@@ -22,12 +22,14 @@ from gcd_dataset.workers import parallel_map
 
 __all__ = [
     "METRE",
+    "SHAPE",
     "Surface",
     "SurfaceBatch",
     "SurfaceStore",
     "Turn",
     "cloud_of",
     "drawn_turn",
+    "farthest_points",
     "packed_rows",
     "surface_of",
     "surfaces_of",
@@ -36,6 +38,7 @@ __all__ = [
 
 METRE = 100.0  # cm: unit of positions in networks
 NEIGHBOURS = 10  # of a vertex, the nearest along edges; in a mesh of ours 6 on average
+SHAPE = 6  # numbers of ``Surface.shape``
 MOST_YAW = 0.3  # rad, of the augmentation
 MOST_GROWTH = 0.05  # share, of the augmentation
 JITTER = 0.001  # metres, of the augmentation
@@ -51,8 +54,11 @@ class Surface:
     normals: Float[np.ndarray, "v 3"]
     neighbours: Int[np.ndarray, "v k"]
     """Vertices along edges, nearest first; the vertex itself where there are fewer."""
-    on_border: Bool[np.ndarray, " v"]
-    """Whether the vertex is on an edge of one face."""
+    lengths: Float[np.ndarray, "v k"]
+    """Of the edges to the neighbours [m]; 0 to the vertex itself."""
+    shape: Float[np.ndarray, "v 6"]
+    """Number of neighbours over 6; shortest, mean and longest edge over the median edge of the mesh; angle defect
+    [rad], 0 on the border; whether on the border."""
     clusters: Int[np.ndarray, " v"]
     """Cluster of each vertex: that of the centre at the least distance along edges."""
 
@@ -62,20 +68,26 @@ def surface_of(
     faces: Int[np.ndarray, "f 3"],
     *,
     clusters: int,
-    metric: Float[np.ndarray, "v 3"] | None = None,
+    lengths: Float[np.ndarray, "f 3"] | None = None,
 ) -> Surface:
-    """A mesh with ``vertices`` [cm], prepared. ``metric``: positions whose distances order neighbours, if not those."""
-    place = np.asarray(vertices if metric is None else metric, np.float64)
-    pairs, borders = _edges(faces)
-    lengths = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1) + 1e-6
+    """A mesh with ``vertices`` [cm], prepared. ``lengths``: of the edges after each corner of a face, if they are not
+    the distances of ``vertices`` [cm].
+    """
+    place = np.asarray(vertices, np.float64)
+    pairs, borders, edge_of_corner = _edges(faces)
+    rest = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+    if lengths is not None:
+        rest = np.bincount(edge_of_corner, lengths.ravel()) / np.bincount(edge_of_corner)
+    table, along = _neighbours(pairs, rest + 1e-6, len(vertices))
     on_border = np.zeros(len(vertices), bool)
     on_border[pairs[borders].ravel()] = True
     return Surface(
         positions=((vertices - CENTRE) / METRE).astype(np.float32),
         normals=vertex_normals(vertices, faces).astype(np.float32),
-        neighbours=_neighbours(pairs, lengths, len(vertices)),
-        on_border=on_border,
-        clusters=_clusters(place, pairs, lengths, clusters),
+        neighbours=table,
+        lengths=along,
+        shape=_shape(vertices, faces, pairs, on_border),
+        clusters=_clusters(place, pairs, rest + 1e-6, clusters),
     )
 
 
@@ -87,7 +99,8 @@ def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
         positions=((points - CENTRE) / METRE).astype(np.float32),
         normals=normals.astype(np.float32),
         neighbours=nearest[:, 1:].astype(np.int32),
-        on_border=np.zeros(len(points), bool),
+        lengths=(distances[:, 1:] / METRE).astype(np.float32),
+        shape=np.zeros((len(points), SHAPE), np.float32),
         clusters=_clusters(points, pairs, distances[:, 1:].ravel() + 1e-6, clusters),
     )
 
@@ -111,25 +124,55 @@ def vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
-def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, " e"]]:
-    """The edges of the faces, and whether each is of one face only."""
+def _edges(
+    faces: Int[np.ndarray, "f 3"],
+) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, " e"], Int[np.ndarray, " c"]]:
+    """The edges of the faces, whether each is of one face only, and the edge after each corner of each face."""
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    pairs, counts = np.unique(ends, axis=0, return_counts=True)
-    return pairs, counts == 1
+    pairs, rows, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    return pairs, counts == 1, rows.ravel()
 
 
-def _neighbours(pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int) -> Int[np.ndarray, "v k"]:
-    """The nearest ``NEIGHBOURS`` along edges, padded with the vertex itself."""
+def _shape(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    pairs: Int[np.ndarray, "e 2"],
+    on_border: Bool[np.ndarray, " v"],
+) -> Float[np.ndarray, "v 6"]:
+    count = len(vertices)
+    ends, lengths = pairs.T.ravel(), np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
+    both = np.concatenate([lengths, lengths]) / max(float(np.median(lengths)), 1e-6)
+    valence = np.bincount(ends, minlength=count)
+    least, most = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(least, ends, both)
+    np.maximum.at(most, ends, both)
+    mean = np.bincount(ends, both, count) / np.maximum(valence, 1)
+    corner = np.asarray(vertices, np.float64)[faces]
+    turned = np.zeros(count)
+    for k in range(3):
+        a, b = corner[:, (k + 1) % 3] - corner[:, k], corner[:, (k + 2) % 3] - corner[:, k]
+        angles = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        turned += np.bincount(faces[:, k], angles, count)
+    defect = np.where(on_border, 0.0, 2 * np.pi - turned)
+    columns = [valence / 6, np.where(valence > 0, least, 0), mean, most, defect, on_border]
+    return np.clip(np.stack(columns, axis=1), -5, 5).astype(np.float32)
+
+
+def _neighbours(pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int) -> tuple[Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
+    """The nearest ``NEIGHBOURS`` along edges, padded with the vertex itself, and the lengths of these edges [m]."""
     start = np.concatenate([pairs[:, 0], pairs[:, 1]])
     end = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    order = np.lexsort((np.concatenate([lengths, lengths]), start))
-    start, end = start[order], end[order]
+    both = np.concatenate([lengths, lengths])
+    order = np.lexsort((both, start))
+    start, end, both = start[order], end[order], both[order]
     first = np.searchsorted(start, np.arange(count))
     rank = np.arange(len(start)) - first[start]
     table = np.repeat(np.arange(count)[:, None], NEIGHBOURS, axis=1)
     kept = rank < NEIGHBOURS
     table[start[kept], rank[kept]] = end[kept]
-    return table.astype(np.int32)
+    along = np.zeros(table.shape, np.float32)
+    along[start[kept], rank[kept]] = both[kept] / METRE
+    return table.astype(np.int32), along
 
 
 def _clusters(
@@ -137,7 +180,7 @@ def _clusters(
 ) -> Int[np.ndarray, " v"]:
     """The nearest of ``count`` centres along edges, for each vertex; centres are chosen farthest first."""
     graph = csr_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(place), len(place)))
-    centres = _farthest_points(place, min(count, len(place)))
+    centres = farthest_points(place, min(count, len(place)))
     _, _, sources = dijkstra(graph, directed=False, indices=centres, min_only=True, return_predecessors=True)
     row = np.full(len(place) + 1, -1)
     row[centres] = np.arange(len(centres))
@@ -148,7 +191,7 @@ def _clusters(
     return found.astype(np.int32)
 
 
-def _farthest_points(points: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " k"]:
+def farthest_points(points: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " k"]:
     """Rows of points, each the farthest from those before it; the first is the farthest from the mean."""
     chosen = np.empty(count, np.int64)
     chosen[0] = np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))
@@ -170,7 +213,10 @@ class SurfaceBatch:
     normals: Float[Tensor, "v 3"]
     neighbours: Int[Tensor, "v k"]
     """Rows of the batch."""
-    on_border: Bool[Tensor, " v"]
+    lengths: Float[Tensor, "v k"]
+    """``Surface.lengths``."""
+    shape: Float[Tensor, "v 6"]
+    """``Surface.shape``."""
     clusters: Int[Tensor, " v"]
     """``garment * tokens + cluster``."""
     garments: Int[Tensor, " v"]
@@ -210,7 +256,7 @@ class SurfaceStore:
         self.starts = torch.cat([torch.zeros(1, dtype=torch.int64), lengths.cumsum(0)]).to(device)
         self.positions, self.normals = joined("positions", torch.float32), joined("normals", torch.float32)
         self.neighbours, self.clusters = joined("neighbours", torch.int32), joined("clusters", torch.int32)
-        self.on_border = joined("on_border", torch.bool)
+        self.shape, self.lengths = joined("shape", torch.float32), joined("lengths", torch.float32)
         self.tokens = tokens
 
     def __len__(self) -> int:
@@ -225,7 +271,8 @@ class SurfaceStore:
             positions=self.positions[chosen],
             normals=self.normals[chosen],
             neighbours=self.neighbours[chosen].long() + first[:, None],
-            on_border=self.on_border[chosen],
+            lengths=self.lengths[chosen],
+            shape=self.shape[chosen],
             clusters=self.clusters[chosen].long() + garments * self.tokens,
             garments=garments,
             slots=slots,
@@ -269,19 +316,27 @@ class Turn:
         return replace(batch, positions=positions, normals=normals)
 
 
-def drawn_turn(rows: Int[Tensor, " b"], count: int, chance: torch.Generator, device: torch.device) -> Turn:
+def drawn_turn(
+    rows: Int[Tensor, " b"],
+    count: int,
+    chance: torch.Generator,
+    device: torch.device,
+    *,
+    growth: float = MOST_GROWTH,
+    jitter: float = JITTER,
+) -> Turn:
     """A turn for each garment ``rows`` of ``count``: yaw, growth, and for every second a mirror image.
 
-    A garment's turn does not depend on the others in the batch.
+    ``growth``: largest share; ``jitter``: standard deviation [m]. A garment's turn does not depend on the others in the batch.
     """
     draws = torch.rand(count, 3, generator=chance)[rows].T
     yaw, mirror = (2 * draws[0] - 1) * MOST_YAW, torch.where(draws[1] < 0.5, -1.0, 1.0)
-    growth = 1 + MOST_GROWTH * (2 * draws[2] - 1)
+    scale = 1 + growth * (2 * draws[2] - 1)
     zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
     columns = [yaw.cos() * mirror, zero, yaw.sin(), zero, one, zero, -yaw.sin() * mirror, zero, yaw.cos()]
-    matrices = torch.stack(columns, dim=1).reshape(-1, 3, 3) * growth[:, None, None]
+    matrices = torch.stack(columns, dim=1).reshape(-1, 3, 3) * scale[:, None, None]
     return Turn(
         matrices.to(device),
         (draws[1] < 0.5).to(device),
-        (JITTER * torch.randn(JITTERED, 3, generator=chance)).to(device),
+        (jitter * torch.randn(JITTERED, 3, generator=chance)).to(device),
     )

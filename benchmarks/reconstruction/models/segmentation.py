@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import MIRRORED, PANEL_CLASSES
+from benchmarks.reconstruction.derived import MIRRORED, MIRRORED_EDGES, PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
@@ -30,14 +30,12 @@ from benchmarks.reconstruction.surfaces import (
 )
 from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
 __all__ = ["SMOKE", "TASKS", "USUAL", "LabelBatch", "LabelledSurfaces", "Segmentation", "SetHead", "build", "set_loss"]
 
 TASKS = ("T4",)
-MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else "") for name in EDGE_LABELS)
 LEAST_VERTICES = 5  # of a panel; at 4 cm the smallest of 2,000 panels has 9
 WEIGHTS = {
     "panels": 1.0, "panel_dice": 1.0, "on_seam": 1.0, "seams": 0.5, "seam_dice": 0.5, "classes": 0.5, "edges": 0.5,

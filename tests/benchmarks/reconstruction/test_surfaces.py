@@ -30,7 +30,7 @@ def test_shuffled_vertices_get_the_same_surface_shuffled() -> None:
     assert np.allclose(one.positions[order], other.positions)
     assert np.allclose(one.normals[order], other.normals, atol=1e-5)
     assert np.array_equal(one.clusters[order], other.clusters)
-    assert np.array_equal(one.on_border[order], other.on_border)
+    assert np.allclose(one.shape[order], other.shape)
     assert np.array_equal(place[one.neighbours[order]], other.neighbours)
 
 
@@ -55,9 +55,20 @@ def test_neighbours_are_joined_by_edges() -> None:
 
 
 def test_the_border_of_a_sheet() -> None:
-    found = surface_of(*sheet(4, 4), clusters=2).on_border.reshape(4, 4)
+    found = surface_of(*sheet(4, 4), clusters=2).shape[:, -1].reshape(4, 4)
     assert found.sum() == 12
     assert not found[1:-1, 1:-1].any()
+
+
+def test_the_angle_defects_of_a_closed_mesh_sum_to_two_turns() -> None:
+    """Gauss-Bonnet, on an octahedron; each of its vertices has four neighbours."""
+    points = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+    shape = surface_of(points, faces, clusters=2).shape
+    assert shape[:, 4].sum() == pytest.approx(4 * np.pi, rel=1e-5)
+    assert shape[:, 0] == pytest.approx(4 / 6)
+    assert shape[:, 1:4] == pytest.approx(1.0)
+    assert not shape[:, 5].any()
 
 
 def test_normals_of_a_flat_sheet_are_upright() -> None:
