@@ -1,7 +1,7 @@
 """How the answers of a task are scored, drawn and written: one ``Judge`` for each kind of answer."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, fields, replace
+from dataclasses import asdict, astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,7 +17,7 @@ from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.spec import write_pattern
 
-__all__ = ["Judge", "Patterns", "Vertices", "beside_truth", "draw_mesh", "intervals", "judge_of", "means_of"]
+__all__ = ["Drapes", "Judge", "Patterns", "Vertices", "beside_truth", "draw_mesh", "intervals", "judge_of", "means_of"]
 
 SIDE = 320  # pixels of a picture
 BACKWARDS = np.array([-1.0, 1.0, -1.0])  # half a turn about the vertical
@@ -37,9 +37,11 @@ class Judge(Protocol):
         """The answers as files in ``out``."""
 
 
-def judge_of(task: Task) -> Judge:
-    """The judge of a task."""
-    return Vertices() if task.name == "T4" else Patterns()
+def judge_of(task: Task, *, watching: bool = False) -> Judge:
+    """The judge of a task; ``watching``: without scores that take long, to watch a training."""
+    if task.name == "T4":
+        return Vertices()
+    return Drapes(crossings=not watching) if task.name == "T6" else Patterns()
 
 
 def means_of(scores: Sequence[Any]) -> dict[str, float]:
@@ -115,23 +117,55 @@ class Vertices:
                 np.savez_compressed(file, **vars(answer))
 
 
+# ---------------------------------------------------------------------------------------------------------- the drapes
+
+
+@dataclass(frozen=True)
+class Drapes:
+    """Answers are ``DrapedVertices``, written as ``predictions/KEY.npz``."""
+
+    crossings: bool = True
+    """Whether crossings are counted."""
+
+    def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
+        from benchmarks.reconstruction.drapes import score_drapes
+
+        return score_drapes(answers, garments, crossings=self.crossings)
+
+    def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
+        """The drape from the front and from behind, then the answer at the same scale."""
+        pictures = []
+        for k, answer in enumerate(answers):
+            true, faces = garments.ragged["verts"][k], garments.ragged["faces"][k]
+            for vertices in (true, answer.vertices):
+                pictures += _both_sides(vertices, faces, garments.ragged["panel_id"][k] % len(PALETTE), frame=true)
+        return contact_sheet(pictures, columns=4)
+
+    def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
+        folder = make_folder(out / "predictions")
+        for key, answer in zip(garments.keys, answers, strict=True):
+            with open_whole(folder / f"{key}.npz") as file:
+                np.savez_compressed(file, vertices=answer.vertices.astype(np.float32), ms=answer.ms)
+
+
 def _both_sides(
-    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, size: int = SIDE
+    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, frame: np.ndarray | None = None
 ) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """A mesh from the front and from behind."""
-    return [draw_mesh(vertices * turn, faces, colours, size=size) for turn in (np.ones(3), BACKWARDS)]
+    """A mesh from the front and from behind; ``frame``: the points that fill a picture, if not the mesh."""
+    frame = vertices if frame is None else frame
+    return [draw_mesh(vertices * turn, faces, colours, frame=frame * turn) for turn in (np.ones(3), BACKWARDS)]
 
 
 def draw_mesh(
-    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, size: int = SIDE
+    vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, frame: np.ndarray, size: int = SIDE
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A mesh seen along -z, its faces drawn from the farthest to the nearest.
+    """A mesh seen along -z, its faces drawn from the farthest to the nearest, and the points ``frame`` in the picture.
 
     ``colours``: rows of ``PALETTE``, or its length for red.
     """
     from PIL import Image, ImageDraw
 
-    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    low, high = frame[:, :2].min(axis=0), frame[:, :2].max(axis=0)
     scale = 0.94 * 2 * size / max(float((high - low).max()), 1.0)
     flat = (vertices[:, :2] - 0.5 * (low + high)) * scale * [1, -1] + size
     corner = vertices[faces]

@@ -14,7 +14,16 @@ from torch.nn import functional
 from benchmarks.reconstruction.surfaces import SHAPE, SurfaceBatch
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["LAYER_OPTIONS", "EdgeConvolution", "SurfaceNet", "SurfaceNetConfig", "mlp", "waves"]
+__all__ = [
+    "FREQUENCIES",
+    "LAYER_OPTIONS",
+    "EdgeConvolution",
+    "SurfaceNet",
+    "SurfaceNetConfig",
+    "gathered",
+    "mlp",
+    "waves",
+]
 
 FREQUENCIES = 8  # octaves of the positional encoding
 EDGE_SCALE = 20.0  # scales offsets along edges to about 1: 5 cm
@@ -76,6 +85,13 @@ class SurfaceNet(nn.Module):
         for convolution in self.last:
             features = convolution(features, batch, along)
         return self.norm(features), tokens, exists
+
+
+    def compile_convolutions(self) -> None:
+        """Compile the edge convolutions, for any number of vertices."""
+        for part in self.modules():
+            if isinstance(part, EdgeConvolution):
+                part.compile(dynamic=True)
 
 
 class _Round(nn.Module):

@@ -209,7 +209,7 @@ def _trained(learner: Learner[Any, Any], split: Split, options: Options, device:
     learner.to(device)
     examples = learner.prepare(split.train, device=device, workers=options.workers)
     watched = learner.prepare(split.check, device=device)
-    check = _Check(split.check, watched, options.out, judge_of(options.task))
+    check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
     trained = train(learner, examples, options.config, device=device, out=options.out, check=check)

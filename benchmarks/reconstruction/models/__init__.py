@@ -14,7 +14,8 @@ __all__ = ["MODELS", "load_model"]
 
 MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
-    for name in ("panel_set", "stitches", "nearest", "typical", "ceiling", "segmentation", "nearest_labels")
+    for name in ("panel_set", "stitches", "nearest", "typical", "ceiling", "segmentation", "nearest_labels",
+                 "drape_surrogate", "box_mesh", "coarse_drape", "solver")
 }
 
 

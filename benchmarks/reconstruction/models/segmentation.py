@@ -85,11 +85,7 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
         return LabelledSurfaces(garments, tokens=self.config.tokens, device=device, workers=workers)
 
     def compile_parts(self) -> None:
-        for one in self.net.rounds:
-            for convolution in one.convolutions:  # type: ignore[union-attr]
-                convolution.compile(dynamic=True)
-        for convolution in self.net.last:
-            convolution.compile(dynamic=True)
+        self.net.compile_convolutions()
 
     def loss(self, batch: LabelBatch) -> dict[str, Tensor]:
         features, panels, seams = self._logits(batch.surface)
