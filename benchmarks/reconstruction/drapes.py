@@ -77,7 +77,12 @@ def _score(answer: DrapedVertices, garments: GarmentSet, k: int, *crossings: int
     off = np.abs(_sides(answer.vertices[faces]) - _sides(true[faces])) / np.maximum(flat, 1e-2)
     error = float(away.mean())
     return DrapeScore(
-        error, float(np.percentile(away, 95)), float(error <= CLOSE), float(off.mean()), *map(float, crossings), answer.ms
+        error,
+        float(np.percentile(away, 95)),
+        float(error <= CLOSE),
+        float(off.mean()),
+        *map(float, crossings),
+        answer.ms,
     )
 
 
@@ -181,4 +186,3 @@ def transferred(
 
 def _spacing(mesh: BoxMesh, flat: Int[np.ndarray, "f 3"]) -> float:
     return max(float(_sides(mesh.uv[flat]).mean()), 1e-3)
-

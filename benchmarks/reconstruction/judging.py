@@ -1,5 +1,6 @@
 """How the answers of a task are scored, drawn and written: one ``Judge`` for each kind of answer."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass, fields, replace
 from pathlib import Path
@@ -11,14 +12,27 @@ from jaxtyping import UInt8
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import Task
-from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
+from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.spec import write_pattern
 
-__all__ = ["Drapes", "Judge", "Patterns", "Vertices", "beside_truth", "draw_mesh", "intervals", "judge_of", "means_of"]
+__all__ = [
+    "Drapes",
+    "Judge",
+    "Measures",
+    "Patterns",
+    "Vertices",
+    "beside_truth",
+    "draw_mesh",
+    "intervals",
+    "judge_of",
+    "means_of",
+]
 
+SHOWN = 8  # garments in pictures
 SIDE = 320  # pixels of a picture
 BACKWARDS = np.array([-1.0, 1.0, -1.0])  # half a turn about the vertical
 WRONG = (0.86, 0.08, 0.08)  # sRGB
@@ -31,7 +45,7 @@ class Judge(Protocol):
         """One dataclass of numbers for each answer."""
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
-        """Answers beside the truth."""
+        """Answers beside the truth; of meshes and patterns, the first ``SHOWN``."""
 
     def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
         """The answers as files in ``out``."""
@@ -41,6 +55,8 @@ def judge_of(task: Task, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
     if task.name == "T4":
         return Vertices()
+    if task.name == "T5":
+        return Measures()
     return Drapes(crossings=not watching) if task.name == "T6" else Patterns()
 
 
@@ -68,7 +84,8 @@ class Patterns:
         return scores_of(answers, [garments.pattern(k) for k in range(len(garments))], workers=workers)
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
-        return beside_truth(answers, [garments.pattern(k) for k in range(len(answers))])
+        shown = answers[:SHOWN]
+        return beside_truth(shown, [garments.pattern(k) for k in range(len(shown))])
 
     def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
         truth = [garments.pattern(k) for k in range(len(garments))]
@@ -100,7 +117,7 @@ class Vertices:
         from benchmarks.reconstruction.vertex_labels import assigned, true_labels
 
         pictures = []
-        for k, answer in enumerate(answers):
+        for k, answer in enumerate(answers[:SHOWN]):
             faces, panels = garments.ragged["faces"][k], garments.ragged["panel_id"][k]
             found = assigned(answer.panels, true_labels(garments, k).panels)[faces]
             # The label of two corners of a face, or of its first.
@@ -115,6 +132,44 @@ class Vertices:
         for key, answer in zip(garments.keys, answers, strict=True):
             with open_whole(folder / f"{key}.npz") as file:
                 np.savez_compressed(file, **vars(answer))
+
+
+# -------------------------------------------------------------------------------------------------------- the measures
+
+
+class Measures:
+    """Answers are rows of ``MEASURES`` [cm, degrees], written as ``predictions/KEY.json``."""
+
+    def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
+        from benchmarks.reconstruction.body_measures import score_measures
+
+        return [score_measures(answer, garments.measures[k]) for k, answer in enumerate(answers)]
+
+    def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
+        """A plot for each measure: the truth to the right, the answer upwards, and the line where they agree."""
+        pairs = np.stack([garments.measures, np.stack(answers)], axis=-1)
+        return contact_sheet([_plot(name, pairs[:, k]) for k, name in enumerate(MEASURES)], columns=7)
+
+    def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
+        folder = make_folder(out / "predictions")
+        for key, answer in zip(garments.keys, answers, strict=True):
+            values = dict(zip(MEASURES, np.asarray(answer, float).round(3).tolist(), strict=True))
+            write_whole(folder / f"{key}.json", json.dumps(values, indent=1).encode())
+
+
+def _plot(name: str, pairs: np.ndarray, size: int = 160) -> UInt8[np.ndarray, "h w 3"]:
+    from PIL import Image, ImageDraw
+
+    image = Image.new("RGB", (size, size + 14), (255, 255, 255))
+    canvas = ImageDraw.Draw(image)
+    known = pairs[np.isfinite(pairs).all(axis=1)]
+    low, high = (known.min(), known.max()) if len(known) else (0.0, 1.0)
+    places = (known - low) / max(float(high - low), 1e-6) * (size - 12) + 6
+    canvas.line([(6, size - 6), (size - 6, 6)], fill=(170, 170, 170))
+    for x, y in places.tolist():
+        canvas.ellipse([x - 1.5, size - y - 1.5, x + 1.5, size - y + 1.5], fill=(40, 80, 150))
+    canvas.text((4, size), f"{name} {low:.0f} to {high:.0f}", fill=(40, 40, 40))
+    return np.asarray(image)
 
 
 # ---------------------------------------------------------------------------------------------------------- the drapes
@@ -135,7 +190,7 @@ class Drapes:
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
         """The drape from the front and from behind, then the answer at the same scale."""
         pictures = []
-        for k, answer in enumerate(answers):
+        for k, answer in enumerate(answers[:SHOWN]):
             true, faces = garments.ragged["verts"][k], garments.ragged["faces"][k]
             for vertices in (true, answer.vertices):
                 pictures += _both_sides(vertices, faces, garments.ragged["panel_id"][k] % len(PALETTE), frame=true)

@@ -70,9 +70,7 @@ class SurfaceNet(nn.Module):
     ) -> tuple[Float[Tensor, "v w"], Float[Tensor, "b t u"], Bool[Tensor, "b t"]]:
         """Features of the vertices; the tokens, and which of them exist. ``context``: further tokens to attend to."""
         place = torch.cat([batch.positions, batch.normals], dim=-1)
-        features = self.stem(
-            torch.cat([place, waves(batch.positions), batch.shape, given], dim=-1)
-        )
+        features = self.stem(torch.cat([place, waves(batch.positions), batch.shape, given], dim=-1))
         along = edge_features(batch)
         room = batch.size * batch.tokens
         members = torch.bincount(batch.clusters, minlength=room).clamp(min=1)
@@ -85,7 +83,6 @@ class SurfaceNet(nn.Module):
         for convolution in self.last:
             features = convolution(features, batch, along)
         return self.norm(features), tokens, exists
-
 
     def compile_convolutions(self) -> None:
         """Compile the edge convolutions, for any number of vertices."""

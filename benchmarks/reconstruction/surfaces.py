@@ -158,7 +158,9 @@ def _shape(
     return np.clip(np.stack(columns, axis=1), -5, 5).astype(np.float32)
 
 
-def _neighbours(pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int) -> tuple[Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
+def _neighbours(
+    pairs: Int[np.ndarray, "e 2"], lengths: Float[np.ndarray, " e"], count: int
+) -> tuple[Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
     """The nearest ``NEIGHBOURS`` along edges, padded with the vertex itself, and the lengths of these edges [m]."""
     start = np.concatenate([pairs[:, 0], pairs[:, 1]])
     end = np.concatenate([pairs[:, 1], pairs[:, 0]])

@@ -45,7 +45,6 @@ SMOKE: Mapping[str, Any] = {
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
 }  # fmt: skip
 """Options of the smallest run: few garments, coarse and all of one kind."""
-SHOWN = 8  # garments in pictures
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ class _Check:
 
     def __call__(self, step: int, learner: Learner[Any, Any]) -> Mapping[str, float]:
         answers = learner.predict(self.examples.batch(torch.arange(len(self.garments))))
-        picture = self.judge.picture(answers[:SHOWN], self.garments)
+        picture = self.judge.picture(answers, self.garments)
         write_whole(make_folder(self.out / "pictures") / f"step_{step:06d}.png", png_bytes(picture))
         means = means_of(self.judge.scores(answers, self.garments))
         return {f"check_{name}": value for name, value in means.items()}
@@ -302,7 +301,7 @@ def _write(
         writer.writeheader()
         for key, kind, score in zip(test.keys, test.kinds, scores, strict=True):
             writer.writerow({"key": key, "kind": kind, **asdict(score)})
-    picture = judge.picture(answers[:SHOWN], test)
+    picture = judge.picture(answers, test)
     write_whole(make_folder(out / "pictures") / "test.png", png_bytes(picture))
     write_whole(out / "report.json", json.dumps(report, indent=1).encode())
 

@@ -56,4 +56,3 @@ def _points(rows: Int[np.ndarray, " n"], shape: BodyShape) -> Float[np.ndarray, 
     body = stored_body(shape)
     normals = vertex_normals(body.vertices, body.faces)
     return np.concatenate([(body.vertices - CENTRE) / METRE, normals], axis=1)[rows].astype(np.float32)
-

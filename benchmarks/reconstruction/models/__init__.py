@@ -14,8 +14,22 @@ __all__ = ["MODELS", "load_model"]
 
 MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
-    for name in ("panel_set", "stitches", "nearest", "typical", "ceiling", "segmentation", "nearest_labels",
-                 "drape_surrogate", "box_mesh", "coarse_drape", "solver")
+    for name in (
+        "panel_set",
+        "stitches",
+        "nearest",
+        "typical",
+        "ceiling",
+        "segmentation",
+        "nearest_labels",
+        "drape_surrogate",
+        "box_mesh",
+        "coarse_drape",
+        "solver",
+        "measures",
+        "mean_measures",
+        "nearest_measures",
+    )
 }
 
 

@@ -6,7 +6,7 @@ vertices.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -72,7 +72,12 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
     """Box mesh and body to positions."""
 
     def __init__(
-        self, config: SurfaceNetConfig | None = None, *, body: int = 2048, body_tokens: int = 256, second_rounds: int = 1
+        self,
+        config: SurfaceNetConfig | None = None,
+        *,
+        body: int = 2048,
+        body_tokens: int = 256,
+        second_rounds: int = 1,
     ) -> None:
         """``body``: points of the body; ``body_tokens``: points that are tokens; ``second_rounds``: of the second
         network.
@@ -209,9 +214,7 @@ def depth(positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Te
 class DrapedSurfaces:
     """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random."""
 
-    def __init__(
-        self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0
-    ) -> None:
+    def __init__(self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0) -> None:
         meshes = (_mesh_of(garments, k) for k in range(len(garments)))
         surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
         self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
@@ -227,7 +230,9 @@ class DrapedSurfaces:
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> DrapeBatch:
         """The garments ``rows``."""
         surface, chosen = self.store.batch(rows)
-        batch = DrapeBatch(surface, self._given[chosen].float(), self._body[rows.to(chosen.device)], self._draped[chosen])
+        batch = DrapeBatch(
+            surface, self._given[chosen].float(), self._body[rows.to(chosen.device)], self._draped[chosen]
+        )
         if chance is None:
             return batch
         turn = drawn_turn(rows, len(self), chance, chosen.device, growth=0.0, jitter=0.0)
