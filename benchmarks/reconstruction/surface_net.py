@@ -156,7 +156,7 @@ class EdgeConvolution(nn.Module):
 
 
 def edge_features(batch: SurfaceBatch) -> Float[Tensor, "v k 7"]:
-    """Offset and distance of each neighbour, its distance along the cloth, the turn of the normal, the offset along it."""
+    """Offset and distance of each neighbour, its distance in the cloth, the turn of the normal, the height."""
     offsets = (batch.positions[batch.neighbours] - batch.positions[:, None]) * EDGE_SCALE
     turn = (batch.normals[batch.neighbours] * batch.normals[:, None]).sum(dim=-1, keepdim=True)
     out = (offsets * batch.normals[:, None]).sum(dim=-1, keepdim=True)

@@ -329,7 +329,8 @@ def drawn_turn(
 ) -> Turn:
     """A turn for each garment ``rows`` of ``count``: yaw, growth, and for every second a mirror image.
 
-    ``growth``: largest share; ``jitter``: standard deviation [m]. A garment's turn does not depend on the others in the batch.
+    ``growth``: largest share; ``jitter``: standard deviation [m]. A garment's turn does not
+    depend on the others in the batch.
     """
     draws = torch.rand(count, 3, generator=chance)[rows].T
     yaw, mirror = (2 * draws[0] - 1) * MOST_YAW, torch.where(draws[1] < 0.5, -1.0, 1.0)
