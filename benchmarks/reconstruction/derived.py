@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcd_dataset.loaders import VIEW_FIELDS, Scan
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS
@@ -17,7 +16,6 @@ __all__ = [
     "MIRRORED",
     "MIRRORED_EDGES",
     "PANEL_CLASSES",
-    "SCAN_CAMERAS",
     "Derived",
     "derived_arrays",
     "item_fields",
@@ -45,7 +43,6 @@ MIRRORED = tuple(
 """The class of the mirror image of a panel."""
 MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else "") for name in EDGE_LABELS)
 """The label of the mirror image of an edge."""
-SCAN_CAMERAS, SCAN_POINTS, SCAN_SIZE = 4, 4096, 200
 
 
 def panel_class(name: str) -> int:
@@ -86,23 +83,8 @@ def _pose(item: Item) -> np.ndarray:
     return np.array([[pose["arm_angle"], float(pose["legs_apart"])]], np.float32)
 
 
-def _scan(item: Item) -> np.ndarray:
-    """Noiseless, so that the error of the measures is that of the model; empty for a diverged drape."""
-    if not np.isfinite(item["verts"].numpy()).all():
-        return np.zeros((0, 7), np.float16)
-    from gcd_dataset.generator.render.depth_noise import NOISELESS
-
-    found = Scan(SCAN_CAMERAS, SCAN_POINTS, body=True, size=SCAN_SIZE, noise=NOISELESS)(item)
-    points = found["scan"].double().numpy()
-    points[:, :3] -= CENTRE
-    return np.concatenate([points, found["scan_panel_id"].numpy()[:, None] >= 0], axis=1).astype(np.float16)
-
-
 DERIVED: Mapping[str, Derived] = {
     "panel_classes": Derived(("meta",), _panel_classes),
     "pose": Derived(("meta",), _pose),
-    "scan": Derived(VIEW_FIELDS, _scan),
 }
-"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose``
-(1, 2): angle of the arms [rad], whether the legs are apart; ``scan`` (n, 7): points of garment and visible body as four
-cameras see them, relative to ``CENTRE`` [cm], normals, whether on the garment."""
+"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart."""

@@ -10,7 +10,7 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.wearers import measurements_of, wearer_of
+from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.drape.device import resolve_device
@@ -21,9 +21,8 @@ from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import coarse_start
 from gcd_dataset.generator.mesh.locate import barycentric, locate
 from gcd_dataset.records import BoxMesh
-from gcd_dataset.tensors import EDGE_LABELS
 
-__all__ = ["DrapeScore", "DrapedVertices", "box_mesh_of", "counted", "redraped", "score_drapes", "transferred"]
+__all__ = ["DrapeScore", "DrapedVertices", "counted", "redraped", "score_drapes", "transferred"]
 
 AT_ONCE = 32  # garments whose crossings are counted together
 CLOSE = 1.0  # cm
@@ -88,21 +87,6 @@ def _score(answer: DrapedVertices, garments: GarmentSet, k: int, *crossings: int
 
 def _sides(corner: Float[np.ndarray, "f 3 d"]) -> Float[np.ndarray, "f 3"]:
     return np.asarray(np.linalg.norm(corner[:, [1, 2, 0]] - corner, axis=-1))
-
-
-def box_mesh_of(garments: GarmentSet, k: int) -> BoxMesh:
-    """The box mesh of garment ``k`` as it was draped; panels are named by number."""
-    ragged, pattern = garments.ragged, garments.pattern(k)
-    labels = ragged["labels"][k]
-    known = {name: labels[labels[:, 1] == row, 0].astype(int) for row, name in enumerate(EDGE_LABELS) if name}
-    return BoxMesh(
-        vertices=ragged["box"][k].astype(float),
-        uv=ragged["uv"][k].astype(float),
-        panel_names=tuple(panel.name for panel in pattern.panels),
-        panel_labels=tuple(panel.label for panel in pattern.panels),
-        labels={name: rows for name, rows in known.items() if len(rows)},
-        **{name: ragged[name][k].astype(np.int64) for name in ("faces", "corners", "uv_vertex", "panel_id", "seams")},
-    )
 
 
 # -------------------------------------------------------------------------------------------------------- the crossings

@@ -23,7 +23,7 @@ DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
 SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
-    "labels", "panel_classes", "pose", "scan",
+    "labels", "panel_classes", "pose",
 )  # fmt: skip
 """Arrays of T4, T5 and T6, which share their garments and so their cache."""
 

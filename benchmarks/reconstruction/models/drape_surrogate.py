@@ -126,7 +126,8 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
 
     def predict(self, batch: DrapeBatch) -> list[DrapedVertices]:
         """Positions, and the mean time of a garment in this batch; the first call is repeated for its time."""
-        with torch.no_grad():
+        on_gpu = batch.draped.is_cuda
+        with torch.no_grad(), torch.autocast("cuda", torch.bfloat16, enabled=on_gpu):
             if not self._is_warm:
                 self._moved(batch)
                 self._is_warm = True
@@ -145,13 +146,13 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         context = self.body(torch.cat([skin, waves(skin[..., :3])], dim=-1))
         near = nearest_skin(surface.positions, surface, batch.body)
         features, _, _ = self.first(surface, torch.cat([batch.given, near], dim=-1), context)
-        first = surface.positions + self.first_move(features).float()
+        first = surface.positions + _in_float32(self.first_move, features)
         # The second network starts from where the first has put the garment, without changing it.
         put = first.detach()
         near = nearest_skin(put, surface, batch.body)
         given = torch.cat([self.shared(features).float(), batch.given, near], dim=-1)
         features, _, _ = self.second(replace(surface, positions=put), given, context)
-        second = first + UNIT * self.second_move(features).float()
+        second = first + UNIT * _in_float32(self.second_move, features)
         return first, second, depth(second, surface, batch.body)
 
 
@@ -165,6 +166,13 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
         known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, *names])
         raise ConfigError(f"no size {min(unknown)} of a drape_surrogate network: choose of {known}")
     return DrapeSurrogate(SurfaceNetConfig(**given), **own)
+
+
+def _in_float32(part: nn.Module, features: Float[Tensor, "v w"]) -> Float[Tensor, "v d"]:
+    """The output of a part of the network: bfloat16 would round a metre to half a centimetre."""
+    with torch.autocast(features.device.type, enabled=False):
+        found: Tensor = part(features.float())
+    return found
 
 
 def distance(one: Float[Tensor, "v 3"], other: Float[Tensor, "v 3"]) -> Float[Tensor, " v"]:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, TensorExamples
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
-from benchmarks.reconstruction.surfaces import METRE
+from benchmarks.reconstruction.wearers import dressed_scans
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.measurements import ANGLES, MEASURES
 
@@ -124,7 +124,9 @@ class MeasureNet(Learner[Scans, np.ndarray]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> _Drawn:
         """The scans. The first set prepared, the training set, gives the mean and the deviation of the measures."""
-        whole = Scans(scans_of(garments).to(device), torch.from_numpy(garments.measures).float().to(device))
+        whole = Scans(
+            scans_of(garments, workers=workers).to(device), torch.from_numpy(garments.measures).float().to(device)
+        )
         if not self.deviation.any():
             self.mean.copy_(whole.measures.mean(dim=0))
             self.deviation.copy_(whole.measures.std(dim=0, correction=0).clamp(min=LEAST_DEVIATION))
@@ -169,19 +171,10 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> MeasureNet:
     return MeasureNet(MeasureConfig(**given))
 
 
-def scans_of(garments: GarmentSet, count: int | None = None) -> Float[Tensor, "g n 7"]:
-    """The scans of a set: positions in metres, in an order that is random and the same for all.
-
-    Raises ``ConfigError`` for a scan without points.
-    """
-    scans = [garments.ragged["scan"][k].astype(np.float32) for k in range(len(garments))]
-    for key, scan in zip(garments.keys, scans, strict=True):
-        if not len(scan) or not np.isfinite(scan).all():
-            raise ConfigError(f"garment {key}: its scan is empty: leave it out of the set")
-    order = np.random.default_rng(0).permutation(len(scans[0]))[:count]
-    found = torch.from_numpy(np.stack([scan[order] for scan in scans]))
-    found[..., :3] /= METRE
-    return found
+def scans_of(garments: GarmentSet, *, workers: int = 0) -> Float[Tensor, "g n 7"]:
+    """The scans of a set, their points in an order that is random and the same for all."""
+    found = dressed_scans(garments, workers=workers)
+    return torch.from_numpy(found[:, np.random.default_rng(0).permutation(found.shape[1])])
 
 
 def _angles(device: torch.device) -> Tensor:

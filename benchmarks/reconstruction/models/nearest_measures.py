@@ -14,5 +14,6 @@ TASKS = ("T5",)
 
 def answers(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[np.ndarray]:
     """The measures of the nearest known body, for each unseen one."""
-    ours, theirs = (scans_of(garments, POINTS)[..., :3].to(device) for garments in (unseen, known))
+    scans = (scans_of(garments, workers=workers) for garments in (unseen, known))
+    ours, theirs = (scan[:, :POINTS, :3].to(device) for scan in scans)
     return [known.measures[row].astype(float) for row in nearest_garments(ours, theirs).tolist()]

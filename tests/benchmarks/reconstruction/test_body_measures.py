@@ -1,13 +1,11 @@
 """Measures from scans of dressed persons: scores, references, and what the augmentation keeps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.reconstruction.body_measures import score_measures
-from benchmarks.reconstruction.garments import GarmentSet, Ragged
+from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models import mean_measures, nearest_measures
 from benchmarks.reconstruction.models.measures import build, scans_of
 from gcd_dataset.errors import ConfigError
@@ -65,10 +63,8 @@ def test_answers_start_at_the_mean_of_the_training_set(draped: GarmentSet) -> No
     assert np.allclose(learner.mean.numpy(), draped.measures.mean(axis=0), atol=1e-2)
 
 
-def test_an_empty_scan_is_refused(draped: GarmentSet) -> None:
-    empty = Ragged.of([np.zeros((0, 7), np.float16)] * 2)
-    with pytest.raises(ConfigError, match="its scan is empty"):
-        scans_of(replace(draped, ragged={**draped.ragged, "scan": empty}))
+def test_a_scan_depends_on_its_garment_alone(draped: GarmentSet) -> None:
+    assert torch.equal(scans_of(draped.select([1]))[0], scans_of(draped)[1])
 
 
 def test_unknown_sizes_are_refused() -> None:

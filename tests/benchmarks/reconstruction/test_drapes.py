@@ -8,7 +8,6 @@ import torch
 
 from benchmarks.reconstruction.drapes import (
     DrapedVertices,
-    box_mesh_of,
     counted,
     score_drapes,
     transferred,
@@ -16,7 +15,7 @@ from benchmarks.reconstruction.drapes import (
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models import box_mesh, solver
 from benchmarks.reconstruction.models.drape_surrogate import build, depth, nearest_skin
-from benchmarks.reconstruction.wearers import body_points, measurements_of, wearer_of
+from benchmarks.reconstruction.wearers import body_points, box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.measurements import MEASURES
@@ -38,13 +37,12 @@ def test_a_drape_moved_by_2_cm_has_an_error_of_2_cm(draped: GarmentSet) -> None:
 
 
 def test_crossings_are_counted_on_the_wearer(draped: GarmentSet) -> None:
-    true = [answer.vertices for answer in true_drapes(draped)]
-    below = [vertices - [8, 0, 8] for vertices in true]
-    for (_, few, _), (_, many, through) in zip(
-        counted(true, draped, device="cpu"), counted(below, draped, device="cpu"), strict=True
-    ):
-        assert few < 5 < many
-        assert through > 5
+    one = draped.select([0])
+    vertices = true_drapes(one)[0].vertices
+    ((_, few, _),) = counted([vertices], one, device="cpu")
+    ((_, many, through),) = counted([vertices - [8, 0, 8]], one, device="cpu")
+    assert few < 5 < many
+    assert through > 5
 
 
 def test_the_mesh_of_the_pattern_is_that_of_the_garment(draped: GarmentSet) -> None:
