@@ -66,22 +66,25 @@ def score_drapes(
     """The scores of answers for garments; without ``crossings`` they are 0."""
     none = [(0, 0, 0)] * len(answers)
     counts = counted([answer.vertices for answer in answers], garments, device=device) if crossings else none
-    return [_score(answer, garments, k, *count) for k, (answer, count) in enumerate(zip(answers, counts, strict=True))]
+    return [_score(answer, garments, k, count) for k, (answer, count) in enumerate(zip(answers, counts, strict=True))]
 
 
-def _score(answer: DrapedVertices, garments: GarmentSet, k: int, *crossings: int) -> DrapeScore:
+def _score(answer: DrapedVertices, garments: GarmentSet, k: int, crossings: tuple[int, int, int]) -> DrapeScore:
     true, faces = garments.ragged["verts"][k].astype(float), garments.ragged["faces"][k]
     away = np.linalg.norm(answer.vertices - true, axis=1)
     flat = _sides(garments.ragged["uv"][k].astype(float)[garments.ragged["corners"][k]])
     off = np.abs(_sides(answer.vertices[faces]) - _sides(true[faces])) / np.maximum(flat, 1e-2)
     error = float(away.mean())
+    cloth, skin, through = crossings
     return DrapeScore(
-        error,
-        float(np.percentile(away, 95)),
-        float(error <= CLOSE),
-        float(off.mean()),
-        *map(float, crossings),
-        answer.ms,
+        error_cm=error,
+        error_p95_cm=float(np.percentile(away, 95)),
+        within_1cm=float(error <= CLOSE),
+        stretch_error=float(off.mean()),
+        self_crossings=float(cloth),
+        body_crossings=float(skin),
+        body_through=float(through),
+        ms=answer.ms,
     )
 
 

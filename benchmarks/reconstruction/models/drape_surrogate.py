@@ -194,7 +194,7 @@ def nearest_rows(
     positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Tensor, "b n 6"]
 ) -> Int[Tensor, " v"]:
     """The row of ``body``, all bodies one after the other, of the nearest point of the wearer."""
-    parts = positions.split(surface.counts.tolist())
+    parts = torch.split(positions, surface.counts.tolist())
     rows = [torch.cdist(part, points[:, :3]).argmin(dim=1) for part, points in zip(parts, body, strict=True)]
     return torch.cat(rows) + surface.garments * body.shape[1]
 
@@ -248,7 +248,7 @@ class DrapedSurfaces:
         labels = given[:, : len(EDGE_LABELS)]
         swapped = turn.mirrored[surface.garments, None]
         given[:, : len(EDGE_LABELS)] = torch.where(swapped, labels[:, MIRRORED_EDGES], labels)
-        body = torch.cat([part @ turn.matrices.transpose(1, 2) for part in batch.body.split(3, dim=-1)], dim=-1)
+        body = torch.cat([part @ turn.matrices.transpose(1, 2) for part in torch.split(batch.body, 3, dim=-1)], dim=-1)
         draped = (turn.matrices[surface.garments] @ batch.draped[..., None])[..., 0]
         return DrapeBatch(turn.of(surface), given, body, draped)
 
