@@ -43,7 +43,7 @@ WEIGHTS = {
 USUAL: Mapping[str, Any] = {"batch": 16, "lr": 6e-4, "ema": 0.998}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
-    "steps": 150, "batch": 4, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+    "steps": 120, "batch": 4, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "width": 48, "rounds": 1, "tokens": 48, "token_width": 64, "heads": 4, "layers": 1, "panels": 24, "seams": 48,
