@@ -114,7 +114,7 @@ def skirt_share(design: CuffDesign) -> float:
 
 
 def arm_girth_in_end(size: Measurements, design: "CuffedSleeve") -> float:
-    """Largest girth of the arm in a sleeve's end: in the band of its cuff, at the top of a skirt, or at the hem [cm]."""
+    """Largest girth of the arm in a sleeve's end: in the band of its cuff, at the top of a skirt, or its hem [cm]."""
     skirt = skirt_share(design.cuff)
     end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
     band = sleeve_cuff_length(size, design) / size.arm_length

@@ -34,7 +34,7 @@ __all__ = [
     "bottom_fault",
     "corner_angles",
     "end_and_arm_girth",
-        "girth_of_cloth",
+    "girth_of_cloth",
     "half_fault",
     "has_narrow_strap",
     "is_mismatched",
