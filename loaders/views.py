@@ -10,7 +10,6 @@ Where pictures are rendered:
 import contextlib
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -48,7 +47,6 @@ __all__ = ["Views", "garments_in", "render_ahead"]
 MOST_VIEWS = 4096
 LARGEST = 4096  # pixels
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
-POLL = 5e-4  # s between two looks at a GPU; waiting for it holds the lock that other threads launch with
 
 Tag = TypeVar("Tag")
 
@@ -195,20 +193,22 @@ class Views:
             scenes.append(scene)
             options: dict[str, Any] = {"epoch": use, "row": row, "fabric": fabric, "ranges": self.ranges}
             views += views_of(self.seed, index, scene, self.n, **options)
-        pictures = self._pictures(scenes, views)
-        return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
+        with self._pictures(scenes, views) as pictures:
+            return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 
-    def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "list[Picture]":
+    @contextlib.contextmanager
+    def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "Iterator[list[Picture]]":
+        """The pictures, valid within the block."""
         from gcd_dataset.generator.render import render, start_pictures
 
         options: dict[str, Any] = {"size": self.size, "maps": self.maps, "device": self.device}
         if len(views) * self.size**2 > PIXELS:  # one garment, whose views take several renderings
-            return render(scenes, views, **options)
+            yield render(scenes, views, **options)
+            return
         with _first_use(self.device):
             pending = start_pictures(scenes, views, **options)
-        while not pending.ready():
-            time.sleep(POLL)
-        return pending.pictures()
+        yield pending.lend()
+        pending.release()
 
     def _scene(self, item: Item, use: int) -> tuple["Scene", int, str | None]:
         """Scene, number and fabric of a garment."""

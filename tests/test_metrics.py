@@ -1,5 +1,6 @@
 """Scores depend on the garment only, not on names, order, loop starts or local origins."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,11 +9,19 @@ import numpy as np
 import pytest
 
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic, mirrored
-from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, resample_loop, score_pattern
+from gcd_dataset.metrics import (
+    PatternScore,
+    bootstrap_interval,
+    bootstrap_means,
+    failed_score,
+    mean_scores,
+    resample_loop,
+    score_pattern,
+)
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles, read_pattern
 
-PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1)
+PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0)
 
 
 def panel(
@@ -116,7 +125,29 @@ def test_the_same_real_garment_is_perfect(change: str, examples: Path) -> None:
     for name in ("fitted_shirt", "godet_skirt", "jumpsuit"):
         path = examples / "patterns" / name / "default_body"
         pattern = read_pattern(next(path.glob("*_specification.json")))
-        assert_close(score_pattern(SAME[change](pattern), pattern), PERFECT)
+        gathers = np.mean([1 - min(ratio, 1 / ratio) for ratio in pattern.gather_ratios()])
+        score = score_pattern(SAME[change](pattern), pattern)
+        assert score.seam_mismatch == pytest.approx(gathers, abs=1e-4)  # ratios have four decimals
+        assert_close(replace(score, seam_mismatch=0.0), PERFECT)
+
+
+def test_the_last_panel_of_real_garments_is_missing(examples: Path) -> None:
+    """Four patterns of 6, 6, 12 and 8 panels: IoU, edges and panel F1 by counting panels."""
+    counts, found = [], []
+    for path in sorted((examples / "patterns").glob("*_specification.json")):
+        whole, last = read_pattern(path), list(json.loads(path.read_text())["pattern"]["panels"])[-1]
+        kept = tuple(panel for panel in whole.panels if panel.name != last)
+        seams = tuple(seam for seam in whole.seams if last not in (seam.left.panel, seam.right.panel))
+        score = score_pattern(replace(whole, panels=kept, seams=seams), whole)
+        share, n = (len(kept) / len(whole.panels), len(whole.panels))
+        assert (score.iou, score.edge_count_acc, score.panel_f1) == pytest.approx(
+            (share, share, 2 * (n - 1) / (2 * n - 1))
+        )
+        assert (score.panel_l2, score.topology_exact) == pytest.approx((0, 0), abs=1e-9)
+        counts.append(n)
+        found.append(score.stitch_f1)
+    assert counts == [6, 6, 12, 8]
+    assert np.mean(found) == pytest.approx(0.85, abs=0.005)  # as computed by other code from the same files
 
 
 def test_a_missing_panel_is_punished() -> None:
@@ -134,6 +165,16 @@ def test_a_panel_too_many_is_punished() -> None:
     extra = replace(whole.panels[0], name="extra")
     score = score_pattern(replace(whole, panels=(*whole.panels, extra)), whole)
     assert (score.panel_count_acc, score.iou) == pytest.approx((0, 3 / 4))
+
+
+def test_panels_of_unlike_outline_are_wrong() -> None:
+    """A quarter is cut off one of three panels: two right, three predicted, three true."""
+    whole = garment()
+    corners = whole.panels[1].vertices * [1.0, 0.75]
+    score = score_pattern(
+        replace(whole, panels=(whole.panels[0], replace(whole.panels[1], vertices=corners), whole.panels[2])), whole
+    )
+    assert (score.panel_f1, score.panel_count_acc, score.topology_exact) == pytest.approx((2 / 3, 1, 1))
 
 
 def test_a_shift_of_3_cm_is_3_cm() -> None:
@@ -178,7 +219,7 @@ def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
         seams=(),
     )
     score = score_pattern(split(straight, "front"), straight)
-    assert_close(score, replace(PERFECT, edge_count_acc=2 / 3))
+    assert_close(score, replace(PERFECT, edge_count_acc=2 / 3, topology_exact=0))
 
 
 def test_a_seam_that_is_not_there_costs_precision() -> None:
@@ -186,6 +227,143 @@ def test_a_seam_that_is_not_there_costs_precision() -> None:
     wrong = (*whole.seams, Seam(EdgeRef("front", 2), EdgeRef("sleeve", 0)))
     score = score_pattern(replace(whole, seams=wrong), whole)
     assert (score.stitch_p, score.stitch_r) == pytest.approx((3 / 4, 1))
+
+
+def test_a_missing_seam_is_not_exact() -> None:
+    whole = garment()
+    score = score_pattern(replace(whole, seams=whole.seams[1:]), whole)
+    assert (score.garment_perfect, score.topology_exact, score.panel_f1) == (0, 0, 1)
+    assert score_pattern(replace(whole, seams=()), whole).seam_mismatch == 1
+
+
+def test_seam_mismatch_of_gathers() -> None:
+    """40 cm sewn to 30 cm, and 20 cm to 20 cm: (1/4 + 0) / 2."""
+    pair = rectangles(40.0, 30.0, seams=((0, 0), (1, 1)))
+    assert score_pattern(pair, pair).seam_mismatch == pytest.approx(0.125)
+
+
+# ---------------------------------------------------------------------------------------------------------- n:m seams
+
+
+def rectangles(width: float, other: float, *, seams: tuple[tuple[int, int], ...] = ((0, 0),)) -> Pattern:
+    """Two rectangles, 20 cm high, right sides out; ``seams``: edges of the front and the back sewn together."""
+    back = panel("back", [(0.0, 0.0), (other, 0.0), (other, 20.0), (0.0, 20.0)], (other / 2, 50.0, -15.0))
+    panels = (
+        panel("front", [(0.0, 0.0), (width, 0.0), (width, 20.0), (0.0, 20.0)], (-width / 2, 50.0, 15.0)),
+        replace(back, placement=replace(back.placement, rotation=np.array([0.0, np.pi, 0.0]))),
+    )
+    return Pattern("two", panels, tuple(Seam(EdgeRef("front", i), EdgeRef("back", j)) for i, j in seams))
+
+
+def subdivided(pattern: Pattern, number: int, share: float) -> Pattern:
+    """The same garment, with the straight edges of a seam cut in two, and two seams in place of one."""
+    seam = pattern.seams[number]
+    away = share if seam.right_wrong else 1 - share
+    cuts = {seam.left: share, seam.right: away}
+    assert len({ref.panel for ref in cuts}) == 2
+
+    def cut(old: Panel) -> Panel:
+        [(row, at)] = [(ref.edge, at) for ref, at in cuts.items() if ref.panel == old.name] or [(-1, 0.0)]
+        if row < 0:
+            return old
+        edge = old.edges[row]
+        middle = (1 - at) * old.vertices[edge.start] + at * old.vertices[edge.end]
+        halves = Edge(edge.start, len(old.vertices)), Edge(len(old.vertices), edge.end)
+        edges = (*old.edges[:row], *halves, *old.edges[row + 1 :])
+        return replace(old, vertices=np.vstack([old.vertices, middle]), edges=edges)
+
+    def ref(old: EdgeRef, half: int = 0) -> EdgeRef:
+        later = sum(old.panel == other.panel and old.edge > other.edge for other in cuts)
+        return EdgeRef(old.panel, old.edge + later + half)
+
+    rest = [replace(s, left=ref(s.left), right=ref(s.right)) for i, s in enumerate(pattern.seams) if i != number]
+    two = [Seam(ref(seam.left, i), ref(seam.right, i if seam.right_wrong else 1 - i), seam.right_wrong) for i in (0, 1)]
+    return Pattern(pattern.name, tuple(map(cut, pattern.panels)), (*rest, *two))
+
+
+@pytest.mark.parametrize("change", SAME)
+def test_subdividing_the_edges_of_a_seam_keeps_the_seam_by_length(change: str) -> None:
+    whole = garment()
+    parts = SAME[change](subdivided(subdivided(whole, 1, 0.3), 3, 0.8))
+    for predicted, true in ((parts, whole), (whole, parts)):
+        score = score_pattern(predicted, true)
+        assert (score.stitch_nm_p, score.stitch_nm_r, score.stitch_nm_f1) == pytest.approx((1, 1, 1))
+        assert (score.stitch_f1 < 1, score.topology_exact) == (True, 0)
+
+
+def test_gathered_seams_are_subdivided_in_proportion() -> None:
+    whole = rectangles(60.0, 30.0)
+    assert score_pattern(subdivided(whole, 0, 0.25), whole).stitch_nm_f1 == pytest.approx(1)
+
+
+def test_recall_by_length() -> None:
+    """Of a seam of 30 cm, the first third is predicted, and nothing else."""
+    whole = rectangles(30.0, 30.0)
+    parts = subdivided(whole, 0, 1 / 3)
+    score = score_pattern(replace(parts, seams=parts.seams[:1]), whole)
+    assert (score.stitch_nm_p, score.stitch_nm_r, score.stitch_nm_f1) == pytest.approx((1, 1 / 3, 1 / 2))
+
+
+def test_precision_by_length() -> None:
+    """Seams of 30 and 20 cm; the second is wrong."""
+    whole = rectangles(30.0, 30.0, seams=((0, 0),))
+    score = score_pattern(rectangles(30.0, 30.0, seams=((0, 0), (1, 1))), whole)
+    assert (score.stitch_nm_p, score.stitch_nm_r) == pytest.approx((3 / 5, 1))
+
+
+def test_an_edge_sewn_to_two_edges_equals_its_parts_sewn_to_one_each() -> None:
+    """The order of the seams does not decide which part is sewn to which edge: the places of the panels do."""
+    whole = subdivided(rectangles(30.0, 30.0), 0, 1 / 3)
+    front = rectangles(30.0, 30.0).panels[0]
+    seams = tuple(Seam(EdgeRef("front", 0), seam.right) for seam in whole.seams)
+    for order in (seams, seams[::-1]):
+        score = score_pattern(Pattern("n:m", (front, whole.panels[1]), order), whole)
+        assert score.stitch_nm_f1 == pytest.approx(1)
+
+
+def test_a_twisted_seam_is_wrong_by_length() -> None:
+    whole = rectangles(30.0, 30.0)
+    twisted = replace(whole, seams=(replace(whole.seams[0], right_wrong=True),))
+    score = score_pattern(twisted, whole)
+    assert (score.stitch_f1, score.stitch_nm_f1) == (1, 0)
+
+
+def test_seams_to_missing_edges_cost_precision_by_length() -> None:
+    whole = rectangles(30.0, 30.0)
+    wrong = replace(whole, seams=(*whole.seams, Seam(EdgeRef("front", 9), EdgeRef("nobody", 0))))
+    score = score_pattern(wrong, whole)
+    assert (score.stitch_p, score.stitch_nm_p, score.seam_mismatch) == pytest.approx((1 / 2, 1 / 2, 1 / 2))
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_moved_corners_keep_the_seams(noise: float) -> None:
+    whole, rng = garment(), np.random.default_rng(0)
+    moved = each(lambda p: replace(p, vertices=p.vertices + rng.normal(0, noise, p.vertices.shape)))(whole)
+    assert score_pattern(moved, whole).stitch_nm_f1 == pytest.approx(1)
+
+
+# ------------------------------------------------------------------------------------------------------------ failures
+
+
+def far_away(panel: Panel) -> Panel:
+    return replace(panel, placement=replace(panel.placement, translation=panel.placement.translation + 500.0))
+
+
+def test_a_failure_is_no_better_than_any_prediction() -> None:
+    whole = garment()
+    worst = failed_score(whole)
+    wrong = replace(whole, panels=whole.panels[:1], seams=())
+    large = each(lambda panel: replace(panel, vertices=30 * panel.vertices))(whole)
+    for answer in (whole, wrong, large, each(far_away)(whole), Pattern("", (), ())):
+        other = score_pattern(answer, whole)
+        for name in PatternScore.__dataclass_fields__:
+            low_is_good = name in ("panel_l2", "panel_l2_pen", "transl_cm", "rot_deg", "seam_mismatch")
+            better, worse = (getattr(score, name) for score in (other, worst))
+            assert better <= worse if low_is_good else better >= worse, name
+
+
+def test_a_failure_scores_0_though_the_garment_has_no_seams() -> None:
+    assert (failed_score(replace(garment(), seams=())).stitch_f1, failed_score(garment()).valid) == (0, 0)
 
 
 def test_a_prediction_that_cannot_be_drawn_gets_the_worst() -> None:
@@ -214,6 +392,16 @@ def test_means_include_every_garment() -> None:
     low, high = bootstrap_interval(scores * 50, np.random.default_rng(0))
     assert low.iou < 0.5 < high.iou
     assert high.iou - low.iou == pytest.approx(2 * 1.96 * 0.5 / 10, rel=0.2)
+
+
+def test_the_bootstrap_covers_the_true_mean() -> None:
+    """95 % of the intervals of 200 test sets of 60 garments hold the mean of the distribution, 0.3."""
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(200):
+        low, high = bootstrap_means((rng.random((60, 1)) < 0.3).astype(float), rng, draws=200)
+        held += bool(low[0] <= 0.3 <= high[0])
+    assert 0.89 < held / 200 < 0.99
 
 
 def test_resampled_points_are_equally_spaced() -> None:

@@ -1,13 +1,50 @@
-"""Reconstruction: from surface points of a garment's box mesh to its panels, with a small network and references.
+"""Reconstruction: from surface points of a garment to its pattern, with a network and references.
 
     python -m benchmarks.run reconstruction --smoke
 
-``network`` is the trained network; ``nearest`` answers with the training garment of least chamfer distance; ``typical``
-always answers with the same garment, the one with the least mean distance to the others; ``ceiling`` is the ground
-truth in the network's output format, the best possible answer. Test garments have other indices of the same seed: other
-designs and bodies from the same design space.
+``panel_set`` is the trained network; ``nearest`` answers with the training garment of least chamfer distance;
+``typical`` always answers with the same garment, the one with the least mean distance to the others; ``ceiling`` is the
+ground truth in the network's output format, the best possible answer. Test garments have another seed: other designs and
+bodies from the same design space. ``python -m benchmarks.reconstruction.train`` trains one model, with more options.
 """
 
-from benchmarks.reconstruction.train import add_arguments, run
+import argparse
+from pathlib import Path
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.reconstruction.evaluate import figures_of, row_of
+from benchmarks.reconstruction.models import MODELS
+from benchmarks.reconstruction.train import add_arguments as add_training_arguments
+from benchmarks.reconstruction.train import options_from
+from benchmarks.reconstruction.train import run as run_model
 
 __all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the case."""
+    parser.add_argument("--models", default="panel_set,nearest,typical,ceiling", help=f"of {', '.join(MODELS)}")
+    add_training_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Train or ask each model, and score the answers. Raises ``ConfigError`` for unusable options."""
+    figures, rows, out = [], [], Path(options.out)
+    options.data = options.data or str(out / "garments")
+    for model in options.models.split(","):
+        options.out = str(out / model)
+        result = run_model(options_from(options, model))
+        assert result is not None  # one process
+        report = result.report
+        if result.trained is not None:
+            figures += [
+                Figure("steps", report["steps"], "optimiser steps"),
+                Figure("train_minutes", report["minutes"], "min"),
+                Figure("parameters", report["parameters"], "numbers"),
+                Figure("first_loss", report["first_loss"], "a step, the first row of the curves"),
+                Figure("last_loss", report["last_loss"], "a step, the last row of the curves"),
+            ]
+        figures += [Figure(f"{model}_load_s", report["load_s"], "s"), Figure(f"{model}_test_s", report["test_s"], "s")]
+        figures += figures_of(model, result.scores, seams=True)
+        rows.append(row_of(model, result.scores, seams=True))
+    return Measured(figures, rows)

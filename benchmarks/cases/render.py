@@ -5,17 +5,27 @@ their trees and copying the pictures back are part of the time. ``mask_agreement
 silhouette agrees with trimesh's caster (Embree) on the same meshes and cameras, in the worst picture;
 ``depth_agreement`` the share of the pixels that both hit whose depths differ by less than 0.05 cm; ``shadow_agreement``
 the share of these that both find lit, or both in shadow.
+
+``--profile`` adds figures of each stage, in ms a garment: elapsed and CPU time on the host, time on the device; and
+the bytes copied. ``loader_images_per_s`` includes the work of loaders before rendering, which ``images_per_s`` leaves
+out: the stages body, scene and drawing.
+
+``--peer pyrender`` rasterises the same scenes as described in ``benchmarks.peers.pyrender_egl``.
 """
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from benchmarks.cases.figures import Figure, Measured
+from benchmarks.peers.pyrender_egl import compare_with_pyrender, require_pyrender
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, neutral_shape
@@ -36,7 +46,8 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.geometry import solid_of
-from gcd_dataset.records import Body, Sample
+from gcd_dataset.generator.render.profile import Profile, in_stage
+from gcd_dataset.records import Sample
 
 __all__ = ["add_arguments", "run"]
 
@@ -55,7 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=18)
     parser.add_argument("--resolution", type=float, default=2.0, help="edge length of the meshes [cm] (default: 2)")
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8)")
+    parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8; 0: none)")
+    parser.add_argument("--preparers", type=int, default=2, help="threads that prepare batches (default: 2)")
+    parser.add_argument("--profile", action="store_true", help="add host and device times of each stage, and bytes")
+    parser.add_argument("--peer", choices=["pyrender"], help="rasterise the --checked garments with it too")
     parser.add_argument("--sheet", type=Path, metavar="FILE", help="write a JPEG of 64 pictures")
 
 
@@ -63,21 +77,37 @@ def run(options: argparse.Namespace) -> Measured:
     """Make the garments, render them at both sizes, compare some with Embree."""
     if options.count < 2:
         raise ConfigError(f"--count {options.count}: give 2 or more, since the first batch warms up")
+    if options.preparers < 1:
+        raise ConfigError(f"--preparers {options.preparers}: give 1 or more")
     device = resolve_device(options.device)
-    scenes = list(_scenes(options, device))
-    views = [draw_views(options.seed, k, scene, options.views) for k, scene in enumerate(scenes)]
-    figures = []
+    if options.peer:
+        require_pyrender()
+    samples = list(_samples(options, device))
+    scenes, views = zip(*(_made(options, index, sample) for index, sample in enumerate(samples)), strict=True)
+    figures = _loader_stages(options, samples) if options.profile else []
+    batch = min(options.batch or (1 if device == "cpu" else 16), max(1, len(scenes) // 2))
     for size in SIZES:
-        rate = _images_per_second(scenes, views, size, options.batch or (1 if device == "cpu" else 16), device)
+        runner = Runner(lambda row: (_fresh(scenes[row]), views[row]), len(scenes), size, device, options.preparers)
+        profile = Profile(device) if options.profile else None
+        rate = runner.rate(batch, profile)
+        figures += [] if profile is None else _stages(profile, f"{size}_", len(scenes))
         figures.append(Figure("images_per_s" if size == SIZES[0] else f"images_per_s_{size}", rate, f"of {size}²"))
+    loader = Runner(lambda row: _made(options, row, samples[row]), len(scenes), SIZES[0], device, options.preparers)
+    figures.append(Figure("loader_images_per_s", loader.rate(batch), f"of {SIZES[0]}², body, scene and views made too"))
     figures.append(Figure("prepare_ms", _prepare_ms(scenes), "CPU-ms a garment"))
     rows = [
         _compared(scene, own[0], number, device)
         for number, (scene, own) in enumerate(zip(scenes[: options.checked], views, strict=False))
     ]
-    figures.append(Figure("mask_agreement", min(row["mask"] for row in rows), "of pixels, worst picture"))
-    figures.append(Figure("shadow_agreement", min(row["lit"] for row in rows), "of pixels, worst picture"))
-    figures.append(Figure("depth_agreement", min(row["depth"] for row in rows), f"within {DEPTH} cm, worst picture"))
+    if rows:
+        worst = {key: min(row[key] for row in rows) for key in ("mask", "lit", "depth")}
+        figures.append(Figure("mask_agreement", worst["mask"], "of pixels, worst picture"))
+        figures.append(Figure("shadow_agreement", worst["lit"], "of pixels, worst picture"))
+        figures.append(Figure("depth_agreement", worst["depth"], f"within {DEPTH} cm, worst picture"))
+    if options.peer:
+        for size in SIZES:
+            some = scenes[: max(2, options.checked)], views[: max(2, options.checked)]
+            figures += compare_with_pyrender(*some, size=size, device=device)
     if options.sheet is not None:
         write_whole(options.sheet, jpeg_bytes(_sheet(scenes, options.seed, device)))
     return Measured(figures, rows)
@@ -86,42 +116,99 @@ def run(options: argparse.Namespace) -> Measured:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _scenes(options: argparse.Namespace, device: str) -> Iterator[Scene]:
+def _samples(options: argparse.Namespace, device: str) -> Iterator[Sample]:
     config = MakeConfig(resolution=options.resolution, device=device, picture=0, points=0)
-    for index, sample in enumerate(produce(options.seed, range(options.count), config)):
-        yield scene_of_sample(sample, _body(sample), hair=draw_hair(options.seed, index))
+    yield from produce(options.seed, range(options.count), config)
 
 
-def _body(sample: Sample) -> Body:
-    return build_body(sample.shape if sample.shape is not None else neutral_shape())
+@dataclass(frozen=True)
+class Runner:
+    """Renders all garments, batch by batch."""
+
+    garment: Callable[[int], tuple[Scene, Sequence[View]]]
+    """Scene and views of each garment, by its number."""
+    count: int
+    size: int
+    device: str
+    preparers: int
+    """Threads that prepare and start batches; on a CPU, where rendering needs the core, one."""
+
+    def rate(self, batch: int, profile: Profile | None = None) -> float:
+        """Pictures per second; on a GPU, once the device and its buffers are warm.
+
+        As many batches as there are preparers are begun while the device renders, and copied back in order.
+        """
+        if self.device == "cpu":
+            self._started(range(1), size=SIZES[0] // 4).pictures()
+        else:
+            list(self._batches(batch, None))  # each buffer is page-locked once
+        begun, pictures = time.perf_counter(), 0
+        for finished in self._batches(batch, profile):
+            pictures += finished
+        return pictures / (time.perf_counter() - begun)
+
+    def _batches(self, batch: int, profile: Profile | None) -> Iterator[int]:
+        """Render all batches; the number of pictures of each."""
+        preparers = 1 if self.device == "cpu" else self.preparers
+        ahead = 0 if self.device == "cpu" else preparers
+        starts = [range(first, min(first + batch, self.count)) for first in range(0, self.count, batch)]
+        waiting: deque[Future[PendingPictures]] = deque()
+        with ThreadPoolExecutor(preparers) as executor:
+            for rows in starts:
+                waiting.append(executor.submit(self._started, rows, profile=profile))
+                if len(waiting) > ahead:
+                    yield len(waiting.popleft().result().pictures())
+            while waiting:
+                yield len(waiting.popleft().result().pictures())
+
+    def _started(
+        self, rows: Sequence[int], *, size: int | None = None, profile: Profile | None = None
+    ) -> PendingPictures:
+        scenes, views = zip(*map(self.garment, rows), strict=True)
+        placed = [_at(view, k) for k, own in enumerate(views) for view in own]
+        return start_pictures(scenes, placed, size=size or self.size, maps=MAPS, device=self.device, profile=profile)
 
 
-def _images_per_second(
-    scenes: Sequence[Scene], views: Sequence[Sequence[View]], size: int, batch: int, device: str
-) -> float:
-    """Rate after the first batch of a GPU; one batch is prepared while the device renders the one before."""
-    batch = min(batch, max(1, len(scenes) // 2))
-    starts = range(batch if device != "cpu" else 0, len(scenes), batch)
-    warm = range(batch) if device != "cpu" else range(1)
-    _start(scenes, views, warm, size if device != "cpu" else SIZES[0] // 4, device).pictures()
-    begun, pictures = time.perf_counter(), 0
-    waiting: PendingPictures | None = None
-    for start in starts:
-        rows = range(start, min(start + batch, len(scenes)))
-        started = _start(scenes, views, rows, size, device)
-        if waiting is not None:
-            pictures += len(waiting.pictures())
-        waiting = started
-    if waiting is not None:
-        pictures += len(waiting.pictures())
-    return pictures / (time.perf_counter() - begun)
+def _fresh(scene: Scene) -> Scene:
+    """The scene without the arrays that it keeps once they are computed."""
+    return replace(scene)
 
 
-def _start(
-    scenes: Sequence[Scene], views: Sequence[Sequence[View]], rows: Sequence[int], size: int, device: str
-) -> PendingPictures:
-    placed = [_at(view, k) for k, row in enumerate(rows) for view in views[row]]
-    return start_pictures([scenes[row] for row in rows], placed, size=size, maps=MAPS, device=device)
+def _stages(profile: Profile, prefix: str, garments: int) -> list[Figure]:
+    """Time of each stage and bytes copied, of one garment."""
+    unit = "ms a garment"
+    kinds = {"host": profile.host, "cpu": profile.cpu, "device": profile.device_times()}
+    figures = [
+        Figure(f"{prefix}{stage.replace(', ', '_and_')}_{kind}_ms", 1e3 * times[stage] / garments, unit)
+        for stage in profile.host
+        for kind, times in kinds.items()
+        if stage in times
+    ]
+    for kind, times in kinds.items():
+        if times:
+            figures.append(Figure(f"{prefix}sum_{kind}_ms", 1e3 * sum(times.values()) / garments, unit))
+    for name, count in profile.copied.items():
+        figures.append(Figure(f"{prefix}copied_{name.replace(' ', '_')}", count / garments / 2**20, "MiB a garment"))
+    return figures
+
+
+def _loader_stages(options: argparse.Namespace, samples: Sequence[Sample]) -> list[Figure]:
+    profile = Profile("cpu")
+    for index, sample in enumerate(samples):
+        _made(options, index, sample, profile)
+    return _stages(profile, "", len(samples))
+
+
+def _made(
+    options: argparse.Namespace, index: int, sample: Sample, profile: Profile | None = None
+) -> tuple[Scene, list[View]]:
+    """The work of loaders before rendering: body, scene and drawn views."""
+    with in_stage(profile, "body"):
+        body = build_body(sample.shape if sample.shape is not None else neutral_shape())
+    with in_stage(profile, "scene"):
+        scene = scene_of_sample(sample, body, hair=draw_hair(options.seed, index))
+    with in_stage(profile, "drawing"):
+        return scene, draw_views(options.seed, index, scene, options.views)
 
 
 def _at(view: View, row: int) -> View:
@@ -131,7 +218,7 @@ def _at(view: View, row: int) -> View:
 def _prepare_ms(scenes: Sequence[Scene]) -> float:
     begun = time.process_time()
     for scene in scenes:
-        solid_of(scene)
+        solid_of(_fresh(scene))
     return 1e3 * (time.process_time() - begun) / len(scenes)
 
 

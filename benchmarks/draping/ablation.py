@@ -44,6 +44,7 @@ def variants() -> list[Variant]:
         Variant("without both pulls", dict.fromkeys(PULLS, False), by_body=True),
         *(Variant(f"{'without' if on else 'with'} {name}", {name: not on}) for name, on in switches.items()),
         Variant("without untangling_steps", {"untangling_steps": 0}),
+        Variant("with one drape each", {"most_drapes": 1}),
         Variant("without layer_friction", {}, layers_rub=False),
     ]
 

@@ -1,41 +1,250 @@
-"""Scores of a network and of references on the test garments."""
+"""Score predicted patterns against true ones: anyone's specification files, matched by file name.
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+    python -m benchmarks.reconstruction.evaluate PREDICTIONS TRUTH
+    python -m benchmarks.reconstruction.evaluate PREDICTIONS TRUTH --drape --bodies DIR --inputs DIR
+
+Every true pattern counts: a prediction that is missing or cannot be read gets the worst value of every score. The
+definitions are in docs/evaluate.md. Exit code 0, or 1 with one line on what to correct.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from benchmarks.cases.figures import Figure
-from benchmarks.reconstruction.data import GarmentBatch, patterns_from
-from benchmarks.reconstruction.models import PatternNet
+from benchmarks.reconstruction.scoring.files import match_folders
+from benchmarks.reconstruction.scoring.garments import SPACING, Scored, score_cases
+from benchmarks.reconstruction.scoring.table import (
+    UNITS,
+    garment_table,
+    line_of,
+    summaries,
+    summaries_by_kind,
+    tree_of,
+)
+from gcd_dataset import __version__
+from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
+from gcd_dataset.files import write_whole
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
 from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
 
-__all__ = ["figures_of", "predict", "row_of", "scores_of"]
+if TYPE_CHECKING:
+    from benchmarks.reconstruction.scoring.bodies import Wearers
+    from benchmarks.reconstruction.scoring.distances import Shape
 
-UNITS = {"panel_l2": "cm", "panel_l2_pen": "cm", "transl_cm": "cm", "rot_deg": "degrees"}
-SEAMS = ("stitch_p", "stitch_r", "stitch_f1")
+__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "row_of", "scores_of"]
+
+INTERRUPTED = 130
+PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
+SEAMS = (
+    "stitch_p", "stitch_r", "stitch_f1", "stitch_nm_p", "stitch_nm_r", "stitch_nm_f1", "garment_perfect",
+    "topology_exact", "seam_mismatch",
+)  # fmt: skip
+"""Scores without meaning for an answer that has no seams."""
 
 
-def predict(net: PatternNet, garments: GarmentBatch, *, batch: int, device: torch.device) -> list[Pattern]:
-    """Patterns predicted from the garments' points."""
-    net.eval()
-    with torch.no_grad():
-        parts = [
-            net(garments.points[first : first + batch].to(device))[-1].garments()
-            for first in range(0, len(garments), batch)
-        ]
-    return [pattern for part in parts for pattern in patterns_from(part)]
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code: 0, or 1 for bad input, 2 for a missing device, 130 after Ctrl-C.
+
+    Exits 2 for wrong usage.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not options.drape and (given := [name for name in ("bodies", "inputs") if getattr(options, name) is not None]):
+        parser.error(f"--{given[0]} has an effect with --drape only: add --drape")
+    if options.partial and options.inputs is None:
+        parser.error("--partial has an effect with --inputs only: add --inputs DIR")
+    try:
+        for line in evaluate(options):
+            print(line, flush=True)
+    except KeyboardInterrupt:
+        print("evaluate: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except GcdError as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
+    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return 0
+
+
+def evaluate(options: argparse.Namespace) -> Iterator[str]:
+    """The lines of the report, in order; remarks go to stderr. Writes the JSON file. Raises ``GcdError``."""
+    folders = match_folders(options.predictions, options.truth)
+    for remark in folders.remarks():
+        print(f"evaluate: {remark}", file=sys.stderr)
+    names = [case.name for case in folders.cases]
+    if options.json is not None and not options.json.absolute().parent.is_dir():
+        raise OutputError(f"{options.json}: no such folder: create {options.json.absolute().parent}")
+    wearers, inputs = _wearers(options, names), _inputs(options.inputs, names)
+    scored: Iterable[Scored] = score_cases(folders.cases, workers=options.workers)
+    garments = list(_with_bar(scored, len(folders.cases), "scored", options.quiet))
+    if wearers is not None:
+        garments = list(_with_bar(_draped(garments, wearers, inputs, options), len(garments), "draped", options.quiet))
+    figures, kinds = summaries(garments), summaries_by_kind(garments)
+    presets = {preset: _preset(preset, garments) for preset in options.preset}
+    if options.json is not None:
+        tree = tree_of(garments, figures, kinds, presets, _settings(options))
+        write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
+    yield garment_table(garments)
+    yield ""
+    yield f"evaluate.garments {len(garments)} garments"
+    yield f"evaluate.failed {sum(bool(garment.failure) for garment in garments)} garments"
+    yield from map(line_of, figures)
+    if options.by_kind:
+        for kind, rows in kinds.items():
+            count = sum(garment.kind == kind for garment in garments)
+            yield f"evaluate.{_word(kind)}.garments {count} garments"
+            yield from (line_of(row, f"evaluate.{_word(kind)}") for row in rows)
+    for preset, scores in presets.items():
+        yield from (f"evaluate.{preset}.{name} {value:.4g} as published" for name, value in scores.items())
+
+
+def _parser() -> argparse.ArgumentParser:
+    title, _, rest = (__doc__ or "").partition("\n")
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.reconstruction.evaluate",
+        description=f"{title}\n{rest}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("predictions", type=Path, metavar="PREDICTIONS", help="folder of predicted specification files")
+    parser.add_argument("truth", type=Path, metavar="TRUTH", help="folder of true specification files")
+    parser.add_argument("--drape", action="store_true", help="drape the predictions on the bodies of their garments")
+    parser.add_argument(
+        "--bodies",
+        metavar="DIR|NAME",
+        help="folder of bodies named after the garments, or one body for all, such as neutral, random:7 or a mesh file "
+        "(default: neutral)",
+    )
+    parser.add_argument(
+        "--inputs",
+        type=Path,
+        metavar="DIR",
+        help="meshes or points [cm] from which the garments were predicted; distances are to these (default: to the "
+        "draped true pattern)",
+    )
+    parser.add_argument("--partial", action="store_true", help="inputs show a part of the garment, as a scan does")
+    parser.add_argument(
+        "--resolution", type=_centimetres, default=SPACING, metavar="CM", help=f"mesh edges of drapes ({SPACING})"
+    )
+    parser.add_argument("--device", default="auto", help="device of the drapes: auto, cpu or cuda:0 (auto)")
+    parser.add_argument(
+        "--preset",
+        action="append",
+        choices=PRESETS,
+        default=[],
+        metavar="NAME",
+        help=f"also the metrics of a paper, for old tables: {', '.join(PRESETS)}; may be repeated",
+    )
+    parser.add_argument("--by-kind", action="store_true", help="also every score for each kind of garment")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores of all garments")
+    parser.add_argument("--workers", type=_natural, default=1, metavar="K", help="processes that score (1)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    return parser
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number of 1 or more")
+    return int(text)
+
+
+def _centimetres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.2 <= value <= 10.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: give 0.2 to 10 centimetres")
+    return value
+
+
+def _inputs(folder: Path | None, names: Sequence[str]) -> "dict[str, Shape] | None":
+    """The input of every garment. Raises ``SpecError`` for a garment without one."""
+    if folder is None:
+        return None
+    from benchmarks.reconstruction.scoring.distances import input_files, read_shape
+
+    files = input_files(folder)
+    missing = [name for name in names if name not in files]
+    if missing:
+        raise SpecError(f"{folder}: no input for {missing[0]} ({len(missing)} in all): add {missing[0]}.ply")
+    return {name: read_shape(files[name]) for name in names}
+
+
+def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | None":
+    """The bodies, if predictions are draped. Raises ``BodyError`` for a garment without one."""
+    if not options.drape:
+        return None
+    from benchmarks.reconstruction.scoring.bodies import NEUTRAL, wearers_of
+
+    wearers = wearers_of(options.bodies or NEUTRAL)
+    wearers.require(names)
+    return wearers
+
+
+def _draped(
+    garments: Sequence[Scored], wearers: "Wearers", inputs: "dict[str, Shape] | None", options: argparse.Namespace
+) -> Iterator[Scored]:
+    from benchmarks.reconstruction.scoring.draping import with_drapes
+
+    return with_drapes(
+        garments, wearers, inputs=inputs, partial=options.partial, spacing=options.resolution, device=options.device
+    )
+
+
+def _preset(preset: str, garments: Sequence[Scored]) -> dict[str, float]:
+    legacy = import_module("gcd_dataset.metrics.legacy")
+    predicted, true = [garment.predicted for garment in garments], [garment.true for garment in garments]
+    return dict(legacy.legacy_scores(preset, predicted, true))
+
+
+def _with_bar(scored: Iterable[Scored], total: int, word: str, quiet: bool) -> Iterator[Scored]:
+    from tqdm import tqdm
+
+    yield from tqdm(scored, total=total, unit="garment", desc=word, disable=quiet or not sys.stderr.isatty())
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    given = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
+    return {"gcd_dataset": __version__, "numpy": np.__version__, **given}
+
+
+def _finite(tree: Any) -> Any:
+    """The tree with null for numbers that JSON lacks, such as a preset's mean over no garment."""
+    if isinstance(tree, dict):
+        return {key: _finite(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_finite(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
+
+
+def _word(kind: str) -> str:
+    """A kind as a part of a figure's name."""
+    return "".join(char if char.isalnum() else "_" for char in kind)
+
+
+# ---------------------------------------------------------------------------------------- scores of patterns in memory
 
 
 def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:
     """The score of each predicted pattern, computed by ``workers`` processes."""
-    if workers < 2:
-        return [score_pattern(ours, theirs) for ours, theirs in zip(predicted, true, strict=True)]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(score_pattern, predicted, true, chunksize=8))
+    return list(parallel_map(_score_pair, zip(predicted, true, strict=True), workers))
+
+
+def _score_pair(pair: tuple[Pattern, Pattern]) -> PatternScore:
+    return score_pattern(*pair)
 
 
 def figures_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> list[Figure]:
@@ -59,3 +268,7 @@ def row_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> Mappi
         return f"{value:.3g} ({least:.3g} to {most:.3g})"
 
     return {"answer": answer, **{metric: cell(metric) for metric in PatternScore.__dataclass_fields__}}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

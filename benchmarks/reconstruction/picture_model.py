@@ -2,14 +2,14 @@
 
 Convolutions turn each picture into a grid of tokens (Xiao et al., Early Convolutions Help Transformers See Better,
 NeurIPS 2021); a transformer relates the tokens of all pictures; the decoder and the loss are those of the network for
-points (``models``). The network knows which picture shows the front, but no camera.
+points (``models/panel_set``). The network knows which picture shows the front, but no camera.
 """
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from benchmarks.reconstruction.models import NetConfig, PanelDecoder, Predicted, encoder
+from benchmarks.reconstruction.models.panel_set import NetConfig, PanelDecoder, encoder
 
 __all__ = ["STRIDE", "PictureNet"]
 
@@ -17,7 +17,7 @@ STRIDE = 8  # pixels along each side of a token's cell
 
 
 class PictureNet(nn.Module):
-    """Pictures to one ``Predicted`` per decoder layer; the last is the result."""
+    """Pictures to tokens, and a decoder of tokens."""
 
     def __init__(self, config: NetConfig, *, views: int, size: int) -> None:
         super().__init__()
@@ -34,8 +34,10 @@ class PictureNet(nn.Module):
         self.encoder = encoder(config)
         self.decoder = PanelDecoder(config)
 
-    def forward(self, pictures: UInt8[Tensor, "b n h w 3"]) -> list[Predicted]:
-        return self.decoder(self.encoder(self._tokens(pictures)))
+    def forward(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
+        """Tokens of all cells, related to each other."""
+        tokens: Tensor = self.encoder(self._tokens(pictures))
+        return tokens
 
     def _tokens(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
         """A token for each cell of each picture."""

@@ -26,12 +26,12 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reconstruction.data import GarmentBatch, ToTargets, patterns_from
 from benchmarks.reconstruction.evaluate import UNITS, scores_of
-from benchmarks.reconstruction.models import NetConfig, set_loss
+from benchmarks.reconstruction.models.panel_set import NetConfig, answers_of, set_loss
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
-from benchmarks.reconstruction.train import LARGEST_GRADIENT, WEIGHT_DECAY, learning_rate
+from benchmarks.reconstruction.training import TrainConfig, learning_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator import MakeConfig, read_overlay
@@ -55,7 +55,7 @@ INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the
 TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
 METRICS = ("panel_count_acc", "edge_count_acc", "iou")
 """The metrics whose gaps are stated in points."""
-SEAMS = ("stitch_p", "stitch_r", "stitch_f1")  # the network predicts none
+USUAL = TrainConfig(steps=1)
 ON_GPU: Mapping[str, Any] = {
     "resolution": 2.0, "pool": 65_536, "batch": 128, "fresh": 32, "width": 256, "heads": 8, "layers": 4, "lr": 5e-4,
 }  # fmt: skip
@@ -101,7 +101,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--heads", 0, "heads per attention layer")
     option("--layers", 0, "layers of the encoder, and of the decoder")
     option("--queries", 40, "most panels of a prediction")
-    option("--contour-points", 64, "points of a panel's outline")
 
 
 def run(args: argparse.Namespace) -> Measured:
@@ -158,7 +157,7 @@ class Data:
     known: list[int]
     """Positions of the garments to train on: in the folder, in ``targets`` and in ``patterns``."""
     unseen: list[int]
-    targets: GarmentBatch
+    targets: PanelTargets
     """Without points."""
     patterns: list[Pattern]
 
@@ -182,11 +181,11 @@ def load(folder: Path, args: argparse.Namespace) -> Data:
     is_known = np.isin(designs, kept)
     if is_known.all() or not is_known.any():
         raise ConfigError(f"{folder} holds {len(kept)} designs: give a folder with 4 or more")
-    to_targets = ToTargets(args.queries, args.contour_points, points=0)
+    to_targets = ToTargets(args.queries, NetConfig().slots, NetConfig().edges, points=0)
     work = partial(_targets, str(folder), to_targets)
     made = list(parallel_map_chunks(work, positions, args.workers, chunk=32))
     arrays, patterns = zip(*made, strict=True)
-    targets = GarmentBatch(*(torch.from_numpy(np.concatenate(column)) for column in zip(*arrays, strict=True)))
+    targets = PanelTargets(*(torch.from_numpy(np.concatenate(column)) for column in zip(*arrays, strict=True)))
     known, unseen = (np.flatnonzero(wanted).tolist() for wanted in (is_known, ~is_known))
     return Data(str(folder), known, unseen, targets, list(patterns))
 
@@ -345,7 +344,7 @@ def trained_and_tested(
     return Result(what, figures, of_tests)
 
 
-def planned_steps(pool: Pool, targets: GarmentBatch, what: Input, args: argparse.Namespace, seconds: float) -> int:
+def planned_steps(pool: Pool, targets: PanelTargets, what: Input, args: argparse.Namespace, seconds: float) -> int:
     """As many steps as fit into ``seconds``, by the pace of a network that is thrown away."""
     begun = time.perf_counter()
     train(pool, targets, what, PROBE // 2, args)
@@ -362,7 +361,7 @@ def _overhead(data: Data, args: argparse.Namespace) -> float:
 
 def train(
     pool: Pool,
-    targets: GarmentBatch,
+    targets: PanelTargets,
     what: Input,
     steps: int,
     args: argparse.Namespace,
@@ -374,15 +373,20 @@ def train(
     device = torch.device(args.device)
     config = NetConfig(
         queries=args.queries,
-        contour_points=args.contour_points,
         width=args.width,
         heads=args.heads,
         layers=args.layers,
+        edge_width=args.width,
+        edge_heads=args.heads,
+        edge_layers=max(1, args.layers // 2),
+        seam_layers=max(1, args.layers // 2),
     )
     net = PictureNet(config, views=SIDES, size=args.size).to(device)
     chance = torch.Generator().manual_seed(args.seed)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=args.lr, weight_decay=WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: learning_rate(step, steps))
+    optimizer = torch.optim.AdamW(net.parameters(), lr=args.lr, weight_decay=USUAL.weight_decay)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: learning_rate((step + 1) / steps, USUAL.warm_up)
+    )
     losses: list[float] = []
     for step in range(steps):
         net.train()
@@ -393,7 +397,7 @@ def train(
         loss = torch.stack(list(parts.values())).sum()
         optimizer.zero_grad()
         torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
+        torch.nn.utils.clip_grad_norm_(net.parameters(), USUAL.largest_gradient)
         optimizer.step()
         schedule.step()
         losses.append(loss.item())
@@ -402,11 +406,10 @@ def train(
     return net, losses
 
 
-def losses_of(net: PictureNet, pictures: Tensor, true: GarmentBatch) -> dict[str, Tensor]:
+def losses_of(net: PictureNet, pictures: Tensor, true: PanelTargets) -> dict[str, Tensor]:
     """The weighted loss terms; in bfloat16 on a GPU."""
     with torch.autocast(pictures.device.type, torch.bfloat16, enabled=pictures.is_cuda):
-        predicted = net(pictures)
-    return set_loss(predicted, true)
+        return set_loss(net.decoder, net(pictures), true)
 
 
 def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argparse.Namespace) -> list[Pattern]:
@@ -416,8 +419,8 @@ def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argpars
     with torch.no_grad():
         for part in torch.split(pictures, args.batch):
             with torch.autocast(args.device.split(":")[0], torch.bfloat16, enabled=args.device != "cpu"):
-                predicted = net(part.to(args.device))[-1]
-            patterns += patterns_from(predicted.garments())
+                found = answers_of(net.decoder, net(part.to(args.device)))
+            patterns += patterns_from(found)
     return patterns
 
 
@@ -508,6 +511,8 @@ def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | No
     if text["options"] != options:
         raise ConfigError(f"{path} has results of other options: give another --out")
     _log(f"{what}: read from {path}")
+    if any(len(row) != len(fields(PatternScore)) for rows in text["scores"].values() for row in rows):
+        raise ConfigError(f"{path} has the scores of another version: give another --out")
     scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
     return Result(what, text["figures"], scores)
 
@@ -568,7 +573,6 @@ def rows_of(results: Mapping[Input, Result]) -> list[dict[str, str]]:
             cells = {
                 name: f"{getattr(means, name):.3g} ({getattr(low, name):.3g} to {getattr(high, name):.3g})"
                 for name in PatternScore.__dataclass_fields__
-                if name not in SEAMS
             }
             named = {f"{name} [{UNITS[name]}]" if name in UNITS else name: cell for name, cell in cells.items()}
             rows.append({"tested on": str(test), "trained on": str(what), **named})

@@ -1,256 +1,332 @@
-"""Train a network to predict panels from surface points of a garment's box mesh, and score it on test garments.
+"""Train a model on a task, let it answer for the test garments, and score the answers.
 
-    python -m benchmarks.reconstruction.train --smoke         about a minute on two cores
-    python -m benchmarks.reconstruction.train --workers 16    one GPU, some minutes
+    python -m benchmarks.reconstruction.train panel_set --task T0 --smoke --out out     a minute on two cores
+    python -m benchmarks.reconstruction.train panel_set --task T1 --train 4000 --minutes 8 --out out
+    torchrun --nproc-per-node 4 -m benchmarks.reconstruction.train panel_set --task T0 --train 24000 --out out
 
-Garments are generated and read once through a ``DataLoader``; the training set then stays on the device, since the
-network consumes it faster than it could be made. The test set has other indices of the same seed: other bodies and
-designs from the same design space, so a training garment may be similar to a test garment. The nearest-neighbour
-reference shows the score that this similarity alone achieves.
+``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too;
+``scores.csv``, a row for each test garment; ``report.json`` with mean scores, 95 % intervals, options and hashes of the
+data; ``curves.csv``; ``pictures/`` with answers beside truth; and the checkpoint, from which a repeated call continues.
 """
 
 import argparse
-import math
+import csv
+import json
 import sys
 import time
-from collections import Counter
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
-from os import times
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any, cast
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
+import torch.distributed as dist
 
-from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reconstruction.data import FIELDS, Arrays, GarmentBatch, ToTargets, collate, pattern_of, patterns_from
-from benchmarks.reconstruction.evaluate import figures_of, predict, row_of, scores_of
-from benchmarks.reconstruction.models import NetConfig, PatternNet, set_loss
-from benchmarks.reconstruction.nearest import most_typical, nearest_garments
-from gcd_dataset.generator import read_overlay
-from gcd_dataset.loaders import GeneratedGarments
+from benchmarks.reconstruction.evaluate import scores_of
+from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.pools import FreshPool
+from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
+from benchmarks.reconstruction.training import TrainConfig, Trained, one_of_several_ranks, train
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.files import drafted, make_folder, write_whole
+from gcd_dataset.generator.drape.device import cores
+from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
+from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
+from gcd_dataset.spec import write_pattern
 
-__all__ = ["add_arguments", "run", "train"]
+__all__ = ["Result", "add_arguments", "main", "options_from", "run"]
 
-SMOKE: dict[str, Any] = {
-    "train": 240, "test": 60, "threads": 1, "resolution": 4.0, "steps": 300, "batch": 16, "lr": 2e-3, "width": 64,
-    "heads": 4, "layers": 2, "tokens": 32, "neighbours": 16, "points": 256, "stored_points": 1024, "queries": 40,
-    "nearest_points": 256, "typical": 60,
+MINUTES = 8.0
+SMOKE: Mapping[str, Any] = {
+    "train": 16, "test": 8, "resolution": 4.0,
+    "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
 }  # fmt: skip
-WARM_UP = 0.05  # share of the steps in which the learning rate rises
-WEIGHT_DECAY = 0.05
-LARGEST_GRADIENT = 1.0
-LOG_EVERY = 50  # steps, or batches of garments
+"""Options of the smallest run: few garments, coarse and all of one kind."""
+SHOWN = 8  # garments in pictures
+SIDE = 320  # pixels of a pattern's picture
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a run."""
+
+    model: str
+    task: Task
+    out: Path
+    train: int
+    test: int
+    """Test garments; 0: those of the task."""
+    config: TrainConfig
+    sizes: Mapping[str, Any]
+    """Options of the network."""
+    data: Path | None = None
+    source: str = ""
+    """Folder or repository of the garments; empty: they are generated."""
+    leave_out: str = ""
+    """Kind of garment to test on, and not to train on."""
+    fresh: int = 0
+    """Room for fresh garments; 0: only the fixed set."""
+    recipe: Mapping[str, Any] | None = None
+    """Changes of the task's recipe."""
+    workers: int = 0
+    device: str = "cpu"
+    smoke: bool = False
+
+
+@dataclass(frozen=True)
+class Result:
+    """The scores of a run."""
+
+    scores: list[PatternScore]
+    """Of the test garments, in order."""
+    report: Mapping[str, Any]
+    trained: Trained | None
+    """``None`` for a reference."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a run, besides the model."""
+
     def option(name: str, default: Any, text: str) -> None:
         parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
 
-    parser.add_argument("--smoke", action="store_true", help="a few hundred garments and a tiny network, for two cores")
-    option("--train", 20_000, "garments to train on")
-    option("--test", 500, "garments to test on: the following indices")
-    option("--seed", 0, "seed of the garments, the network and the order")
-    option("--design", "", "TOML file that restricts the designs")
-    option("--resolution", 2.0, "edge length of the box meshes [cm]")
-    option("--workers", 0, "processes for making garments and scoring patterns")
-    option("--cache-dir", "", "folder that caches the garments")
-    option("--device", "auto", "auto, cpu or cuda:0")
-    option("--threads", 0, "torch's CPU threads; 0 for its default, 1 is best for tiny networks on a busy machine")
-    option("--steps", 6_000, "optimiser steps")
-    option("--batch", 256, "garments per step")
-    option("--lr", 5e-4, "highest learning rate")
-    option("--points", 2_048, "points per garment and step, redrawn for each step")
-    option("--stored-points", 4_096, "points per garment to draw from, at most 8192")
-    option("--queries", 40, "most panels of a prediction")
-    option("--contour-points", 64, "points of a panel's outline")
-    option("--tokens", 256, "regions of points")
-    option("--neighbours", 32, "points in a region")
-    option("--width", 384, "features of a token")
-    option("--heads", 6, "heads per attention layer")
-    option("--layers", 6, "layers of the encoder, and of the decoder")
-    option("--nearest-points", 512, "points per garment for the nearest neighbour")
-    option("--typical", 500, "training garments to choose the most typical one from")
+    option("--task", "T0", f"one of {', '.join(TASKS)}")
+    option("--train", 4000, "garments to train on")
+    option("--test", 0, "garments to test on; 0: those of the task")
+    option("--out", "out", "folder of the results; a repeated call continues there")
+    option("--data", "", "folder that caches the garments (default: garments beside --out)")
+    option("--source", "", "folder, URL or Hub repository of garments; split by design and body")
+    option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
+    option("--fresh", 0, "room for garments made during the training, besides --train; 0: none")
+    option("--minutes", 0.0, f"time for the steps; {MINUTES:g} without --steps")
+    option("--steps", 0, "optimiser steps")
+    option("--batch", 0, "garments of a step; 0: the model's own")
+    option("--lr", 0.0, "highest learning rate; 0: the model's own")
+    option("--seed", 0, "seed of weights and order")
+    option("--resolution", 0.0, "edge length of the meshes [cm]; 0: the task's own")
+    option("--workers", -1, "processes that make and score; -1: all cores but one")
+    option("--device", "auto", "auto, cpu or cuda")
+    parser.add_argument("--compile", action="store_true", help="compile the network")
+    parser.add_argument("--smoke", action="store_true", help="few coarse garments and a tiny network, for two cores")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="sizes of the network")
 
 
-def run(args: argparse.Namespace) -> Measured:
-    """Load the garments, train, evaluate."""
+def options_from(args: argparse.Namespace, model: str) -> Options:
+    """The options of a run. Raises ``ConfigError``."""
+    module, out = load_model(model), Path(args.out)
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
+    usual = getattr(module, "SMOKE" if args.smoke else "USUAL", {})
+    given = {name: value for name in ("batch", "lr", "steps", "minutes") if (value := getattr(args, name))}
+    chosen = {**usual, **given}
+    if "minutes" in given and "steps" not in given:
+        chosen.pop("steps", None)
+    if "steps" not in chosen:
+        chosen.setdefault("minutes", MINUTES)
+    recipe: dict[str, Any] = {"resolution": args.resolution} if args.resolution else {}
     if args.smoke:
-        args = argparse.Namespace(**{**vars(args), **SMOKE})
-    device = torch.device(("cuda:0" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
-
-    if args.threads:
-        torch.set_num_threads(args.threads)
-
-    start = _clocks()
-    garments, arrays = load(args)
-    spent = _spent("load", start, per=len(garments), unit="garments")
-
-    start = _clocks()
-    losses: list[float] = []
-    known, unseen = garments[: args.train].to(device), garments[args.train :]
-    net = train(known, args, device, losses)
-    spent += _spent("train", start, per=args.steps, unit="steps")
-    learnt = [
-        Figure("parameters", sum(parameter.numel() for parameter in net.parameters()), "numbers"),
-        Figure("first_loss", float(np.mean(losses[:LOG_EVERY])), f"a step, the first {LOG_EVERY}"),
-        Figure("last_loss", float(np.mean(losses[-LOG_EVERY:])), f"a step, the last {LOG_EVERY}"),
-    ]
-
-    start = _clocks()
-    measured = evaluate(net, known, unseen, arrays, args, device)
-    spent += _spent("evaluate", start, per=len(unseen), unit="garments")
-    return Measured([*spent, *learnt, *measured.figures], measured.rows)
-
-
-# --------------------------------------------------------------------------------------------------------- the garments
-
-
-def load(args: argparse.Namespace) -> tuple[GarmentBatch, list[Arrays]]:
-    """Training garments followed by test garments, with their patterns as arrays."""
-    dataset = GeneratedGarments(
-        args.train + args.test,
-        args.seed,
-        drape=None,
-        resolution=args.resolution,
-        cache_dir=args.cache_dir or None,
-        design=read_overlay(args.design) if args.design else None,
-        fields=FIELDS,
-        transform=ToTargets(args.queries, args.contour_points, args.stored_points),
-        dtype=None,  # arcs are decoded from the ends of their edges, which needs float64
+        recipe = {"resolution": SMOKE["resolution"], "design": SMOKE["design"], **recipe}
+    workers = (0 if args.smoke else max(1, cores() - 1)) if args.workers < 0 else args.workers
+    return Options(
+        model=model,
+        task=task_named(args.task),
+        out=out,
+        train=SMOKE["train"] if args.smoke else args.train,
+        test=args.test or (SMOKE["test"] if args.smoke else 0),
+        config=TrainConfig(**chosen, seed=args.seed, compile=args.compile),
+        sizes=_sizes(args.set),
+        data=Path(args.data) if args.data else out.parent / "garments",
+        source=args.source,
+        leave_out=args.leave_out,
+        fresh=args.fresh,
+        recipe=recipe,
+        workers=workers,
+        device=device,
+        smoke=args.smoke,
     )
-    loader = DataLoader(dataset, batch_size=32, num_workers=args.workers, collate_fn=collate)
-    parts, arrays = [], []
-    for part, pattern_arrays in loader:
-        parts.append(part)
-        arrays += pattern_arrays
-        if len(parts) % LOG_EVERY == 0 or len(arrays) == len(dataset):
-            _log(f"{len(arrays)} of {len(dataset)} garments")
-    return GarmentBatch.join(parts), arrays
+
+
+def _sizes(texts: Sequence[str]) -> dict[str, int]:
+    try:
+        return {name: int(value) for name, value in (text.split("=") for text in texts)}
+    except ValueError as error:
+        raise ConfigError(f"--set {' '.join(texts)}: give NAME=NUMBER, such as width=256") from error
+
+
+def run(options: Options) -> Result | None:
+    """Make the garments, train, answer, score. ``None`` on ranks other than the first. Raises ``ConfigError``."""
+    if not options.task.answers_patterns:
+        raise ConfigError(f"{options.task.name}: its answers are no patterns: choose another task")
+    begun = time.perf_counter()
+    if options.smoke:
+        torch.set_num_threads(1)  # fastest for tiny networks
+    module, out = load_model(options.model), make_folder(options.out)
+    with one_of_several_ranks(options.device) as device:
+        split = _loaded(options)
+        loaded = time.perf_counter()
+        trained, received = None, 0
+        if hasattr(module, "build"):
+            torch.manual_seed(options.config.seed)
+            learner = module.build(smoke=options.smoke, options=options.sizes)
+            trained, received = _trained(learner, split, options, device)
+        if dist.is_initialized() and dist.get_rank():
+            return None
+        trained_at = time.perf_counter()
+        answers = _answers(module, trained, split, options, device)
+        scores = scores_of(answers, [split.test.pattern(k) for k in range(len(split.test))], workers=options.workers)
+    times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "test_s": time.perf_counter() - trained_at}
+    report = _report(options, split, scores, trained, {**times, "fresh": received})
+    _write(out, split.test, answers, scores, report)
+    return Result(scores, report, trained)
+
+
+def _loaded(options: Options) -> Split:
+    """The garments; the first rank makes them, the others read its cache."""
+    if dist.is_initialized() and dist.get_rank():
+        dist.barrier()
+    load: Callable[..., Split] = partial(options.task.load, data=options.data, **(options.recipe or {}))
+    if options.source:
+        load = partial(options.task.read, options.source)
+    split = load(options.train, workers=options.workers, tested=options.test)
+    if dist.is_initialized() and not dist.get_rank():
+        dist.barrier()
+    return split.without(options.leave_out) if options.leave_out else split
 
 
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-def train(known: GarmentBatch, args: argparse.Namespace, device: torch.device, losses: list[float]) -> PatternNet:
-    """Train a network on the garments; appends each step's loss to ``losses``."""
-    torch.manual_seed(args.seed)
-    net = PatternNet(net_config(args)).to(device)
-    chance = torch.Generator().manual_seed(args.seed)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=args.lr, weight_decay=WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: learning_rate(step, args.steps))
-    net.train()
-    for step in range(args.steps):
-        rows = torch.randint(len(known), (args.batch,), generator=chance).to(device)
-        batch = known[rows].with_points(args.points, chance)
-        with _half_precision(device):
-            predicted = net(batch.points)
-        parts = set_loss(predicted, batch)
-        loss = torch.stack(list(parts.values())).sum()
-        optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
-        optimizer.step()
-        schedule.step()
-        losses.append(loss.item())
-        if (step + 1) % LOG_EVERY == 0:
-            _log(f"step {step + 1} of {args.steps}, loss {np.mean(losses[-LOG_EVERY:]):.3f}: {_listed(parts)}")
-    return net
+def _trained(learner: Learner[Any, Any], split: Split, options: Options, device: torch.device) -> tuple[Trained, int]:
+    """The trained learner, and the number of fresh garments received."""
+    learner.to(device)
+    examples = learner.prepare(split.train, device=device, workers=options.workers)
+    check = _Check(split.check, learner.prepare(split.check, device=device), options.out)
+    if options.fresh:
+        examples = _pool(learner, split.train, options, device)
+    trained = train(learner, examples, options.config, device=device, out=options.out, check=check)
+    return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 
-def net_config(args: argparse.Namespace) -> NetConfig:
-    return NetConfig(
-        queries=args.queries,
-        contour_points=args.contour_points,
-        tokens=args.tokens,
-        neighbours=args.neighbours,
-        width=args.width,
-        heads=args.heads,
-        layers=args.layers,
-    )
+def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, device: torch.device) -> FreshPool[Any]:
+    """Examples that fresh garments renew. Raises ``ConfigError`` where there can be none."""
+    encode = learner.encoder()
+    if encode is None or options.source or options.leave_out:
+        raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
+    task = options.task
+    make = {"points": task.points, "extra": task.extra, "workers": options.workers, **task.options}
+    seed = FRESH_SEED + (dist.get_rank() if dist.is_initialized() else 0)
+
+    def stream(first: int) -> Iterator[TensorExamples]:
+        return fresh_garments(encode, seed, first=first, **{**make, **(options.recipe or {})})
+
+    return FreshPool(learner, encode(known).to(device), stream, room=options.fresh)
 
 
-def learning_rate(step: int, steps: int) -> float:
-    """Learning rate relative to the highest: linear warm-up, then half a cosine."""
-    rise = max(1, round(WARM_UP * steps))
-    if step < rise:
-        return (step + 1) / rise
-    return 0.5 + 0.5 * math.cos(math.pi * (step - rise) / (steps - rise))
+@dataclass(frozen=True)
+class _Check:
+    """Mean scores of the answers for some garments, and a picture of the first of them."""
+
+    garments: GarmentSet
+    examples: Examples[Any]
+    out: Path
+
+    def __call__(self, step: int, learner: Learner[Any, Any]) -> Mapping[str, float]:
+        answers = learner.predict(self.examples.batch(torch.arange(len(self.garments))))
+        truth = [self.garments.pattern(k) for k in range(len(self.garments))]
+        picture = beside_truth(answers[:SHOWN], truth[:SHOWN])
+        write_whole(make_folder(self.out / "pictures") / f"step_{step:06d}.png", png_bytes(picture))
+        means = mean_scores(scores_of(answers, truth))
+        return {f"check_{name}": value for name, value in asdict(means).items()}
 
 
-def _half_precision(device: torch.device) -> AbstractContextManager[Any]:
-    return torch.autocast("cuda", torch.bfloat16) if device.type == "cuda" else nullcontext()
+def _answers(
+    module: ModuleType, trained: Trained | None, split: Split, options: Options, device: torch.device
+) -> list[Pattern]:
+    """The answers for the test garments."""
+    if trained is None:
+        answer = cast(Callable[..., list[Pattern]], module.answers)
+        return answer(split.train, split.test, device=device, workers=options.workers)
+    examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
+    rows = torch.split(torch.arange(len(split.test)), options.config.batch)
+    return [pattern for part in rows for pattern in trained.learner.predict(examples.batch(part))]
 
 
-# ------------------------------------------------------------------------------------------------------- the evaluation
+# ---------------------------------------------------------------------------------------------------------- the results
 
 
-def evaluate(
-    net: PatternNet,
-    known: GarmentBatch,
-    unseen: GarmentBatch,
-    arrays: list[Arrays],
-    args: argparse.Namespace,
-    device: torch.device,
-) -> Measured:
-    """Score the network and the references."""
-    patterns = [pattern_of(entry) for entry in arrays[args.train :]]
-    near = args.nearest_points
-    neighbours = nearest_garments(unseen.points[:, :near, :3].to(device).float(), known.points[:, :near, :3].float())
-    typical = most_typical(known.points[: args.typical, :near, :3].float())
-    seen = replace(unseen, points=unseen.points[:, : args.points])
-    answers = {
-        "network": predict(net, seen, batch=args.batch, device=device),
-        "nearest": [pattern_of(arrays[row]) for row in neighbours.tolist()],
-        "typical": [pattern_of(arrays[typical])] * len(patterns),
-        "ceiling": patterns_from(unseen),
+def beside_truth(answers: Sequence[Pattern], truth: Sequence[Pattern], *, size: int = SIDE) -> np.ndarray:
+    """A picture of patterns: truth on the left, the answer on its right, two pairs in a row."""
+    pictures = [draw_pattern(pattern, size=size) for pair in zip(truth, answers, strict=True) for pattern in pair]
+    return contact_sheet(pictures, columns=4)
+
+
+def _report(
+    options: Options, split: Split, scores: Sequence[PatternScore], trained: Trained | None, times: Mapping[str, float]
+) -> dict[str, Any]:
+    low, high = bootstrap_interval(scores, np.random.default_rng(0))
+    means, lows, highs = (asdict(score) for score in (mean_scores(scores), low, high))
+    kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
+    return {
+        "model": options.model,
+        "task": options.task.name,
+        "headline": options.task.headline,
+        "scores": {name: [means[name], lows[name], highs[name]] for name in means},
+        "scores_of_kinds": {kind: asdict(mean_scores(of_kind)) for kind, of_kind in sorted(kinds.items())},
+        "data": {
+            name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
+            for name, part in (("train", split.train), ("test", split.test))
+        },
+        "options": {**asdict(options.config), "sizes": options.sizes, "leave_out": options.leave_out},
+        "steps": trained.steps if trained else 0,
+        "minutes": trained.seconds / 60 if trained else 0.0,
+        "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
+        "first_loss": trained.curve[0]["loss"] if trained else None,
+        "last_loss": trained.curve[-1]["loss"] if trained else None,
+        "device": torch.cuda.get_device_name() if options.device.startswith("cuda") else "cpu",
+        **{name: round(value, 2) for name, value in times.items()},
     }
-    figures, rows = [_commonest_count(arrays[: args.train], patterns)], []
-    predictions = [pattern for answer in answers.values() for pattern in answer]
-    all_scores = scores_of(predictions, patterns * len(answers), workers=args.workers)  # in one pool of processes
-    for number, (name, answer) in enumerate(answers.items()):
-        scores = all_scores[number * len(patterns) : (number + 1) * len(patterns)]
-        seams = any(pattern.seams for pattern in answer)
-        figures += figures_of(name, scores, seams=seams)
-        rows.append(row_of(name, scores, seams=seams))
-    return Measured(figures, rows)
 
 
-def _commonest_count(known: list[Arrays], unseen: list[Pattern]) -> Figure:
-    """Share of test garments that have the most common number of panels."""
-    counts = Counter(len(panels) for panels, _, _ in known)
-    commonest = counts.most_common(1)[0][0]
-    right = float(np.mean([len(pattern.panels) == commonest for pattern in unseen]))
-    return Figure("commonest_panel_count_acc", right, "share")
+def _write(
+    out: Path, test: GarmentSet, answers: Sequence[Pattern], scores: Sequence[PatternScore], report: Mapping[str, Any]
+) -> None:
+    truth = [test.pattern(k) for k in range(len(test))]
+    for folder, patterns in (("predictions", answers), ("truth", truth)):
+        make_folder(out / folder)
+        for key, pattern in zip(test.keys, patterns, strict=True):
+            write_pattern(replace(pattern, name=key), out / folder / f"{key}.json")
+    with drafted(out / "scores.csv") as draft, draft.open("w", newline="") as file:
+        writer = csv.DictWriter(file, ["key", "kind", *PatternScore.__dataclass_fields__])
+        writer.writeheader()
+        for key, kind, score in zip(test.keys, test.kinds, scores, strict=True):
+            writer.writerow({"key": key, "kind": kind, **asdict(score)})
+    picture = beside_truth(answers[:SHOWN], truth[:SHOWN])
+    write_whole(make_folder(out / "pictures") / "test.png", png_bytes(picture))
+    write_whole(out / "report.json", json.dumps(report, indent=1).encode())
 
 
-# -------------------------------------------------------------------------------------------------------------- helpers
-
-
-def _clocks() -> tuple[float, float]:
-    """Wall time, and CPU time of this process and its ended children [s]."""
-    return time.perf_counter(), sum(times()[:4])
-
-
-def _spent(step: str, start: tuple[float, float], *, per: int, unit: str) -> list[Figure]:
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
-    wall, cpu = (now - then for now, then in zip(_clocks(), start, strict=True))
-    rate = Figure(f"{step}_rate", per / wall, f"{unit}/s")
-    return [Figure(f"{step}_s", wall, "s"), Figure(f"{step}_cpu_s", cpu, "s"), rate]
-
-
-def _listed(parts: dict[str, torch.Tensor]) -> str:
-    return ", ".join(f"{name} {value.item():.3f}" for name, value in parts.items())
-
-
-def _log(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Train a model and print its scores. Returns the exit code."""
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="train", description=__doc__, formatter_class=formatter)
+    parser.add_argument("model", choices=MODELS)
+    add_arguments(parser)
+    args = parser.parse_args(arguments)
+    try:
+        result = run(options_from(args, args.model))
+    except GcdError as error:
+        print(f"train {args.model}: {error}", file=sys.stderr)
+        return 1
+    if result is not None:
+        for name, (mean, low, high) in result.report["scores"].items():
+            print(f"{args.task}.{args.model}.{name} {mean:.4g} ({low:.4g} to {high:.4g})")
+    return 0
 
 
 if __name__ == "__main__":
-    from benchmarks.run import main
-
-    sys.exit(main(["reconstruction", *sys.argv[1:]]))
+    sys.exit(main())

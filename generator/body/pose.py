@@ -39,7 +39,9 @@ def set_pose(
 
 def stand(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
     """The vertices with the lowest of them on y = 0."""
-    return vertices - [0.0, vertices[:, 1].min(), 0.0]
+    standing = vertices.copy()
+    standing[:, 1] -= vertices[:, 1].min()
+    return standing
 
 
 def _blend_rotation(
@@ -47,8 +49,10 @@ def _blend_rotation(
 ) -> None:
     """Move points in place towards their rotated positions, linearly by weight (linear blend skinning)."""
     rows = np.flatnonzero(weights)
-    before = points[rows, :2]
-    points[rows, :2] += weights[rows, None] * (_rotated(before, centre, angle) - before)
+    share, (x, y) = weights[rows], points[rows, :2].T
+    turned = _rotated(np.stack([x, y], axis=-1), centre, angle)
+    points[rows, 0] = x + share * (turned[:, 0] - x)
+    points[rows, 1] = y + share * (turned[:, 1] - y)
 
 
 def _rotated(points: Float[np.ndarray, "*n 2"], centre: np.ndarray, angle: float) -> Float[np.ndarray, "*n 2"]:

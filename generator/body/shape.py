@@ -12,7 +12,7 @@ from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.body.clearance import arm_clearance
 from gcd_dataset.generator.body.population import FEMALE_SHARE, GROUPS, POOLED, adults_of, weights_of
 from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
-from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh
+from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh, Smoothed
 from gcd_dataset.records import Body, BodyShape
 
 __all__ = [
@@ -111,20 +111,20 @@ def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
     model = body_model()
     if shape.weights.shape != (len(model.components),):
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
-    vertices, rounds = _unfolded(shape.weights.astype(float).tobytes(), shape.arm_angle, shape.legs_apart)
+    body = _unfolded(shape.weights.astype(float).tobytes(), shape.arm_angle, shape.legs_apart)
     if resolve_creases:
-        vertices, _ = _skin().smoothed(vertices, rounds, resolve_creases=True)
-    return Body(stand(vertices), model.faces, model.parts, name)
+        body = _skin().smoothed(body.vertices, body.rounds, resolve_creases=True, normals=body.normals)
+    return Body(stand(body.vertices), model.faces, model.parts, name)
 
 
 @functools.lru_cache(maxsize=2)  # ``build_body`` reuses the body posed by the check of the arms' clearance
-def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> tuple[Float[np.ndarray, "v 3"], int]:
-    """The posed body without folds, its creases not yet resolved, and the rounds of smoothing left for them."""
+def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> Smoothed:
+    """The posed body without folds, its creases not yet resolved."""
     vertices, joints = _unposed(weights)
     posed = set_pose(vertices, joints, body_model().skin, arm=arm_angle, leg=LEGS_APART if legs_apart else 0.0)
-    vertices, rounds = _skin().smoothed(posed, ROUNDS, resolve_creases=False)
-    vertices.flags.writeable = False
-    return vertices, rounds
+    unfolded = _skin().smoothed(posed, ROUNDS, resolve_creases=False)
+    unfolded.vertices.flags.writeable = unfolded.normals.flags.writeable = False
+    return unfolded
 
 
 @functools.lru_cache(maxsize=2)  # drawing raises the arms of one body step by step, then builds it to dress it

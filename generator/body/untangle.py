@@ -6,7 +6,7 @@ Creases whose sides intersect, as beside the crotch, are smoothed until the side
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,13 +15,23 @@ from scipy.sparse import csr_matrix, diags_array
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Record
 
-__all__ = ["ROUNDS", "SkinMesh"]
+__all__ = ["ROUNDS", "SkinMesh", "Smoothed"]
 
 ROUNDS = 20  # most rounds of smoothing; one to five suffice
 PASSES = 4  # smoothing passes in a round
 RINGS = 2  # rings of neighbours that are smoothed with a folded face
 CREASED = -0.9  # cosine of the normals at an edge below which its faces are tested; intersecting ones are below -0.97
 TURNED = 0.7  # cosine to its reference normal below which a face is tested for a crease
+
+
+class Smoothed(NamedTuple):
+    """A smoothed body."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    rounds: int
+    """Rounds of smoothing that are left."""
+    normals: Float[np.ndarray, "3 f"]
+    """Normals of the skin's faces, not normalised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +62,21 @@ class SkinMesh(Record):
         self, vertices: Float[np.ndarray, "v 3"], *, resolve_creases: bool = True
     ) -> Float[np.ndarray, "v 3"]:
         """The vertices with folded patches smoothed, and with ``resolve_creases`` self-intersecting creases too."""
-        return self.smoothed(vertices, ROUNDS, resolve_creases=resolve_creases)[0]
+        return self.smoothed(vertices, ROUNDS, resolve_creases=resolve_creases).vertices
 
     def smoothed(
-        self, vertices: Float[np.ndarray, "v 3"], rounds: int, *, resolve_creases: bool
-    ) -> tuple[Float[np.ndarray, "v 3"], int]:
-        """The vertices as ``flattened`` after at most ``rounds`` rounds of smoothing, and the number of rounds left."""
-        normals = _normals(vertices, self.faces)
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        rounds: int,
+        *,
+        resolve_creases: bool,
+        normals: Float[np.ndarray, "3 f"] | None = None,
+    ) -> "Smoothed":
+        """The vertices as ``flattened`` after at most ``rounds`` rounds of smoothing.
+
+        ``normals``: those of the vertices, from an earlier call.
+        """
+        normals = _normals(vertices, self.faces) if normals is None else normals
         while rounds:
             wrong = np.flatnonzero(_dot(normals, self.normals) < 0.0)
             if resolve_creases and not len(wrong):
@@ -66,13 +84,13 @@ class SkinMesh(Record):
             if not len(wrong):
                 break
             patch = self._around(wrong, len(vertices))
-            vertices, means = vertices.copy(), self.neighbour_means[patch]
+            vertices, normals, means = vertices.copy(), normals.copy(), self.neighbour_means[patch]
             for _ in range(PASSES):
                 vertices[patch] = means @ vertices
             moved = self._faces_at(patch, len(vertices))
             normals[:, moved] = _normals(vertices, self.faces[moved])
             rounds -= 1
-        return vertices, rounds
+        return Smoothed(vertices, rounds, normals)
 
     def folded(self, vertices: Float[np.ndarray, "v 3"]) -> Bool[np.ndarray, " f"]:
         """Whether each face is inverted against the reference."""
@@ -107,11 +125,15 @@ class SkinMesh(Record):
 
 
 def _normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 f"]:
-    """Face normals, not normalised. Written out by coordinates: a quarter of the time of ``np.cross``."""
+    """Face normals, not normalised. Written out by coordinates: a sixth of the time of ``np.cross``."""
     a, b, c = np.ascontiguousarray(faces.T)
-    axes = [(axis[a], axis[b], axis[c]) for axis in np.ascontiguousarray(vertices.T)]
+    axes = [(axis.take(a), axis.take(b), axis.take(c)) for axis in np.ascontiguousarray(vertices.T)]
     (ux, uy, uz), (wx, wy, wz) = ([ends[end] - ends[0] for ends in axes] for end in (1, 2))
-    return np.stack([uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx])
+    normals = np.empty((3, len(faces)))
+    for normal, p, q, r, s in zip(normals, (uy, uz, ux), (wz, wx, wy), (uz, ux, uy), (wy, wz, wx), strict=True):
+        np.multiply(p, q, out=normal)
+        normal -= r * s
+    return normals
 
 
 def _dot(a: Float[np.ndarray, "3 *n"], b: Float[np.ndarray, "3 *n"]) -> Float[np.ndarray, "*n"]:

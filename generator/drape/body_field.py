@@ -35,6 +35,12 @@ FOREARM = 30  # part number of an arm from the elbow to the finger tips; no valu
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
 CRANIUM = 0.7  # share of the head's height, from the top down to the mouth: contains the ears
+OVER_NECK = 0.9  # the same share of what lies above the neck, where the parts have no head: the chin is lower
+HAND = 0.22  # share of an arm that is its hand, where the parts have no hands
+NECK_SLICE = 2.0  # cm, height of the slices among which the neck is the narrowest, where the parts have no head
+NECK_BELOW = 0.5  # share of the way from the arms to the crown, below which the neck lies
+HEAD_OVER_NECK = 1.1  # least width of a head, as a multiple of the width of its neck
+MIN_POINTS = 8  # fewer points on a part have no extent
 FACE_SAMPLE = 8  # every eighth face is sampled to find the axis of a part
 AXES = {
     "trunk": (BodyPart.TRUNK,),
@@ -189,7 +195,9 @@ class _SkinTopology:
     hands: Int[np.ndarray, " h"]
     """Faces of both hands."""
     extremities: tuple[Int[np.ndarray, " h"], Int[np.ndarray, " f"], Int[np.ndarray, " c"]]
-    """Vertices of the faces of both hands, of both feet, and of the head."""
+    """Vertices of the faces of both hands, of both feet, and of the head. Without feet: of both legs."""
+    trunk: Int[np.ndarray, " t"]
+    """Vertices of the faces of the trunk."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -201,6 +209,10 @@ class _SkinTopology:
             np.flatnonzero(skin.parts == part.value)
             for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS, BodyPart.FEET, BodyPart.HEAD)
         )
+        trunk, *legs = (
+            np.flatnonzero(skin.parts == part.value) for part in (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
+        )
+        feet = feet if len(feet) else np.concatenate(legs)
         return cls(
             skin,
             np.asarray(skin.faces, np.int32).ravel(),
@@ -209,6 +221,7 @@ class _SkinTopology:
             (left, right),
             hands,
             (np.unique(skin.faces[hands]), np.unique(skin.faces[feet]), np.unique(skin.faces[head])),
+            np.unique(skin.faces[trunk]),
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -270,14 +283,46 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five."""
+    """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five.
+
+    Some segmentations, such as GarmentCode's, count hands as arms, feet as legs and the head as trunk.
+    """
     hands, feet, head = (points[part] for part in known.extremities)
+    arms = [points[np.unique(known.skin.faces[arm])] for arm in known.arms]
+    if not len(hands):
+        hands = np.concatenate([_hand_of(arm) for arm in arms])
+    cranium = CRANIUM if len(head) else OVER_NECK
+    if not len(head):
+        head = _head_of(points[known.trunk], np.concatenate(arms))
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     if len(head):
         top, chin = head[:, 1].max(), head[:, 1].min()
-        sides.append(head[head[:, 1] > top - CRANIUM * (top - chin)])
+        sides.append(head[head[:, 1] > top - cranium * (top - chin)])
     return tuple(side for side in sides if len(side) and np.linalg.matrix_rank(side - side[0], tol=1e-3) == 3)
+
+
+def _hand_of(arm: Float[np.ndarray, "a 3"]) -> Float[np.ndarray, "h 3"]:
+    """The end of an arm away from the body's middle, ``HAND`` of its length."""
+    if len(arm) < MIN_POINTS:
+        return arm[:0]
+    axis = np.linalg.eigh(np.cov(arm.T))[1][:, -1]
+    reach = arm @ (axis * np.sign(axis[0] * arm[:, 0].mean()))
+    return arm[reach > reach.max() - HAND * np.ptp(reach)]
+
+
+def _head_of(trunk: Float[np.ndarray, "t 3"], arms: Float[np.ndarray, "a 3"]) -> Float[np.ndarray, "h 3"]:
+    """The trunk above the neck, its narrowest slice above the arms; empty if nothing wider lies above that slice."""
+    above = trunk[trunk[:, 1] > arms[:, 1].max(initial=-np.inf)]
+    if not len(arms) or len(above) < MIN_POINTS:
+        return above[:0]
+    shoulders, crown = float(above[:, 1].min()), float(above[:, 1].max())
+    slices = np.floor((above[:, 1] - shoulders) / NECK_SLICE).astype(int)
+    low = [n for n in np.unique(slices) if n * NECK_SLICE < NECK_BELOW * (crown - shoulders)]
+    widths = [float(np.ptp(above[slices == number, 0])) for number in low]
+    narrowest = int(np.argmin(widths))
+    head = above[slices > low[narrowest]]
+    return head if len(head) and np.ptp(head[:, 0]) > HEAD_OVER_NECK * widths[narrowest] else above[:0]
 
 
 def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:

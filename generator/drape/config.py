@@ -55,6 +55,9 @@ class DrapeConfig:
     """Start wide skirts on a cone round the legs, wide bodices between the arms, and sleeves round the arms."""
     sewing_time: float = 0.2
     """The seams close over this time [s]."""
+    most_drapes: int = 2
+    """A garment that crosses itself or the body at rest is draped up to this many times, each time with twice the
+    sewing time, and keeps the drape with the fewest crossings. 1: every garment is draped once."""
     held_time: float = 0.25
     """Shortest hold of waist and collar after sewing [s]."""
     longest_hold: float = 1.2

@@ -22,6 +22,7 @@ __all__ = [
     "device_names",
     "every_device",
     "keep_freed_memory",
+    "keep_some_memory",
     "kernels_cached",
     "launch_lock",
     "load_kernels",
@@ -144,6 +145,19 @@ def keep_freed_memory(device: str) -> Iterator[None]:
     finally:
         wp.set_mempool_release_threshold(gpu, before)
     wp.synchronize_device(gpu)  # returns the memory
+
+
+def keep_some_memory(device: str) -> None:
+    """From now on CUDA's memory pool keeps up to ``KEPT`` bytes of freed memory for this process, or more if it did.
+
+    For renderings, one after the other: by default each synchronisation returns the memory of the last one.
+    """
+    gpu = wp.get_device(device)
+    if gpu.is_cuda and gpu.is_mempool_enabled and wp.get_mempool_release_threshold(gpu) < KEPT:
+        wp.set_mempool_release_threshold(gpu, KEPT)
+
+
+KEPT = 3 << 30  # bytes: two renderings of 64 × 512² pixels with all maps
 
 
 def cores() -> int:

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels.world import RUNNING
-from gcd_dataset.generator.drape.outcome import collect
+from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
 from gcd_dataset.generator.drape.passes import Pass, PendingJobs, next_batch
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.streams import WorkStream
@@ -102,7 +102,7 @@ class Lane:
         self._synchronize()
 
     def _collect(self) -> list[tuple[int, Drape]]:
-        """The drapes of the garments that have ended their fine pass."""
+        """The drapes of the garments that have ended their last fine pass; those that cross are draped again."""
         solver, passes = self._solver, self._passes
         assert solver is not None
         self._synchronize()
@@ -111,14 +111,22 @@ class Lane:
         ended = [k for k in np.flatnonzero(~running).tolist() if passes[k].coarse is None]
         drapes = collect(solver, [passes[k].fine for k in ended], ended)
         self._continued = [passes[k].continued(k) for k in np.flatnonzero(running).tolist()]
+        slid = slid_worlds(solver, {k: each.job for k, each in enumerate(passes) if each.coarse})
         self._continued += [
-            each.refined(k, int(frames[k])) for k, each in enumerate(passes) if each.coarse and not running[k]
+            each.restarted(int(frames[k]), self._config) if k in slid else each.refined(k, int(frames[k]))
+            for k, each in enumerate(passes)
+            if each.coarse and not running[k]
         ]
         self._synchronize()
-        return [
-            (passes[k].number, replace(drape, frames=drape.frames + passes[k].coarse_frames))
-            for k, drape in zip(ended, drapes, strict=True)
-        ]
+        finished: list[tuple[int, Drape]] = []
+        for k, drape in zip(ended, drapes, strict=True):
+            whole = replace(drape, frames=drape.frames + passes[k].coarse_frames)
+            every = (*passes[k].earlier, whole)
+            if crosses(whole) and len(every) < self._config.most_drapes:
+                self._continued.append(passes[k].again(whole))
+            else:
+                finished.append((passes[k].number, best_of(every)))
+        return finished
 
     def _build(self) -> None:
         """Fill the free places of the batch with jobs, and continue the other garments from the previous batch."""

@@ -64,13 +64,15 @@ def build_model(
     device: str,
     *,
     coarse: Container[int] = (),
+    sewing_times: Sequence[float] | None = None,
     constraints: Sequence[BodyConstraints] | None = None,
     fields: Sequence[HostField | None] | None = None,
 ) -> ClothModel:
     """The model of a batch on a device: world ``k`` is ``jobs[k]``.
 
     ``coarse``: the worlds that drape a coarse mesh; their layers keep a larger distance, since refinement turns
-    straight chords into folds, which would cross. ``constraints`` and ``fields``: precomputed for the jobs; computed
+    straight chords into folds, which would cross. ``sewing_times``: the time over which the seams of each garment
+    close [s]; ``config.sewing_time`` if missing. ``constraints`` and ``fields``: precomputed for the jobs; computed
     here if missing.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
@@ -79,7 +81,8 @@ def build_model(
     bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
     steps, lengths = _time_steps(topology), _median_lengths(topology)
-    worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
+    times = sewing_times or [config.sewing_time] * len(jobs)
+    worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
     for k, (world, stiffness) in enumerate(zip(worlds, _median_stiffness(topology), strict=True)):
         world.stiffness = stiffness
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
@@ -161,17 +164,17 @@ def _median_lengths(topology: Topology) -> list[float]:
     return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
-def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float) -> World:
+def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: float) -> World:
     """The parameters that follow from options and fabric; ``gap_factor`` multiplies the layer distance."""
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
     world.braking = config.braking
-    world.sewing_time = config.sewing_time
+    world.sewing_time = sewing_time
     world.held_time = config.held_time
     world.longest_hold = config.longest_hold
     world.gravity = GRAVITY
-    world.weight_from = config.sewing_time if config.gravity_free_start else 0.0
+    world.weight_from = sewing_time if config.gravity_free_start else 0.0
     world.max_speed = config.max_speed
     world.friction, world.layer_friction = job.fabric.friction, job.fabric.layer_friction
     world.leaving_speed = LEAVING_SPEED if config.pull_from_body else 0.0

@@ -1,6 +1,6 @@
 """The outcome of each drape of a batch, and its figures: crossings, stretch, frames."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +9,15 @@ from jaxtyping import Float
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, STOPPED
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.untangling import untangle
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["collect", "slid_off"]
+__all__ = ["best_of", "collect", "crosses", "slid_off", "slid_worlds"]
+
+KEEPS_CROSSINGS = (Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.THROUGH_ITSELF, Outcome.OVERSTRETCHED)
+"""Outcomes of garments that came to rest on the body, with crossings or without."""
 
 
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
@@ -74,6 +77,37 @@ def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, ove
     if drape.stretch_p99 > config.max_stretch:
         return Outcome.OVERSTRETCHED
     return Outcome.SETTLED
+
+
+def crosses(drape: Drape) -> bool:
+    """Whether a garment at rest crosses itself or the body, so that another drape may end with fewer crossings."""
+    return drape.outcome in KEEPS_CROSSINGS and _crossings(drape) > 0
+
+
+def best_of(drapes: Sequence[Drape]) -> Drape:
+    """The settled drape with the fewest crossings, or else the drape at rest with the fewest, or else the first.
+
+    Of drapes with equally many crossings the earliest.
+    """
+    return min(drapes, key=lambda drape: (*_failure(drape), _crossings(drape)))
+
+
+def _failure(drape: Drape) -> tuple[bool, bool]:
+    return drape.outcome not in KEEPS_CROSSINGS, drape.outcome is not Outcome.SETTLED
+
+
+def _crossings(drape: Drape) -> int:
+    """Crossing edges of all kinds: of cloth with cloth, of cloth with the body, of the body with cloth."""
+    return drape.self_crossings + drape.body_crossings + drape.body_through
+
+
+def slid_worlds(solver: Solver, jobs: Mapping[int, DrapeJob]) -> set[int]:
+    """The worlds whose drape was stopped because the garment slid off; ``jobs``: the jobs of the worlds in question."""
+    stopped = [w for w in np.flatnonzero(to_host(solver.state.status) == STOPPED).tolist() if w in jobs]
+    if not stopped:
+        return set()
+    x, first = to_host(solver.state.x), solver.model.topology.vertex_offset
+    return {w for w in stopped if slid_off(jobs[w], x[first[w] : first[w + 1]])}
 
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:

@@ -1,6 +1,8 @@
 """The passes of a garment: first its coarse mesh, then the fine mesh from the coarse drape's shape.
 
-The result of a pass depends neither on the time at which it begins nor on the other garments in the batch.
+A garment whose coarse mesh slid off starts its fine pass from the placed panels. A garment that crosses itself or the
+body at rest is draped again, sewn more slowly. The result of a pass depends neither on the time at which it begins nor
+on the other garments in the batch.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,6 +19,7 @@ from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
+from gcd_dataset.records import Drape
 
 __all__ = ["Pass", "PendingJobs", "PreparedJob", "next_batch"]
 
@@ -54,6 +57,10 @@ class Pass:
     """The garment's world in the previous batch."""
     refined_from: CoarseMesh | None = None
     """The coarse mesh in that world, if this is the first batch of the fine pass."""
+    begun_with: CoarseMesh | None = None
+    """The coarse mesh of the garment's first pass, if it has one."""
+    earlier: tuple[Drape, ...] = ()
+    """The drapes of the garment before this pass, none of them free of crossings."""
 
     @classmethod
     def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
@@ -66,16 +73,44 @@ class Pass:
             known = job.start if (job.coarse is None) == (coarse is None) else None
             mesh = replace(mesh, vertices=sewing_start(mesh, job.body) if known is None else known)
             coarse, job = (replace(coarse, mesh=mesh), job) if coarse else (None, replace(job, box_mesh=mesh))
-        return cls(number, job, coarse, constraints, prepared)
+        return cls(number, job, coarse, constraints, prepared, begun_with=coarse)
 
     @property
     def job(self) -> DrapeJob:
         """The job of this pass: with the coarse mesh, or with the fine mesh."""
         return _job(self.fine, self.coarse)
 
+    def sewing_time(self, config: DrapeConfig) -> float:
+        """The time over which the seams close in this pass [s]: doubled with each earlier drape."""
+        return config.sewing_time * 2.0 ** len(self.earlier)
+
+    def again(self, drape: Drape) -> Self:
+        """The first pass of the garment's next drape, after ``drape``."""
+        return type(self)(
+            self.number,
+            self.fine,
+            self.begun_with,
+            _constraints(self.fine, self.begun_with, self.prepared),
+            self.prepared,
+            begun_with=self.begun_with,
+            earlier=(*self.earlier, drape),
+        )
+
     def continued(self, world: int) -> Self:
         """The same pass in the next batch; ``world``: the world of the garment in the present batch."""
         return replace(self, previous_world=world, refined_from=None)
+
+    def restarted(self, frames: int, config: DrapeConfig) -> Self:
+        """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
+        return replace(
+            self,
+            fine=_sewn_from_panels(self.fine) if config.sewing_start else self.fine,
+            coarse=None,
+            constraints=_constraints(self.fine, None, self.prepared),
+            coarse_frames=frames,
+            previous_world=None,
+            refined_from=None,
+        )
 
     def refined(self, world: int, frames: int) -> Self:
         """The fine pass after a coarse pass of ``frames`` frames in ``world``."""
@@ -87,6 +122,11 @@ class Pass:
             previous_world=world,
             refined_from=self.coarse,
         )
+
+
+def _sewn_from_panels(job: DrapeJob) -> DrapeJob:
+    """The job with the start positions of ``sewing_start`` in its box mesh."""
+    return replace(job, box_mesh=replace(job.box_mesh, vertices=sewing_start(job.box_mesh, job.body)))
 
 
 def _job(fine: DrapeJob, coarse: CoarseMesh | None) -> DrapeJob:
@@ -137,6 +177,7 @@ def next_batch(passes: Sequence[Pass], previous: Solver | None, config: DrapeCon
             config,
             device,
             coarse=coarse,
+            sewing_times=[each.sewing_time(config) for each in passes],
             constraints=[each.constraints for each in passes],
             fields=[None if each.prepared is None else each.prepared.field for each in passes],
         )

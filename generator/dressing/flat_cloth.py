@@ -33,6 +33,11 @@ class FlatCloth:
         """The marked faces of a box mesh."""
         return cls(mesh.faces[faces], mesh.uv[mesh.corners[faces]], len(mesh.vertices))
 
+    @classmethod
+    def of_panel(cls, mesh: BoxMesh, faces: Bool[np.ndarray, " f"]) -> Self:
+        """The marked faces as cut, before sewing: vertices are rows of ``mesh.uv``."""
+        return cls(mesh.corners[faces], mesh.uv[mesh.corners[faces]], len(mesh.uv))
+
     @property
     def area(self) -> float:
         """Flat area [cm²]."""

@@ -1,21 +1,25 @@
 """Start positions of sewing: wide skirts on a cone, wide bodices between the arms, sleeves round the arms.
 
-A pattern places panels flat before and behind the wearer. Closing seams from there tangles three kinds of cloth:
+A pattern places panels flat before and behind the wearer. Closing seams from there tangles four kinds of cloth:
 
 - A skirt of large discs, or of several rings one below the other, reaches above its own top and lies before the arms.
 - A bodice wider than the room between the arms is sewn round the arms.
 - A sleeve placed beside its arm, or a trouser leg beside its leg, is not sewn round it.
+- A narrow skirt that reaches the floor is sewn through the feet.
 
-Such skirts start on a cone and such bodices between the arms, both compressed; such tubes start round their limbs.
+Wide skirts start on a cone, such bodices between the arms and narrow skirts above the feet, all compressed; such tubes
+start round their limbs.
 While the seams close, the rest lengths of the springs change from the start lengths to the flat lengths, which spreads
 the cloth.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
+from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
@@ -30,6 +34,10 @@ LOOSE_HEM = 60.0  # cm, girth of a tube that does not catch on the foot
 LEG_GAP = -1.5  # cm by which a trouser leg must reach beyond the leg: thighs touch each other
 UPRIGHT = 0.5  # least vertical part of a leg's direction at which the legs stand on either side of the middle
 MIDDLE_GAP = 0.5  # cm between a trouser leg and the plane between the legs
+FEET_ROOM = 1.25  # least girth of a skirt that is sewn round the feet, as a multiple of the girth of both feet
+ANKLES_BELOW = 0.12  # share of the body's height below which the ankles lie
+SKIRT_GAP = 1.0  # cm that a skirt above the feet must reach beyond the legs on either side
+LEGS = (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)
 SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
 
 
@@ -41,7 +49,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     skirt = Skirt.of(mesh, skirts) if skirts.any() else None
     on_cone = skirt is not None and skirt.is_wide
     bodice, sleeves = (roles == PanelRole.BODY).any(), (roles == PanelRole.ARM).any()
-    if not (on_cone or bodice or sleeves or trousers.any()):
+    if not (skirts.any() or bodice or sleeves or trousers.any()):
         return mesh.vertices
     try:
         limbs = limbs_of(body)
@@ -50,6 +58,8 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     placed = np.array(mesh.vertices, float)
     if skirt is not None and on_cone:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
+    elif skirts.any():
+        _end_above_feet(np.unique(mesh.faces[skirts[mesh.panel_id]]), body, placed)
     if bodice:
         for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
             if part in limbs:
@@ -69,7 +79,8 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
 def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
     """Put the sleeves of one side on the arm, in ``placed``; ``side``: 1 for the left side, -1 for the right."""
     sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
-    put_on_limb(mesh, sleeve, arm, placed)
+    if not roll_round_limb(mesh, sleeve, arm, placed):
+        put_on_limb(mesh, sleeve, arm, placed)
 
 
 def _put_on_leg(
@@ -107,6 +118,50 @@ def _keep_off_the_other_leg(
     inmost = np.interp(height / SLICE, numbers + 0.5, [x[slices == number].min() for number in numbers])
     scale = np.minimum((axis - MIDDLE_GAP) / np.maximum(axis - inmost, MIDDLE_GAP), 1.0)
     placed[rows, 0] = side * np.where(x < axis, np.maximum(axis - scale * (axis - x), MIDDLE_GAP), x)
+
+
+def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:
+    """Compress a skirt that is too narrow to be sewn round the feet, in ``placed``, to end above them.
+
+    The skirt is centred on the legs, and widened where it does not reach beyond both. ``rows``: vertices of the skirt.
+    """
+    legs = [leg_of(body, part) for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)]
+    if any(leg is None or abs(leg.axis[1]) < UPRIGHT for leg in legs):
+        return
+    both = body.vertices[np.isin(body.parts, [part.value for part in LEGS])]
+    ankle = _ankle_height(both, body)
+    x, height = placed[rows, 0], placed[rows, 1]
+    top, hem = float(height.max()), float(height.min())
+    below = x[height < ankle]
+    if top <= ankle or not len(below) or _is_sewn_round(below, both[both[:, 1] < ankle]):
+        return
+    middle = 0.5 * float(both[:, 0].min() + both[:, 0].max())
+    at_top = x[height > top - SLICE]
+    aside = x - 0.5 * float(at_top.min() + at_top.max())
+    height = top - (top - height) * (top - ankle) / (top - hem)
+    slices, leg_slices = (np.floor(y / SLICE).astype(int) for y in (height, both[:, 1]))
+    for number in np.unique(slices):
+        here, beside = slices == number, np.abs(leg_slices - number) <= 1
+        need = float(np.abs(both[beside, 0] - middle).max(initial=-SKIRT_GAP)) + SKIRT_GAP
+        for side in (1.0, -1.0):
+            own = here & (side * aside > 0.0)
+            aside[own] *= max(1.0, need / float(np.abs(aside[own]).max(initial=SLICE)))
+    placed[rows, 0], placed[rows, 1] = middle + aside, height
+
+
+def _ankle_height(legs: Float[np.ndarray, "n 3"], body: Body) -> float:
+    """Height of the ankles, where legs with feet are least deep [cm]; some segmentations count feet as legs."""
+    floor, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
+    slices = np.floor((legs[:, 1] - floor) / SLICE).astype(int)
+    low = [number for number in np.unique(slices) if (number + 1) * SLICE < ANKLES_BELOW * (top - floor)]
+    depths = [np.ptp(legs[slices == number, 2]) for number in low]
+    return floor + (low[int(np.argmin(depths))] + 1) * SLICE if low else floor
+
+
+def _is_sewn_round(hem: Float[np.ndarray, " n"], feet: Float[np.ndarray, "m 3"]) -> bool:
+    """Whether flat cloth with its vertices at x ``hem`` [cm] surrounds the feet, with room to spare."""
+    around = hem.min() < feet[:, 0].min() - SKIRT_GAP and hem.max() > feet[:, 0].max() + SKIRT_GAP
+    return bool(around and 2.0 * np.ptp(hem) >= FEET_ROOM * ConvexHull(feet[:, [0, 2]]).area)
 
 
 def _fit_between_arms(

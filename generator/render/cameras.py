@@ -81,13 +81,15 @@ def look_at(
     Raises ``ConfigError`` where the direction is not defined.
     """
     forward = np.asarray(target, float) - np.asarray(eye, float)
-    across = np.cross(forward, [0.0, 1.0, 0.0])
-    if np.linalg.norm(across) < 1e-6 * max(1.0, float(np.linalg.norm(forward))):
+    across = np.array([-forward[2], 0.0, forward[0]])  # the cross product with the vertical
+    length = math.sqrt(forward @ forward)
+    if math.sqrt(across @ across) < 1e-6 * max(1.0, length):
         raise ConfigError(f"a camera at {eye} looks along the vertical at {target}: move it aside")
-    forward, right = forward / np.linalg.norm(forward), across / np.linalg.norm(across)
-    down = np.cross(forward, right)
+    forward, right = forward / length, across / math.sqrt(across @ across)
+    down = _cross(forward, right)
     c, s = math.cos(roll), math.sin(roll)
-    return Camera(np.stack([c * right - s * down, s * right + c * down, forward]), np.asarray(eye, float), focal, shift)
+    rotation = np.array([c * right - s * down, s * right + c * down, forward])
+    return Camera(rotation, np.asarray(eye, float), focal, shift)
 
 
 def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges | None = None) -> Camera:
@@ -127,3 +129,9 @@ def fixed_camera(scene: Scene, side: str = "front") -> Camera:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it
+
+
+def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """``np.cross`` of two vectors, in a tenth of its time."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

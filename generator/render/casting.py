@@ -1,5 +1,6 @@
 """Rendering of batches: scenes and views in, pictures and truths out; a GPU works in the background."""
 
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
@@ -8,7 +9,7 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.render import plain_kernels
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
@@ -17,13 +18,15 @@ from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.plain_batch import thresholds
 from gcd_dataset.generator.render.points import Points, points_of
+from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.staging import StagingBuffers, wrapped
-from gcd_dataset.generator.render.uploading import Uploaded, upload
+from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
+from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
 
 __all__ = ["PendingPictures", "render", "start_pictures"]
 
 SIDE = 2  # rays along each side of a pixel
+POLL = 2e-4  # s between two looks at a GPU
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 MAP_TYPES: dict[str, tuple[type, int, float]] = {
     "depth": (np.float32, 0, 0.0),
@@ -62,24 +65,41 @@ def render(
 
 
 def start_pictures(
-    scenes: Sequence[Scene], views: Sequence[View], *, size: int, maps: Sequence[MapName] = (), device: str = "auto"
+    scenes: Sequence[Scene],
+    views: Sequence[View],
+    *,
+    size: int,
+    maps: Sequence[MapName] = (),
+    device: str = "auto",
+    profile: Profile | None = None,
 ) -> "PendingPictures":
-    """Start ``render`` of all views at once; a GPU works in the background."""
+    """Start ``render`` of all views at once; a GPU works in the background.
+
+    Several threads may start renderings: they prepare scenes at the same time and launch one after the other.
+    """
     _check(scenes, views, size, maps)
     device = resolve_device(device)
     load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
-    return PendingPictures(scenes, views, size, maps, device)
+    keep_some_memory(device)
+    return PendingPictures(scenes, views, size, maps, device, profile)
 
 
 class PendingPictures:
     """Pictures that a device is rendering."""
 
     def __init__(
-        self, scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName], device: str
+        self,
+        scenes: Sequence[Scene],
+        views: Sequence[View],
+        size: int,
+        maps: Sequence[MapName],
+        device: str,
+        profile: Profile | None = None,
     ) -> None:
-        self._views, self._size, self._maps = views, size, tuple(maps)
+        self._views, self._size, self._maps, self._profile = views, size, tuple(maps), profile
         self._staging = StagingBuffers(device)
-        self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
+        with in_stage(profile, "points"):
+            self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
@@ -87,12 +107,21 @@ class PendingPictures:
             return
         used = sorted({view.scene for view in views})
         kept = [scenes[row] for row in used]
-        solids = [solid_of(scene) for scene in kept]
-        materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
+        with in_stage(profile, "borders, hair"):
+            solids = [solid_of(scene) for scene in kept]
+        with in_stage(profile, "staging"):
+            staged = stage(kept, solids, self._staging)
+        with in_stage(profile, "materials"):
+            materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
+            inputs = self._stage_views(materials)
+        uploaded_bytes = self._staging.bytes
         with launch_lock:
-            uploaded = upload(kept, solids, self._staging)
-            self._kept = uploaded, self._launch(uploaded, materials, device)
+            uploaded = upload(staged, profile)
+            self._kept = uploaded, self._launch(uploaded, materials, inputs, device)
             self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
+        if profile is not None:
+            profile.add_bytes("to device", uploaded_bytes)
+            profile.add_bytes("to host", self._staging.bytes - uploaded_bytes)
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""
@@ -101,13 +130,27 @@ class PendingPictures:
 
     def pictures(self) -> list[Picture]:
         """Wait for the pictures. Call once: this releases the buffers."""
+        lent = self.lend()
+        with in_stage(self._profile, "pictures"):
+            if not self._staging.locked:  # no other rendering gets these buffers
+                return lent
+            self._results = {name: array.copy() for name, array in self._results.items()}
+            self._staging.release()
+            return list(self._finished())
+
+    def lend(self) -> list[Picture]:
+        """Wait for the pictures; for a GPU their arrays are staging memory, valid until ``release``."""
+        with in_stage(self._profile, "wait"):
+            while not self.ready():  # other threads launch meanwhile
+                time.sleep(POLL)
         with launch_lock:
-            if self._rendered is not None:
-                wp.synchronize_event(self._rendered)
             self._kept = None  # frees the meshes
-        pictures = list(self._finished())
+        return list(self._finished())
+
+    def release(self) -> None:
+        """Release the buffers after ``lend``."""
+        self._results = {}
         self._staging.release()
-        return pictures
 
     def _finished(self) -> Iterator[Picture]:
         begin = 0
@@ -116,10 +159,10 @@ class PendingPictures:
             visible = points.in_picture & (self._results["visible"][begin:end] == 1)
             begin, corners = end, points.corners
             yield Picture(
-                rgb=self._results["rgb"][row].copy(),
+                rgb=self._results["rgb"][row],
                 intrinsics=view.camera.intrinsics(self._size),
                 extrinsics=view.camera.extrinsics(),
-                maps={name: self._results[name][row].copy() for name in self._maps},
+                maps={name: self._results[name][row] for name in self._maps},
                 panel_corners=points.panel_corners,
                 corner_pixels=points.pixels[:corners],
                 corner_visible=visible[:corners],
@@ -128,28 +171,45 @@ class PendingPictures:
                 landmark_visible=visible[corners:],
             )
 
-    def _launch(self, up: Uploaded, materials: Materials, device: str) -> list[wp.array]:
-        """Launch all passes and the copies of their results; returns the arrays that these read."""
-        shots = wp.array(materials.shots, dtype=Shot, device=device)
-        rgb = _shade(up, shots, materials, self._size, device)
-        outputs = {"rgb": rgb, **_truths(up, shots, self._maps, self._size, device)}
+    def _stage_views(self, materials: Materials) -> dict[str, tuple[np.ndarray, Any]]:
+        """What the kernels read besides scenes, in staging memory, with Warp types."""
         positions = np.concatenate([points.positions for points in self._points])
         owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
-        visible = wp.zeros(len(positions), dtype=wp.uint8, device=device)
-        inputs = [
-            up.scenes,
-            shots,
-            wp.array(owner.astype(np.int32), dtype=int, device=device),
-            wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device),
-        ]
-        wp.launch(truths.see_points, len(positions), inputs=inputs, outputs=[visible], device=device)
-        outputs["visible"] = visible
-        for name, array in outputs.items():
-            kind = wp.dtype_to_numpy(array.dtype)
-            self._results[name] = self._staging.array(array.shape, kind)
-            if array.size:
-                wp.copy(wrapped(self._results[name], array.dtype), array)
-        return [shots, *inputs, *outputs.values()]
+        given: dict[str, tuple[np.ndarray, Any, Any]] = {
+            "shots": (materials.shots, materials.shots.dtype, Shot),
+            "cloths": (materials.cloths, materials.cloths.dtype, Cloth),
+            "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
+            "texels": (materials.texels, np.float32, wp.vec3),
+            "glow": (materials.glow, np.float32, wp.vec3),
+            "owner": (owner, np.int32, wp.int32),
+            "positions": (positions, np.float32, wp.vec3),
+        }
+        staged = (
+            (name, staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
+        )
+        return {name: (values, dtype) for name, values, dtype in staged}
+
+    def _launch(
+        self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
+    ) -> list[wp.array]:
+        """Launch all passes and the copies of their results; returns the arrays that these read."""
+        profile = self._profile
+        with in_stage(profile, "upload"):
+            given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
+        sheer = np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist()
+        outputs = {"rgb": _shade(up, given, sheer, self._size, device, profile)}
+        with in_stage(profile, "truths"):
+            outputs |= _truths(up, given["shots"], self._maps, self._size, device)
+            seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
+            outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
+            wp.launch(truths.see_points, len(given["owner"]), inputs=seen, outputs=[outputs["visible"]], device=device)
+        with in_stage(profile, "download"):
+            for name, array in outputs.items():
+                kind = wp.dtype_to_numpy(array.dtype)
+                self._results[name] = self._staging.array(array.shape, kind)
+                if array.size:
+                    wp.copy(wrapped(self._results[name], array.dtype), array)
+        return [*given.values(), *outputs.values()]
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -181,38 +241,33 @@ def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
         yield batch
 
 
-def _shade(up: Uploaded, shots: wp.array, materials: Materials, size: int, device: str) -> wp.array:
-    """The pictures (shot, h, w, 3)."""
+def _shade(
+    up: Uploaded, given: dict[str, wp.array], sheer: Sequence[int], size: int, device: str, profile: Profile | None
+) -> wp.array:
+    """The pictures (shot, h, w, 3); ``sheer`` are the scenes with sheer cloth."""
+    shots = given["shots"]
     rays = (len(shots), size, size, SIDE**2)
     hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
     sides = (2, up.first_vertex[-1])
     seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.full(sides, 1.0, dtype=float, device=device)
-    for number in np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist():
+    for number in sheer:
         # What lies behind sheer cloth is not among the first hits: all of the scene counts as seen.
         for row in (seen[0], seen[1]):
             row[up.first_vertex[number] : up.first_vertex[number + 1]].fill_(number)
     cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
     floor = wp.empty(cells, dtype=float, device=device)
     picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
-    wp.launch(cast.cast_rays, rays, inputs=[up.scenes, shots, SIDE], outputs=[hit_face, hit_uv, seen], device=device)
-    wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
-    wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
-    inputs = [
-        up.scenes,
-        shots,
-        wp.array(materials.cloth_of_panel, dtype=int, device=device),
-        wp.array(materials.cloths, dtype=Cloth, device=device),
-        wp.array(materials.texels, dtype=wp.vec3, device=device),
-        wp.array(materials.glow, dtype=wp.vec3, device=device),
-        up.middle,
-        sky,
-        floor,
-        SIDE,
-        hit_face,
-        hit_uv,
-        thresholds(device),
-    ]
-    wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    with in_stage(profile, "cast"):
+        inputs = [up.scenes, shots, SIDE]
+        wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
+    with in_stage(profile, "sky"):
+        wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
+    with in_stage(profile, "floor"):
+        wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+    materials = [given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow")]
+    inputs = [up.scenes, shots, *materials, up.middle, sky, floor, SIDE, hit_face, hit_uv, thresholds(device)]
+    with in_stage(profile, "shade"):
+        wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
     return picture
 
 

@@ -33,11 +33,11 @@ def luminance(colour: RGB) -> float:
 def nudged(rng: np.random.Generator, colour: RGB, amount: float = 0.04) -> RGB:
     """A colour near another: hue, saturation and value move."""
     hue, saturation, value = colorsys.rgb_to_hsv(*colour)
-    shift = rng.normal(size=3) * [0.5 * amount, amount, amount]
+    turn, fade, lift = rng.normal(size=3).tolist()
     return colorsys.hsv_to_rgb(
-        (hue + shift[0]) % 1.0,
-        float(np.clip(saturation + shift[1], 0, 1)),
-        float(np.clip(value + shift[2], 0.04, 0.97)),
+        (hue + turn * (0.5 * amount)) % 1.0,
+        min(max(saturation + fade * amount, 0.0), 1.0),
+        min(max(value + lift * amount, 0.04), 0.97),
     )
 
 

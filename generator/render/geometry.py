@@ -1,9 +1,11 @@
 """Meshes prepared for ray casting: garment, body and hair in one list, borders of the panels, masks on the body."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from gcd_dataset.generator.render.figure import BodyMasks, Eyes, body_masks, eyeballs, hair_shell
 from gcd_dataset.generator.render.scene import Scene
@@ -35,9 +37,8 @@ class Borders(Record):
 class Solid(Record):
     """Everything that rays may hit, in the order garment, body, hair, eyes."""
 
-    position: Float[np.ndarray, "n 3"]
-    """[cm]"""
-    faces: Int[np.ndarray, "m 3"]
+    parts: tuple[tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]], ...]
+    """Vertices [cm] and faces of each part; faces count from the part's first vertex."""
     garment_faces: int
     body_faces: int
     hair_faces: int
@@ -49,23 +50,33 @@ class Solid(Record):
     """Of the vertices of the body."""
     eyes: Eyes
 
+    @property
+    def starts(self) -> list[int]:
+        """Row of each part's first vertex, and the number of all vertices."""
+        return list(accumulate((len(vertices) for vertices, _ in self.parts), initial=0))
+
+    @cached_property
+    def position(self) -> Float[np.ndarray, "n 3"]:
+        """All vertices [cm]."""
+        return np.concatenate([vertices for vertices, _ in self.parts])
+
+    @cached_property
+    def faces(self) -> Int[np.ndarray, "m 3"]:
+        """All faces, as rows of ``position``."""
+        return np.concatenate([faces + begin for (_, faces), begin in zip(self.parts, self.starts, strict=False)])
+
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
     body, hair, eyes = scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)
-    parts = [(one.vertices, one.faces) for one in (scene, body, hair, eyes)]
-    begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    panel_of_row = np.zeros(len(scene.uv), np.int32)
-    panel_of_row[scene.corners] = scene.panel_id[:, None]
     return Solid(
-        position=np.concatenate([vertices for vertices, _ in parts]),
-        faces=np.concatenate([faces + begin for (_, faces), begin in zip(parts, begins[:-1], strict=True)]),
+        parts=tuple((one.vertices, one.faces) for one in (scene, body, hair, eyes)),
         garment_faces=len(scene.faces),
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
         garment_vertices=len(scene.vertices),
-        borders=panel_borders(scene, panel_of_row),
-        panel_of_row=panel_of_row,
+        borders=panel_borders(scene, scene.panel_of_row),
+        panel_of_row=scene.panel_of_row,
         masks=body_masks(scene.body),
         eyes=eyes,
     )
@@ -73,11 +84,7 @@ def solid_of(scene: Scene) -> Solid:
 
 def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
     """The outlines of all panels, found in the mesh, with the seam of each segment."""
-    following = _next_on_border(scene.corners, len(scene.uv))
-    a, b = scene.corners, np.roll(scene.corners, -1, axis=1)
-    on_border = following[a] == b
-    face, k = np.nonzero(on_border)
-    ends = np.stack([a[face, k], b[face, k]], axis=1)
+    face, k, ends = _border_edges(scene.corners, len(scene.uv))
     seam = _seam_of_edge(scene, scene.uv_vertex[ends])
     bits = np.where(seam == HEM, 8, 1) << k
     flags = np.bincount(face, bits, minlength=len(scene.faces)).astype(np.int32)
@@ -91,68 +98,82 @@ def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _next_on_border(corners: Int[np.ndarray, "f 3"], rows: int) -> Int[np.ndarray, " c"]:
-    """The next row along the border, counter-clockwise; -1 inside the panel.
+def _border_edges(
+    corners: Int[np.ndarray, "f 3"], rows: int
+) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " b"], Int[np.ndarray, "b 2"]]:
+    """Face, number in the face, and rows of both ends of each edge on a border, counter-clockwise.
 
     Round a row, each face (row, x, y) turns from x to y. Inside a panel the turns close and the sums of x - y and
     of x² - y² are 0; on the border they leave first - last and first² - last², from which both follow.
     """
-    row, x, y = corners.ravel(), np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
-    x, y = x.astype(float), y.astype(float)  # whole numbers below 2**53: sums are exact
-    difference = np.bincount(row, x - y, minlength=rows)
-    squares = np.bincount(row, x * x - y * y, minlength=rows)
-    open_fan = difference != 0
-    first = np.full(rows, -1.0)
-    first[open_fan] = 0.5 * (squares[open_fan] / difference[open_fan] + difference[open_fan])
+    a, b, c = np.ascontiguousarray(corners.T)
+    turns = ((a, b, c), (b, c, a), (c, a, b))  # the row at each corner of all faces, the rows after and before it
+    # Whole numbers below 2**53: sums are exact.
+    difference = np.add.reduce([np.bincount(row, after - before, minlength=rows) for row, after, before in turns])
+    is_open = difference != 0
+    near = [np.flatnonzero(is_open.take(row)) for row in (a, b, c)]
+    row, after, before = (
+        np.concatenate([corner.take(faces) for corner, faces in zip(each, near, strict=True)])
+        for each in zip(*turns, strict=True)
+    )
+    place = np.concatenate([3 * faces + k for k, faces in enumerate(near)])
+    turn, squares = difference[row], np.bincount(row, after * after - before * before, minlength=rows)[row]
     # Two fans that meet in one row do not give a row of the mesh: such a row has no border.
-    known = open_fan & (first == np.floor(first)) & (first >= 0) & (first < rows)
-    return np.where(known, first, -1).astype(np.int64)
+    edge = np.flatnonzero(0.5 * (squares / turn + turn) == after)
+    edge = edge[np.argsort(place[edge])]
+    return place[edge] // 3, place[edge] % 3, np.stack([row[edge], after[edge]], axis=1)
 
 
 def _seam_of_edge(scene: Scene, edges: Int[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:
     """The seam of each border edge, by its vertices; ``HEM`` if one panel alone has it, -1 if the row is unknown."""
-    keys = edges.min(axis=1) * (len(scene.vertices) + 1) + edges.max(axis=1)
-    _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
-    seam = np.where(count[inverse] > 1, -1, HEM)
+    one, other = edges.T
+    keys = np.minimum(one, other) * (len(scene.vertices) + 1) + np.maximum(one, other)
+    order = np.argsort(keys, kind="stable")
+    twins = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
+    seam = np.full(len(edges), HEM)
+    seam[order[twins]] = seam[order[twins + 1]] = -1
     if not len(scene.seams):
         return seam
     by_vertex = scene.seams[np.argsort(scene.seams[:, 0], kind="stable")]
     rows = int(by_vertex[:, 1].max()) + 1
-    known = np.unique(by_vertex[:, 0] * rows + by_vertex[:, 1])
-    begin = np.searchsorted(by_vertex[:, 0], edges[:, 0])
-    end = np.searchsorted(by_vertex[:, 0], edges[:, 0], side="right")
+    known = np.sort(by_vertex[:, 0] * rows + by_vertex[:, 1])
+    begin = np.searchsorted(by_vertex[:, 0], one)
+    end = np.searchsorted(by_vertex[:, 0], one, side="right")
     for offset in range(int((end - begin).max(initial=0)) - 1, -1, -1):
-        row = by_vertex[np.minimum(begin + offset, len(by_vertex) - 1), 1]
-        wanted = edges[:, 1] * rows + row
+        sewn = np.flatnonzero((begin + offset < end) & (seam != HEM))
+        row = by_vertex[begin[sewn] + offset, 1]
+        wanted = other[sewn] * rows + row
         at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-        shared = (begin + offset < end) & (known[at] == wanted) & (seam != HEM)
-        seam = np.where(shared, row, seam)
+        shared = known[at] == wanted
+        seam[sewn[shared]] = row[shared]
     return seam
 
 
 def _lengths_along(ends: Int[np.ndarray, "b 2"], uv: Float[np.ndarray, "c 2"], rows: int) -> Float[np.ndarray, " b"]:
     """Length of the outline from a fixed point of it up to each segment [cm], by pointer doubling."""
-    number = np.full(rows, -1)
-    number[ends[:, 0]] = np.arange(len(ends))
-    before = np.full(len(ends), -1)
-    following = number[ends[:, 1]]
-    before[following[following >= 0]] = np.flatnonzero(following >= 0)
-    lengths = np.linalg.norm(uv[ends[:, 1]] - uv[ends[:, 0]], axis=1)
+    count = len(ends)
+    number = np.full(rows, count)
+    number[ends[:, 0]] = np.arange(count)
+    before = np.full(count + 1, count)  # the last entry stands for no segment: it is before itself and has no length
+    before[number[ends[:, 1]]] = np.arange(count)
+    before[count] = count
     before = _cut_loops(before)
-    total, jump = np.where(before >= 0, lengths[before], 0.0), before
-    while (jump >= 0).any():
-        there = jump >= 0
-        total = total + np.where(there, total[jump], 0.0)
-        jump = np.where(there, jump[jump], -1)
-    return total
+    span = uv[ends[:, 1]] - uv[ends[:, 0]]
+    lengths = np.append(np.linalg.norm(span, axis=1), 0.0)
+    total, jump = lengths[before], before
+    while (jump < count).any():
+        total += total[jump]
+        jump = jump[jump]
+    return total[:count]
 
 
-def _cut_loops(before: Int[np.ndarray, " b"]) -> Int[np.ndarray, " b"]:
+def _cut_loops(before: Int[np.ndarray, " b1"]) -> Int[np.ndarray, " b1"]:
     """The chain of predecessors, cut at the lowest number of each loop."""
-    lowest, jump = np.arange(len(before)), before.copy()
-    for _ in range(max(1, len(before)).bit_length()):
-        there = jump >= 0
-        lowest = np.where(there, np.minimum(lowest, lowest[jump]), lowest)
-        jump = np.where(there, jump[jump], -1)
-    cut: Bool[np.ndarray, " b"] = lowest == np.arange(len(before))
-    return np.where(cut, -1, before)
+    lowest, jump = np.arange(len(before)), before
+    while True:
+        # Over twice as many predecessors; where that changes nothing, loops are closed.
+        lower = np.minimum(lowest, lowest[jump])
+        if (lower == lowest).all():
+            break
+        lowest, jump = lower, jump[jump]
+    return np.where(lowest == np.arange(len(before)), len(before) - 1, before)

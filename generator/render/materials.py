@@ -76,9 +76,8 @@ def draw_appearance(
 
 def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Garment and part of each panel: panels that are sewn together are one garment, parts go by the panel's name."""
-    panel_of_row = np.zeros(len(scene.uv), int)
-    panel_of_row[scene.corners] = scene.panel_id[:, None]
-    some_panel = np.zeros(len(scene.vertices), int)
+    panel_of_row = scene.panel_of_row
+    some_panel = np.zeros(len(scene.vertices), np.int32)
     some_panel[scene.uv_vertex] = panel_of_row
     count = len(scene.panel_names)
     pairs = np.bincount(count * panel_of_row + some_panel[scene.uv_vertex], minlength=count * count)

@@ -6,7 +6,7 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Int32, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Body, BoxMesh, PanelRole, Pattern, Record, Sample
@@ -62,6 +62,11 @@ class Scene(Record):
         return self._box
 
     @cached_property
+    def panel_of_row(self) -> Int[np.ndarray, " c"]:
+        """Row of ``panel_names`` for each row of ``uv``; 0 for a row without a face."""
+        return np.maximum(_panel_of_row(self), 0)
+
+    @cached_property
     def garment_points(self) -> Float[np.ndarray, "3 n"]:
         """Every fifth vertex of the garment, in rows of x, y and z [cm]."""
         return np.ascontiguousarray(self.vertices[::5].T, float)
@@ -95,8 +100,9 @@ def scene_of(
         raise ConfigError(f"{len(vertices)} positions for a mesh of {len(mesh.vertices)} vertices: give one for each")
     if not np.isfinite(vertices).all():
         raise ConfigError("some positions of the garment are not numbers: its drape diverged; leave it out")
-    ids, rows = _corners_in_mesh(mesh, pattern)
-    return Scene(
+    panel_of_row = _panel_of_row(mesh)
+    ids, rows = _corners_in_mesh(mesh, panel_of_row, pattern)
+    scene = Scene(
         vertices=vertices,
         faces=mesh.faces,
         uv=mesh.uv,
@@ -112,6 +118,8 @@ def scene_of(
         landmarks=_landmarks(body),
         hair=hair,
     )
+    vars(scene)["panel_of_row"] = np.maximum(panel_of_row, 0)  # as the cached property would find it
+    return scene
 
 
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
@@ -124,28 +132,66 @@ def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.N
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 NEAR = 1e-2  # cm; a row of ``uv`` nearer than this to a panel corner is that corner: specifications round to 1e-3 cm
+CELL = 0.5  # cm; side of a grid's cell, more than ``NEAR``
+BUCKETS = 1 << 16
+OFFSET = 1 << 20  # cells
+AROUND = tuple((i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0))
 
 
-def _corners_in_mesh(mesh: BoxMesh, pattern: Pattern | None) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
+def _panel_of_row(mesh: BoxMesh | Scene) -> Int32[np.ndarray, " c"]:
+    """The panel of each row of ``uv``; -1 for a row without a face."""
+    panel_of_row = np.full(len(mesh.uv), -1, np.int32)
+    for rows in mesh.corners.T:
+        panel_of_row[rows] = mesh.panel_id
+    return panel_of_row
+
+
+def _corners_in_mesh(
+    mesh: BoxMesh, panel_of_row: Int32[np.ndarray, " c"], pattern: Pattern | None
+) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
     """(panel, corner) and row of ``uv`` for each panel corner that is a vertex of the mesh."""
-    ids: list[tuple[int, int]] = []
-    rows: list[int] = []
-    panel_of_row = np.full(len(mesh.uv), -1)
-    panel_of_row[mesh.corners] = mesh.panel_id[:, None]
     panels = {} if pattern is None else {panel.name: panel for panel in pattern.panels}
-    for number, name in enumerate(mesh.panel_names):
-        if name not in panels:
+    wanted = [panels[name].vertices if name in panels else np.zeros((0, 2)) for name in mesh.panel_names]
+    corners = np.concatenate([np.zeros((0, 2)), *wanted])
+    panel = np.repeat(np.arange(len(wanted)), [len(vertices) for vertices in wanted])
+    rows = _rows_near(mesh.uv, panel_of_row, corners, panel)
+    ids: list[tuple[int, int]] = []
+    found: list[int] = []
+    ends = np.searchsorted(panel_of_row[rows], np.arange(len(wanted) + 1))
+    for number, vertices in enumerate(wanted):
+        own = rows[ends[number] : ends[number + 1]]
+        if not len(own) or not len(vertices):
             continue
-        own = np.flatnonzero(panel_of_row == number)
-        if not len(own):
-            continue
-        apart = np.linalg.norm(mesh.uv[own][None] - panels[name].vertices[:, None], axis=2)
+        apart = np.linalg.norm(mesh.uv[own][None] - vertices[:, None], axis=2)
         nearest = apart.argmin(axis=1)
-        for corner, row in enumerate(nearest.tolist()):
-            if apart[corner, row] < NEAR:
-                ids.append((number, corner))
-                rows.append(int(own[row]))
-    return np.array(ids, int).reshape(-1, 2), np.array(rows, int)
+        for corner in np.flatnonzero(apart.min(axis=1) < NEAR).tolist():
+            ids.append((number, corner))
+            found.append(int(own[nearest[corner]]))
+    return np.array(ids, int).reshape(-1, 2), np.array(found, int)
+
+
+def _rows_near(
+    uv: Float[np.ndarray, "c 2"],
+    panel_of_row: Int[np.ndarray, " c"],
+    corners: Float[np.ndarray, "k 2"],
+    panel: Int[np.ndarray, " k"],
+) -> Int[np.ndarray, " n"]:
+    """The rows of ``uv`` nearer than ``NEAR`` to a corner of their panel, and some others; sorted by panel."""
+    marked = np.zeros(BUCKETS, bool)
+    cell = corners * (1.0 / CELL)
+    for step in AROUND:
+        marked[_bucket(cell[:, 0] + step[0], cell[:, 1] + step[1], panel)] = True
+    near = np.flatnonzero(marked[_bucket(uv[:, 0] * (1.0 / CELL), uv[:, 1] * (1.0 / CELL), panel_of_row)])
+    return near[np.argsort(panel_of_row[near], kind="stable")]
+
+
+def _bucket(
+    column: Float[np.ndarray, " n"], row: Float[np.ndarray, " n"], panel: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " n"]:
+    """Bucket of a hash table for a cell of a panel's grid."""
+    # Offset: truncation rounds down only what is positive.
+    x, y = (column + OFFSET).astype(np.int64), (row + OFFSET).astype(np.int64)
+    return np.asarray((x * 73 + y * 4099 + panel * 7919) & (BUCKETS - 1))
 
 
 def _landmarks(body: Body) -> dict[str, Float[np.ndarray, "3"]]:

@@ -1,14 +1,15 @@
 """Host memory for asynchronous copies to and from a device."""
 
 import math
+import threading
 from collections import defaultdict
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from jaxtyping import Shaped
 
-__all__ = ["StagingBuffers", "to_device", "wrapped"]
+__all__ = ["StagingBuffers", "staged_values", "to_device", "wrapped"]
 
 
 class StagingBuffers:
@@ -18,27 +19,58 @@ class StagingBuffers:
     """
 
     _free: ClassVar[defaultdict[int, list[wp.array]]] = defaultdict(list)
+    _pool: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, device: str) -> None:
         self.device = device
         self.locked = wp.get_device(device).is_cuda
         self._in_use: list[wp.array] = []
+        self.bytes = 0
+        """Sum of all arrays so far."""
 
     def array(self, shape: tuple[int, ...], kind: type | np.dtype) -> Shaped[np.ndarray, "*shape"]:
         """An uninitialised array, valid until ``release``."""
         needed = math.prod(shape) * np.dtype(kind).itemsize
-        size = 1 << max(needed - 1, 0).bit_length()  # powers of two: most requests find a free buffer
-        free = self._free[size] if self.locked else None
-        buffer = free.pop() if free else wp.empty(size, dtype=wp.uint8, device="cpu", pinned=self.locked)
+        self.bytes += needed
+        size = buffer_size(needed)
+        if not self.locked:
+            return np.empty(shape, kind)
+        with self._pool:
+            buffer = self._free[size].pop() if self._free[size] else None
+        if buffer is None:
+            buffer = wp.empty(size, dtype=wp.uint8, device="cpu", pinned=True)
         self._in_use.append(buffer)
         array: np.ndarray = buffer.numpy()[:needed].view(kind).reshape(shape)
         return array
 
     def release(self) -> None:
         """Return all arrays to the pool."""
-        for buffer in self._in_use if self.locked else ():
-            self._free[buffer.size].append(buffer)
+        with self._pool:
+            for buffer in self._in_use:
+                self._free[buffer.size].append(buffer)
         self._in_use = []
+
+
+LARGE = 1 << 26  # bytes
+
+
+def buffer_size(needed: int) -> int:
+    """The size of the buffer for ``needed`` bytes: few sizes, so that most requests find a free buffer.
+
+    A power of two, as meshes differ from batch to batch; above ``LARGE``, an eighth of one: pictures do not differ.
+    """
+    step = 1 << max(needed - 1, 0).bit_length()
+    if step > LARGE:
+        step >>= 3
+    return -(-max(needed, 1) // step) * step
+
+
+def staged_values(staging: StagingBuffers, values: Any, kind: type | np.dtype) -> Shaped[np.ndarray, "..."]:
+    """A copy of ``values`` in staging memory."""
+    given = np.asarray(values)
+    array = staging.array(given.shape, kind)
+    array[...] = given
+    return array
 
 
 def wrapped(values: np.ndarray, dtype: type) -> wp.array:

@@ -1,8 +1,9 @@
 """Prepared scenes on the device: meshes with a BVH each, borders of the panels, masks of the bodies."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -11,13 +12,33 @@ from gcd_dataset.generator.render.geometry import Solid
 from gcd_dataset.generator.render.kernels.prepare import border_distances
 from gcd_dataset.generator.render.kernels.records import Scenes
 from gcd_dataset.generator.render.plain_batch import vertex_normals
+from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.staging import StagingBuffers, to_device
+from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device
 
-__all__ = ["Uploaded", "upload"]
+__all__ = ["Staged", "Uploaded", "stage", "upload"]
 
 LEAF = 1  # faces in a leaf of the BVH on a GPU, as in the plain renderer
-TREE = "lbvh"  # built by the GPU; Warp's default is built by a CPU core, 3.1 ms for 95,000 faces
+TREE = "lbvh"  # of a GPU: built there, and Warp's default; named, since pictures depend on it
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """Scenes in staging memory, ready to be copied."""
+
+    staging: StagingBuffers
+    first_vertex: list[int]
+    """Row of each scene's first vertex, and the number of all."""
+    first_face: list[int]
+    """Row of each scene's first face, and the number of all."""
+    fields: dict[str, tuple[np.ndarray, Any]] = field(default_factory=dict)
+    """Fields of ``Scenes`` with their Warp types."""
+    others: dict[str, tuple[np.ndarray, Any]] = field(default_factory=dict)
+    """Arrays with their Warp types: ``middle`` and the inputs of ``border_distances``."""
+
+    def add(self, name: str, values: Any, kind: type, dtype: Any) -> None:
+        """Add a field of ``Scenes`` with one row for each scene."""
+        self.fields[name] = staged_values(self.staging, values, kind), dtype
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,75 +54,83 @@ class Uploaded:
     """Row of each scene's first vertex, and the number of all."""
 
 
-def upload(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> Uploaded:
-    """Copy scenes to the device, in few large copies; a GPU works asynchronously."""
-    device, up = staging.device, Scenes()
-    first_vertex = _starts([len(s.position) for s in solids])
-    first_face = _starts([len(s.faces) for s in solids])
-    up.position = to_device(_joined(staging, [s.position for s in solids], np.float32, 3), wp.vec3, device)
-    corners = _joined(staging, [s.faces for s in solids], np.int32, 3, first_vertex)
-    up.corner = to_device(corners.reshape(-1), wp.int32, device)
-    up.normal = vertex_normals(up.corner, up.position, device)
-    up.first_face = _ints(first_face[:-1], device)
-    up.garment_end = _ints([s.garment_faces for s in solids], device)
-    up.body_end = _ints([s.garment_faces + s.body_faces for s in solids], device)
-    up.hair_end = _ints([s.garment_faces + s.body_faces + s.hair_faces for s in solids], device)
-    eyes = [[*s.eyes.centres[0], s.eyes.radius, *s.eyes.centres[1], s.eyes.radius] for s in solids]
-    up.eye = wp.array(np.array(eyes, np.float32).reshape(-1, 4), dtype=wp.vec4, device=device)
+def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> Staged:
+    """Join the scenes in staging memory; needs no device."""
+    starts = [solid.starts for solid in solids]
+    first_vertex = _starts([start[-1] for start in starts])
+    first_face = _starts([sum(len(faces) for _, faces in solid.parts) for solid in solids])
+    staged = Staged(staging, first_vertex.tolist(), first_face.tolist())
+    vertices = [vertices for solid in solids for vertices, _ in solid.parts]
+    faces = [faces for solid in solids for _, faces in solid.parts]
+    shifts = [begin + shift for start, begin in zip(starts, first_vertex, strict=False) for shift in start[:-1]]
+    staged.fields["position"] = _joined(staging, vertices, np.float32, 3), wp.vec3
+    staged.fields["corner"] = _joined(staging, faces, np.int32, 3, shifts).reshape(-1), wp.int32
+    staged.add("first_face", first_face[:-1], np.int32, wp.int32)
+    staged.add("garment_end", [s.garment_faces for s in solids], np.int32, wp.int32)
+    staged.add("body_end", [s.garment_faces + s.body_faces for s in solids], np.int32, wp.int32)
+    staged.add("hair_end", [s.garment_faces + s.body_faces + s.hair_faces for s in solids], np.int32, wp.int32)
+    eyes = [[[*centre, s.eyes.radius] for centre in s.eyes.centres] for s in solids]
+    staged.add("eye", np.array(eyes, float).reshape(-1, 4), np.float32, wp.vec4)
     body_at = first_vertex[:-1] + [s.garment_vertices for s in solids]
-    up.first_body_vertex = _ints(body_at, device)
-    _upload_cloth(up, scenes, solids, staging)
-    _upload_bodies(up, scenes, solids, staging)
+    staged.add("first_body_vertex", body_at, np.int32, wp.int32)
+    middle = np.array([_stand(scene) for scene in scenes], float).reshape(-1, 3)
+    staged.others["middle"] = staged_values(staging, middle, np.float32), wp.vec3
+    _stage_cloth(staged, scenes, solids)
+    _stage_bodies(staged, scenes, solids)
+    return staged
+
+
+def upload(staged: Staged, profile: Profile | None = None) -> Uploaded:
+    """Copy the scenes to the device, in few large copies; a GPU works asynchronously."""
+    device, up = staged.staging.device, Scenes()
+    with in_stage(profile, "upload"):
+        for name, (values, dtype) in staged.fields.items():
+            setattr(up, name, to_device(values, dtype, device))
+        others = {name: to_device(values, dtype, device) for name, (values, dtype) in staged.others.items()}
+    with in_stage(profile, "normals, borders"):
+        up.normal, rows = vertex_normals(up.corner, up.position, device), len(up.uv)
+        up.border, up.seam = wp.empty(rows, dtype=wp.vec4, device=device), wp.empty(rows, dtype=int, device=device)
+        inputs = [others["segments"], others["panel_of_row"], up.uv, others["ends"], others["seam"], others["along"]]
+        wp.launch(border_distances, rows, inputs=inputs, outputs=[up.border, up.seam], device=device)
     # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
     # would make the picture of a scene depend on the other scenes.
-    leaf, tree = (LEAF, TREE) if staging.locked else (None, None)
-    meshes = [
-        wp.Mesh(points=up.position, indices=up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf, bvh_constructor=tree)
-        for begin, end in pairwise(first_face.tolist())
-    ]
-    up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
-    middle = wp.array(np.array([_stand(scene) for scene in scenes], np.float32), dtype=wp.vec3, device=device)
-    return Uploaded(up, middle, meshes, first_vertex.tolist())
+    leaf, tree = (LEAF, TREE) if staged.staging.locked else (None, None)
+    with in_stage(profile, "trees"):
+        meshes = [
+            wp.Mesh(up.position, up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf, bvh_constructor=tree)
+            for begin, end in pairwise(staged.first_face)
+        ]
+        up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
+    return Uploaded(up, others["middle"], meshes, staged.first_vertex)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _upload_cloth(up: Scenes, scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> None:
-    device = staging.device
+def _stage_cloth(staged: Staged, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
+    staging, fields, others = staged.staging, staged.fields, staged.others
     first_row = _starts([len(scene.uv) for scene in scenes])
     first_panel = _starts([len(scene.panel_names) for scene in scenes])
     borders = [solid.borders for solid in solids]
     first_segment = _starts([len(border.ends) for border in borders])
-    up.first_cloth_face = _ints(_starts([len(scene.faces) for scene in scenes])[:-1], device)
+    staged.add("first_cloth_face", _starts([len(scene.faces) for scene in scenes])[:-1], np.int32, wp.int32)
     corners = _joined(staging, [scene.corners for scene in scenes], np.int32, 3, first_row)
-    up.uv_corner = to_device(corners.reshape(-1), wp.int32, device)
-    lowest = [float(scene.vertices[:, 1].min(initial=1e6)) for scene in scenes]
-    up.lowest = wp.array(np.array(lowest, np.float32), dtype=float, device=device)
-    up.panel = to_device(_joined(staging, [scene.panel_id for scene in scenes], np.int32), wp.int32, device)
-    up.edge_flags = to_device(_joined(staging, [border.flags for border in borders], np.int32), wp.int32, device)
-    up.uv = to_device(_joined(staging, [scene.uv for scene in scenes], np.float32, 2), wp.vec2, device)
+    fields["uv_corner"] = corners.reshape(-1), wp.int32
+    staged.add("lowest", [float(scene.vertices[:, 1].min(initial=1e6)) for scene in scenes], np.float32, wp.float32)
+    fields["panel"] = _joined(staging, [scene.panel_id for scene in scenes], np.int32), wp.int32
+    fields["edge_flags"] = _joined(staging, [border.flags for border in borders], np.int32), wp.int32
+    fields["uv"] = _joined(staging, [scene.uv for scene in scenes], np.float32, 2), wp.vec2
     panel_of_row = _joined(staging, [solid.panel_of_row for solid in solids], np.int32, 0, first_panel)
-    ends = _joined(staging, [border.ends for border in borders], np.int32, 2, first_row)
-    seam = _joined(staging, [border.seam for border in borders], np.int32)
-    along = _joined(staging, [border.along for border in borders], np.float32)
     firsts = [border.first[:-1] + begin for border, begin in zip(borders, first_segment[:-1], strict=True)]
     segments = np.append(np.concatenate(firsts), first_segment[-1])
-    rows = len(up.uv)
-    up.border, up.seam = wp.empty(rows, dtype=wp.vec4, device=device), wp.empty(rows, dtype=int, device=device)
-    inputs = [
-        _ints(segments, device),
-        to_device(panel_of_row, wp.int32, device),
-        up.uv,
-        to_device(ends, wp.vec2i, device),
-        to_device(seam, wp.int32, device),
-        to_device(along, wp.float32, device),
-    ]
-    wp.launch(border_distances, rows, inputs=inputs, outputs=[up.border, up.seam], device=device)
+    others["segments"] = staged_values(staging, segments, np.int32), wp.int32
+    others["panel_of_row"] = panel_of_row, wp.int32
+    others["ends"] = _joined(staging, [border.ends for border in borders], np.int32, 2, first_row), wp.vec2i
+    others["seam"] = _joined(staging, [border.seam for border in borders], np.int32), wp.int32
+    others["along"] = _joined(staging, [border.along for border in borders], np.float32), wp.float32
 
 
-def _upload_bodies(up: Scenes, scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> None:
-    device = staging.device
+def _stage_bodies(staged: Staged, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
     first: dict[int, int] = {}
     kept: list[Solid] = []
     parts: list[np.ndarray] = []
@@ -116,13 +145,17 @@ def _upload_bodies(up: Scenes, scenes: Sequence[Scene], solids: Sequence[Solid],
             parts.append(scene.body.parts)
         begins.append(first[id(solid.masks)])
     masks = [np.stack([m.masks.briefs, m.masks.top, m.masks.brows, m.masks.lips], axis=1) for m in kept]
-    up.first_mask = _ints(begins, device)
-    up.mask = to_device(_joined(staging, masks, np.float32, 4), wp.vec4, device)
-    up.part = to_device(_joined(staging, parts, np.uint8), wp.uint8, device)
+    staged.add("first_mask", begins, np.int32, wp.int32)
+    staged.fields["mask"] = _joined(staged.staging, masks, np.float32, 4), wp.vec4
+    staged.fields["part"] = _joined(staged.staging, parts, np.uint8), wp.uint8
 
 
 def _joined(
-    staging: StagingBuffers, arrays: Sequence[np.ndarray], kind: type, width: int = 0, shifts: np.ndarray | None = None
+    staging: StagingBuffers,
+    arrays: Sequence[np.ndarray],
+    kind: type,
+    width: int = 0,
+    shifts: Sequence[int] | np.ndarray | None = None,
 ) -> np.ndarray:
     """The rows of all arrays one after the other, with a shift added to each array's."""
     begins = _starts([len(array) for array in arrays])
@@ -130,19 +163,14 @@ def _joined(
     joined = staging.array(shape, kind)
     for k, array in enumerate(arrays):
         rows = joined[begins[k] : begins[k + 1]]
-        if shifts is None:
-            rows[...] = array
-        else:
-            np.add(array, shifts[k], out=rows, casting="unsafe")
+        rows[...] = array
+        if shifts is not None:
+            rows += kind(shifts[k])
     return joined
 
 
 def _starts(counts: Sequence[int]) -> np.ndarray:
     return np.cumsum([0, *counts], dtype=np.int64)
-
-
-def _ints(values: np.ndarray | Sequence[int], device: str) -> wp.array:
-    return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
 
 
 def _stand(scene: Scene) -> tuple[float, float, float]:

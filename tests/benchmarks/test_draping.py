@@ -30,10 +30,11 @@ def worn(index: int) -> Worn:
 def test_each_switch_is_varied_alone_in_one_variant() -> None:
     switches = {entry.name for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
     alone = [name for variant in variants() if len(variant.switched) == 1 for name in variant.switched]
-    assert sorted(alone) == sorted([*switches, "untangling_steps"])  # a number of steps; 0 switches untangling off
+    numbers = {"untangling_steps", "most_drapes"}  # 0 steps switch untangling off, 1 drape the repetition
+    assert sorted(alone) == sorted([*switches, *numbers])
     for variant in variants():
         changed = {name for name in switches if getattr(variant.config(), name) != getattr(DrapeConfig(), name)}
-        assert changed == set(variant.switched) - {"untangling_steps"}
+        assert changed == set(variant.switched) - numbers
 
 
 def test_layer_friction_is_switched_in_the_fabric() -> None:

@@ -1,11 +1,16 @@
-"""The comparison caster of the render benchmark finds depth and shadow of a ball."""
+"""The peers of the render benchmark see a ball where it is; its stages add up."""
+
+import sys
 
 import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.cases.render import embree_maps
+from benchmarks.cases.render import _stages, embree_maps
+from benchmarks.peers.pyrender_egl import pyrender_depths, require_pyrender, vertex_normals
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render import look_at
+from gcd_dataset.generator.render.profile import Profile
 
 
 def test_embrees_depth_and_shadow_of_a_ball() -> None:
@@ -16,3 +21,48 @@ def test_embrees_depth_and_shadow_of_a_ball() -> None:
     assert depth[32, 32] == pytest.approx(180.0, abs=0.05)
     assert np.isinf(depth[0, 0])
     assert lit[32, 45] and not lit[32, 20]
+
+
+def test_vertex_normals_of_a_ball_point_outwards() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=7.0)
+    normals = vertex_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
+    assert normals == pytest.approx(np.asarray(ball.vertices) / 7.0, abs=0.03)
+
+
+def test_the_remedy_for_a_missing_pyrender_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
+    monkeypatch.setenv("LP_NUM_THREADS", "0")
+    with pytest.raises(ConfigError, match="pip install pyrender"):
+        require_pyrender()
+
+
+def test_pyrenders_depth_of_a_ball() -> None:
+    pytest.importorskip("pyrender", reason="pyrender is not installed: make an environment of its own")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    camera = look_at(np.array([0.0, 0.0, 200.0]), np.array([0.0, 10.0, 0.0]), focal=4.0)
+    [depth] = pyrender_depths(require_pyrender(), vertices, faces, vertex_normals(vertices, faces), [camera], 65)
+    expected, _ = embree_maps(vertices, faces, camera, np.array([1.0, 0.0, 0.0]), 65)
+    seen = np.isfinite(expected)
+    assert (seen == (depth > 0)).mean() > 0.99
+    assert np.median(np.abs(depth - expected)[seen & (depth > 0)]) < 0.2
+
+
+def test_stages_are_of_one_garment_and_add_up() -> None:
+    profile = Profile("cpu")
+    profile.host |= {"cast": 0.8, "shade": 1.2}
+    profile.cpu |= {"cast": 0.4, "shade": 1.2}
+    profile.add_bytes("to host", 8 << 20)
+    figures = {figure.metric: figure.value for figure in _stages(profile, "256_", 4)}
+    assert figures == pytest.approx(
+        {
+            "256_cast_host_ms": 200.0,
+            "256_cast_cpu_ms": 100.0,
+            "256_shade_host_ms": 300.0,
+            "256_shade_cpu_ms": 300.0,
+            "256_sum_host_ms": 500.0,
+            "256_sum_cpu_ms": 400.0,
+            "256_copied_to_host": 2.0,
+        }
+    )

@@ -45,9 +45,11 @@ def test_folds_first_and_creases_later_give_the_same_skin(ball: trimesh.Trimesh)
     skin = SkinMesh.of(ball.vertices, ball.faces)
     dented = ball.vertices.copy()
     dented[int(dented[:, 1].argmax())] += [4.0, 0.0, 0.0]
-    unfolded, left = skin.smoothed(dented, ROUNDS, resolve_creases=False)
-    assert 0 < left < ROUNDS
-    assert np.array_equal(skin.smoothed(unfolded, left, resolve_creases=True)[0], skin.flattened(dented))
+    unfolded = skin.smoothed(dented, ROUNDS, resolve_creases=False)
+    assert 0 < unfolded.rounds < ROUNDS
+    for normals in (None, unfolded.normals):
+        later = skin.smoothed(unfolded.vertices, unfolded.rounds, resolve_creases=True, normals=normals)
+        assert np.array_equal(later.vertices, skin.flattened(dented))
 
 
 def test_vertices_off_the_skin_do_not_move(ball: trimesh.Trimesh) -> None:

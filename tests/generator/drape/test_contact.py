@@ -86,6 +86,27 @@ def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyP
     of.assert_called_once()
 
 
+def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_feet() -> None:
+    """GarmentCode's segmentation counts hands as arms, feet as legs and the head as trunk."""
+    body = build_body(neutral_shape())
+    left = body.vertices[:, 0] > 0.0
+    parts = np.where(body.parts == BodyPart.HEAD.value, BodyPart.TRUNK.value, body.parts)
+    for own, sides in (
+        (BodyPart.HANDS, (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)),
+        (BodyPart.FEET, (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)),
+    ):
+        parts = np.where(parts == own.value, np.where(left, sides[0].value, sides[1].value), parts)
+    found, known = HostField.of(replace(body, parts=parts.astype(np.uint8))), HostField.of(body)
+    assert len(found.planes) == len(known.extremities) == 5
+    for points, planes in zip(known.extremities, found.planes, strict=True):
+        end = points[np.abs(points[:, 0]) > np.percentile(np.abs(points[:, 0]), 90)]  # fingers, small toes, ears
+        assert (end @ planes[:, :3].T + planes[:, 3]).max() < 0.1
+
+
+def test_a_ball_has_no_hulls() -> None:
+    assert HostField.of(far_ball()).planes == ()
+
+
 def test_equal_bodies_share_one_host_field_in_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every request brings its own copy of a body; the reader threads prepare them at the same time."""
     bodies = [body_from(trimesh.creation.icosphere(subdivisions=2, radius=8.3)) for _ in range(6)]

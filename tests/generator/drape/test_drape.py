@@ -13,10 +13,10 @@ from gcd_dataset.generator.drape.coarse_start import start_from_coarse
 from gcd_dataset.generator.drape.holds import find_keepers, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import collect, slid_off
+from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh import coarsen
+from gcd_dataset.generator.mesh import coarse_start, coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
@@ -113,6 +113,48 @@ def test_an_error_of_the_jobs_is_raised_after_the_drapes_before_it(at_once: int)
     assert sorted(in_turn) == [0, 1, 2]
 
 
+def on_a_spike() -> DrapeJob:
+    """A cloth that starts pierced by a spike on a ball, which is thinner than the voxels of the body's field."""
+    job = on_a_ball(6)
+    spike = trimesh.creation.cylinder(radius=0.2, height=16.0, sections=6)
+    spike.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1.0, 0.0, 0.0]))
+    spike.apply_translation([1.3, SIZE.waist_level - 1.0, 0.7])
+    ball = trimesh.Trimesh(job.body.vertices, job.body.faces, process=False)
+    return replace(job, body=body_from(trimesh.util.concatenate([ball, spike])))
+
+
+def test_a_garment_with_crossings_at_rest_is_draped_again() -> None:
+    """Sewn at half the speed; it keeps the drape with fewer crossings, alone and beside others."""
+    once = DrapeConfig(exact_finish=False, most_drapes=1)
+    jobs = [on_a_spike(), on_a_ball(6)]
+    first, clean = drape_batch(jobs, once, device="cpu")
+    second, _ = drape_batch(jobs, replace(once, sewing_time=2.0 * once.sewing_time), device="cpu")
+    assert (crosses(first), crosses(clean)) == (True, False)
+    twice = replace(once, most_drapes=2)
+    best = best_of([first, second])
+    assert first.vertices.tobytes() != second.vertices.tobytes()
+    assert drape_batch(jobs, twice, device="cpu") == [best, clean]
+    together = dict(drape_unordered(jobs[::-1], twice, device="cpu", at_once=2))
+    assert [together[1], together[0]] == [best, clean]
+
+
+def test_the_best_drape_settles_with_the_fewest_crossings() -> None:
+    [drape] = drape_batch([on_a_ball(4)], device="cpu")
+    first, fewer, pierced, fallen = (
+        replace(drape, outcome=outcome, self_crossings=own, body_through=through)
+        for outcome, own, through in (
+            (Outcome.SETTLED, 5, 0),
+            (Outcome.SETTLED, 0, 4),
+            (Outcome.THROUGH_BODY, 0, 3),
+            (Outcome.SLID_OFF, 0, 0),
+        )
+    )
+    assert best_of([first, fewer, pierced, fallen]) is fewer
+    assert best_of([fallen, pierced]) is pierced
+    assert best_of([fewer, replace(fewer, frames=1)]) is fewer
+    assert not crosses(fallen)  # sewing more slowly holds nothing up
+
+
 def test_a_coarse_start_ends_in_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     job = on_a_ball(9)
@@ -121,6 +163,21 @@ def test_a_coarse_start_ends_in_the_same_shape(monkeypatch: pytest.MonkeyPatch) 
     )
     assert with_start.vertices != pytest.approx(without.vertices, abs=1e-6)
     assert with_start.vertices == pytest.approx(without.vertices, abs=1.0)
+
+
+def test_a_garment_starts_from_its_panels_where_its_coarse_mesh_slid_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
+    plain = on_a_ball(8, labels={"lower_interface": np.arange(81)})
+    coarse = coarse_start(plain.box_mesh)
+    assert coarse is not None
+    beside = replace(plain, coarse=coarse, start=coarse.mesh.vertices + [60.0, 0.0, 0.0])
+    config = DrapeConfig(held_time=0.1)
+    [drape, held] = drape_batch([beside, plain], config, device="cpu")
+    [from_panels] = drape_batch([plain], replace(config, coarse_start=False), device="cpu")
+    assert drape.outcome is Outcome.SETTLED
+    assert drape.vertices.tobytes() == from_panels.vertices.tobytes()
+    assert drape.frames > from_panels.frames  # frames of the coarse mesh included
+    assert held.vertices.tobytes() != drape.vertices.tobytes()
 
 
 def test_a_garment_beside_its_body_slides_off() -> None:

@@ -79,7 +79,34 @@ def test_a_vertex_lies_as_far_down_the_cone_as_along_the_cloth() -> None:
 
 def test_a_narrow_skirt_starts_flat() -> None:
     mesh = mesh_of(PENCIL)
-    assert sewing_start(mesh, neutral()[0]) is mesh.vertices
+    assert np.array_equal(sewing_start(mesh, neutral()[0]), mesh.vertices)
+
+
+LONG_AND_NARROW = replace(PENCIL, pencil_skirt=PencilSkirtDesign(length=0.95, flare=0.8))
+
+
+@pytest.mark.parametrize("aside", [0.0, 9.0])
+def test_a_narrow_skirt_down_to_the_floor_starts_above_the_feet_and_round_both_legs(aside: float) -> None:
+    """Sewn at the height of the feet, its side seams would close through them."""
+    mesh = mesh_of(LONG_AND_NARROW)
+    feet = skin_of(BodyPart.FEET)
+    skirt = vertices_of(mesh, PanelRole.LEG)
+    vertices = mesh.vertices + [aside, 0.0, 0.0]
+    assert vertices[skirt, 1].min() < 0.5 * feet[:, 1].max()
+    start = sewing_start(replace(mesh, vertices=vertices), neutral()[0])[skirt]
+    assert start[:, 1].min() > feet[:, 1].max()
+    legs = skin_of(BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
+    for height in np.arange(start[:, 1].min() + 3.0, 60.0, 6.0):
+        cloth, skin = (points[np.abs(points[:, 1] - height) < 3.0, 0] for points in (start, legs))
+        assert cloth.min() < skin.min()
+        assert cloth.max() > skin.max()
+
+
+def test_a_skirt_with_room_for_the_feet_starts_where_the_pattern_places_it() -> None:
+    design = replace(LONG_AND_NARROW, pencil_skirt=PencilSkirtDesign(length=0.95, flare=1.5))
+    mesh = mesh_of(design)
+    skirt = vertices_of(mesh, PanelRole.LEG)
+    assert np.array_equal(sewing_start(mesh, neutral()[0])[skirt], mesh.vertices[skirt])
 
 
 def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:

@@ -1,5 +1,7 @@
 """Borders of panels, hair and underwear lie where the garment and the body have them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +12,7 @@ from gcd_dataset.generator.render import HairStyle, scene_of
 from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
 from gcd_dataset.generator.render.geometry import HEM, solid_of
 from gcd_dataset.records import BodyPart
-from tests.helpers import body_from, far_ball, napkins, patch, tube
+from tests.helpers import body_from, far_ball, joined, napkins, patch, tube
 
 
 def test_the_border_of_a_patch_is_its_perimeter() -> None:
@@ -39,6 +41,44 @@ def test_a_tube_without_a_listed_seam_has_one_all_the_same() -> None:
     borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
     assert (borders.seam == -1).sum() == 2 * 4
     assert (borders.seam == HEM).sum() == 2 * 12
+
+
+def test_lengths_along_two_loops_begin_at_each() -> None:
+    """Two squares in one list: 4 × 10 cm and 4 × 3 cm, 5 segments a side."""
+    one, other = patch(5, 5, spacing=2.0), patch(5, 5, spacing=0.6)
+    both = joined(one, other)
+    borders = solid_of(scene_of(both, both.vertices, far_ball())).borders
+    assert borders.first.tolist() == [0, 20, 40]
+    assert sorted(borders.along[:20].tolist()) == pytest.approx(np.arange(0.0, 40.0, 2.0).tolist())
+    assert sorted(borders.along[20:].tolist()) == pytest.approx(np.arange(0.0, 12.0, 0.6).tolist())
+
+
+def test_faces_of_a_solid_count_over_all_parts() -> None:
+    body = build_body(neutral_shape())
+    mesh = patch(3, 3)
+    solid = solid_of(scene_of(mesh, mesh.vertices, body, hair=HairStyle.SHORT))
+    assert solid.starts[-1] == len(solid.position)
+    begin = 0
+    for (vertices, faces), start in zip(solid.parts, solid.starts, strict=False):
+        ours = solid.faces[begin : begin + len(faces)]
+        assert np.array_equal(solid.position[ours], vertices[faces])
+        assert ours.min() >= start
+        begin += len(faces)
+    assert begin == len(solid.faces)
+
+
+def test_panel_corners_are_rows_of_their_own_panel() -> None:
+    """The napkins lie over each other in the panel plane, beside the origin, with corners on cells of the grid."""
+    pattern = napkins()
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    for shift in (0.0, -0.5, 0.25, -123.4567):
+        panels = tuple(replace(panel, vertices=panel.vertices + shift) for panel in pattern.panels)
+        moved = replace(mesh, uv=mesh.uv + shift)
+        scene = scene_of(moved, mesh.vertices, far_ball(), pattern=replace(pattern, panels=panels))
+        assert len(scene.corner_rows) == sum(len(p.vertices) for p in pattern.panels)
+        for (panel, corner), row in zip(scene.panel_corners.tolist(), scene.corner_rows.tolist(), strict=True):
+            assert moved.uv[row] == pytest.approx(panels[panel].vertices[corner], abs=1e-2)
+            assert scene.panel_of_row[row] == panel
 
 
 def test_edge_flags_mark_the_edges_of_faces() -> None:

@@ -1,0 +1,412 @@
+"""``GarmentSet``: a fixed set of garments in memory, its hashes, its splits, and where it comes from."""
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeAlias, TypeVar, cast
+
+import numpy as np
+from jaxtyping import Float, Int
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments
+from gcd_dataset.loaders.base import Garments, Item
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.patternhash import PatternHash
+from gcd_dataset.records import Outcome, Pattern
+from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, EdgeColumn, PanelColumn, PatternTensor, decode_pattern
+from gcd_dataset.verbs.statistics import garment_type
+
+__all__ = [
+    "CENTRE",
+    "FIELDS",
+    "Arrays",
+    "GarmentSet",
+    "Ragged",
+    "Split",
+    "fresh_garments",
+    "generated",
+    "pattern_of",
+    "read_folder",
+    "read_garments",
+    "split_off",
+]
+
+Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``."""
+
+Encoded = TypeVar("Encoded")
+
+PATTERN = ("panels", "edges", "stitches")
+FIELDS = ("meta", "design", "measures", "body", *PATTERN)
+"""Item fields of every set; ``points`` and others are read where a task needs them."""
+CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
+LOG_EVERY = 1000  # garments
+MOST_FRESH = 1_000_000  # garments of a stream
+TOGETHER = 16  # garments that a worker sends together
+
+
+@dataclass(frozen=True, eq=False)
+class Ragged:
+    """Arrays of different lengths, one after the other."""
+
+    rows: np.ndarray
+    starts: Int[np.ndarray, "g+1"]
+    """Array k is ``rows[starts[k] : starts[k + 1]]``."""
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, k: int) -> np.ndarray:
+        return self.rows[self.starts[k] : self.starts[k + 1]]
+
+    def select(self, chosen: Int[np.ndarray, " b"]) -> "Ragged":
+        """The arrays with these numbers."""
+        return Ragged.of([self[k] for k in chosen.tolist()], like=self.rows)
+
+    @staticmethod
+    def of(arrays: Sequence[np.ndarray], *, like: np.ndarray | None = None) -> "Ragged":
+        """Arrays that differ in their first axis only; ``like`` gives the shape if there are none."""
+        lengths = np.array([len(array) for array in arrays], dtype=np.int64)
+        rows = np.concatenate(arrays) if arrays else np.zeros(0) if like is None else like[:0]
+        return Ragged(rows, np.concatenate([[0], np.cumsum(lengths)]))
+
+    @staticmethod
+    def join(parts: Sequence["Ragged"]) -> "Ragged":
+        """The arrays of several parts, in order."""
+        lengths = np.concatenate([np.diff(part.starts) for part in parts])
+        return Ragged(np.concatenate([part.rows for part in parts]), np.concatenate([[0], np.cumsum(lengths)]))
+
+
+@dataclass(frozen=True, eq=False)
+class GarmentSet:
+    """Garments as packed arrays, one row or ragged entry for each."""
+
+    keys: tuple[str, ...]
+    """Unique names."""
+    kinds: tuple[str, ...]
+    """``upper_garment``, ``dress``, ``jumpsuit``, ``skirt`` or ``pants``."""
+    designs: Int[np.ndarray, " g"]
+    """Hash of the design: garments with the same number share it."""
+    bodies: Int[np.ndarray, " g"]
+    """Hash of the body's shape."""
+    shapes: Float[np.ndarray, "g k"]
+    """Weights of the body's shape components."""
+    measures: Float[np.ndarray, "g m"]
+    """The body's measures, in the order of ``MEASURES`` [cm, degrees]."""
+    points: Float[np.ndarray, "g n 6"]
+    """Surface points relative to ``CENTRE`` [cm] and normals, in random order, f16; n may be 0."""
+    ragged: Mapping[str, Ragged]
+    """``panels``, ``edges``, ``stitches`` of a ``PatternTensor``; further fields such as ``verts`` and ``faces``."""
+    recipe: Mapping[str, Any]
+    """Where the garments come from."""
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def arrays(self, k: int) -> Arrays:
+        """The pattern of garment k as arrays."""
+        return self.ragged["panels"][k], self.ragged["edges"][k], self.ragged["stitches"][k]
+
+    def pattern(self, k: int) -> Pattern:
+        """The pattern of garment k, named by its key; its panels are named by number."""
+        return replace(pattern_of(self.arrays(k)), name=self.keys[k])
+
+    def select(self, rows: Sequence[int] | Int[np.ndarray, " b"]) -> "GarmentSet":
+        """The garments with these numbers, in this order."""
+        chosen = np.asarray(rows, dtype=np.int64)
+        columns: dict[str, Any] = {
+            name: getattr(self, name)[chosen] for name in ("designs", "bodies", "shapes", "measures", "points")
+        }
+        columns |= {name: tuple(getattr(self, name)[k] for k in chosen.tolist()) for name in ("keys", "kinds")}
+        ragged = {name: entry.select(chosen) for name, entry in self.ragged.items()}
+        return replace(self, **columns, ragged=ragged)
+
+    @staticmethod
+    def join(parts: Sequence["GarmentSet"]) -> "GarmentSet":
+        """The garments of several parts, in order; they have the same fields."""
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("designs", "bodies", "shapes", "measures", "points")
+        }
+        columns |= {name: tuple(x for part in parts for x in getattr(part, name)) for name in ("keys", "kinds")}
+        ragged = {name: Ragged.join([part.ragged[name] for part in parts]) for name in parts[0].ragged}
+        return replace(parts[0], **columns, ragged=ragged)
+
+    @cached_property
+    def patterns_hash(self) -> str:
+        """Hash of the patterns in their order, the same on every machine (``gcd_dataset.patternhash``)."""
+        return PatternHash.of((k, _tensor(self.arrays(k))) for k in range(len(self))).text
+
+    @property
+    def ids_hash(self) -> str:
+        """SHA-256 of the keys in their order."""
+        return hashlib.sha256("\n".join(self.keys).encode()).hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Write the set as one ``.npz`` file."""
+        arrays: dict[str, Any] = {
+            name: np.array(value) if isinstance(value, tuple) else value
+            for name, value in ((field.name, getattr(self, field.name)) for field in fields(self))
+            if name not in ("ragged", "recipe")
+        }
+        for name, entry in self.ragged.items():
+            arrays |= {f"ragged/{name}/rows": entry.rows, f"ragged/{name}/starts": entry.starts}
+        with open_whole(path) as file:
+            np.savez(file, **arrays, recipe=np.array(json.dumps(self.recipe)))
+
+    @staticmethod
+    def load(path: Path) -> "GarmentSet":
+        """Read what ``save`` wrote. Raises ``ConfigError`` for another file."""
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            ragged = {
+                name.split("/")[1]: Ragged(rows, arrays[name.replace("/rows", "/starts")])
+                for name, rows in arrays.items()
+                if name.endswith("/rows")
+            }
+            columns: dict[str, Any] = {
+                name: arrays[name] for name in ("designs", "bodies", "shapes", "measures", "points")
+            }
+            columns |= {name: tuple(arrays[name].tolist()) for name in ("keys", "kinds")}
+            return GarmentSet(**columns, ragged=ragged, recipe=json.loads(str(arrays["recipe"])))
+        except (OSError, KeyError, ValueError) as error:
+            raise ConfigError(f"{path}: no garment set ({error}): delete the file, it is made again") from error
+
+
+def pattern_of(arrays: Arrays) -> Pattern:
+    """The pattern of an item's arrays; panels are named by number, labels are kept where their number is common."""
+    return decode_pattern(_tensor(arrays))
+
+
+def _tensor(arrays: Arrays) -> PatternTensor:
+    panels, edges, stitches = arrays
+    panels, edges = panels.copy(), edges.copy()
+    panels[panels[:, PanelColumn.LABEL] >= len(PANEL_LABELS), PanelColumn.LABEL] = 0
+    edges[edges[:, EdgeColumn.LABEL] >= len(EDGE_LABELS), EdgeColumn.LABEL] = 0
+    return PatternTensor(panels, edges, stitches, tuple(str(row) for row in range(len(panels))))
+
+
+# ----------------------------------------------------------------------------------------------------------- the making
+
+
+def generated(
+    count: int,
+    seed: int,
+    *,
+    points: int,
+    extra: Sequence[str] = (),
+    cache: Path | None = None,
+    workers: int = 0,
+    **options: Any,
+) -> GarmentSet:
+    """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
+
+    ``extra``: further item fields. ``cache``: a folder that keeps the set; a larger set there holds the smaller one.
+    ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
+    ``mesh``.
+    """
+    names = [*FIELDS, *(["points"] if points else []), *extra]
+    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": names, "dtype": None}
+    whole = GeneratedGarments(count, seed, **options)
+    told = whole.recipe(0)
+    recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
+    recipe |= {"points": points, "fields": sorted(names)}
+    path = None if cache is None else make_folder(cache) / f"generated-{_digest(recipe)}.npz"
+    kept = None if path is None or not path.exists() else GarmentSet.load(path)
+    made = 0 if kept is None else int(kept.recipe["made"])
+    if kept is None or made < count:
+        rest = read_garments(whole.select(range(made, count)), points=points, extra=extra, workers=workers)
+        kept = rest if kept is None else GarmentSet.join([kept, rest])
+        kept = replace(kept, recipe={**recipe, "made": count})
+        if path is not None:
+            kept.save(path)
+    wanted = [k for k, key in enumerate(kept.keys) if int(key.rsplit("_", 1)[1]) < count]
+    return kept.select(wanted) if len(wanted) < len(kept) else kept
+
+
+def read_folder(source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
+    """The settled garments of a folder, URL or Hub repository that ``GarmentDataset`` opens."""
+    names = [*FIELDS, *(["points"] if points else []), *extra]
+    found = GarmentDataset(source, fields=names, dtype=None)
+    return replace(
+        read_garments(found, points=points, extra=extra, workers=workers),
+        recipe={"source": source, "points": points, "fields": sorted(names)},
+    )
+
+
+def fresh_garments(
+    encode: Callable[[GarmentSet], Encoded],
+    seed: int,
+    *,
+    first: int,
+    points: int,
+    extra: Sequence[str] = (),
+    workers: int = 0,
+    **options: Any,
+) -> Iterator[Encoded]:
+    """``encode`` of each garment of a seed from index ``first`` on, a set of one; made and encoded by ``workers``.
+
+    Garments whose drape did not settle are left out.
+    """
+    names = [*FIELDS, *(["points"] if points else []), *extra]
+    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": names, "dtype": None}
+    transform = _Encoded(_Packed(points, tuple(extra)), encode)
+    endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)
+    fresh = FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1)
+    yield from (cast(Encoded, one) for one in fresh if one is not None)
+
+
+def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
+    """All garments of a data set that has the fields ``FIELDS``, and ``points``, without those that did not settle."""
+    pack = _Packed(points, tuple(extra))
+    loader = DataLoader(
+        garments,
+        batch_size=TOGETHER,
+        num_workers=workers,
+        collate_fn=_Joined(pack),
+        prefetch_factor=4 if workers else None,
+    )
+    parts: list[GarmentSet] = []
+    read = 0
+    for part in loader:
+        parts.append(part)
+        read += TOGETHER
+        if read % LOG_EVERY < TOGETHER:
+            print(f"{read} of {len(garments)} garments", file=sys.stderr, flush=True)
+    found = GarmentSet.join(parts)
+    if not len(found):
+        raise ConfigError(f"{garments!r}: no garment that settled: give another data set")
+    return found
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """Transform of a data set: item to a ``GarmentSet`` of one garment, or of none if its drape did not settle."""
+
+    points: int
+    extra: tuple[str, ...]
+
+    def __call__(self, item: Item) -> GarmentSet:
+        meta, design = item["meta"], item["design"]
+        settled = (meta.get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
+        measures = np.array([item["measures"].get(name, np.nan) for name in MEASURES], dtype=np.float32)
+        body = item["body"].numpy()
+        ragged = {name: Ragged.of([item[name].numpy()]) for name in (*PATTERN, *self.extra)}
+        found = GarmentSet(
+            keys=(f"{meta['seed']}_{meta['index']:09d}",),
+            kinds=(garment_type(design)["main"],),
+            designs=np.array([_number(json.dumps(design, sort_keys=True).encode())]),
+            bodies=np.array([_number(body.astype(np.float32).tobytes())]),
+            shapes=body[None].astype(np.float32),
+            measures=measures[None],
+            points=self._points(item)[None],
+            ragged=ragged,
+            recipe={},
+        )
+        return found if settled else found.select([])
+
+    def _points(self, item: Item) -> Float[np.ndarray, "n 6"]:
+        if not self.points:
+            return np.zeros((0, 6), np.float16)
+        found = item["points"][: self.points].double().numpy()
+        found[:, :3] -= CENTRE
+        return found.astype(np.float16)
+
+
+@dataclass(frozen=True)
+class _Encoded(Generic[Encoded]):
+    """Transform of a data set: item to what ``encode`` returns; ``None`` if its drape did not settle."""
+
+    pack: _Packed
+    encode: Callable[[GarmentSet], Encoded]
+
+    def __call__(self, item: Item) -> Encoded | None:
+        packed = self.pack(item)
+        return self.encode(packed) if len(packed) else None
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """``collate_fn`` of a loader: items to one ``GarmentSet``."""
+
+    pack: _Packed
+
+    def __call__(self, items: Sequence[Item]) -> GarmentSet:
+        return GarmentSet.join([self.pack(item) for item in items])
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(hashlib.sha256(data).digest()[:8], "little", signed=True)
+
+
+def _digest(recipe: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()[:16]
+
+
+# ----------------------------------------------------------------------------------------------------------- the splits
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Garments to train on, to watch a training with, and to test on.
+
+    Raises ``ConfigError`` if one is empty, or if training and another share a design or a body.
+    """
+
+    train: GarmentSet
+    check: GarmentSet
+    test: GarmentSet
+
+    def __post_init__(self) -> None:
+        for name, other in (("test", self.test), ("check", self.check)):
+            for what in ("designs", "bodies"):
+                shared = np.intersect1d(getattr(self.train, what), getattr(other, what))
+                if len(shared):
+                    raise ConfigError(f"{len(shared)} {what} are in train and {name}: split the garments again")
+        sizes = [len(self.train), len(self.check), len(self.test)]
+        if not all(sizes):
+            raise ConfigError(
+                f"garments to train on, to check and to test: {sizes}: give more garments, some on bodies of their own"
+            )
+
+    def without(self, kind: str) -> "Split":
+        """Trained without a kind of garment, tested on that kind alone. Raises ``ConfigError``."""
+        if kind not in self.test.kinds:
+            raise ConfigError(f"no {kind} to test on: choose one of {', '.join(sorted(set(self.test.kinds)))}")
+        return Split(
+            train=self.train.select([k for k, name in enumerate(self.train.kinds) if name != kind]),
+            check=self.check.select([k for k, name in enumerate(self.check.kinds) if name != kind]),
+            test=self.test.select([k for k, name in enumerate(self.test.kinds) if name == kind]),
+        )
+
+    def first(self, count: int) -> "Split":
+        """With the first ``count`` garments to train on, and the same test set."""
+        return replace(self, train=self.train.select(range(min(count, len(self.train)))))
+
+
+def split_off(garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0) -> Split:
+    """Split a set by design and by body: ``designs`` to test on and ``checked`` to check, drawn by ``seed``.
+
+    At most half of the designs are tested on. All garments of a design are on one side. Garments of the other sides on
+    bodies that training garments wear are left out. The training set is in random order. Raises ``ConfigError`` if a
+    side is empty.
+    """
+    every = rng(seed, 0, Stage.SPLIT).permutation(np.unique(garments.designs))
+    tested = min(designs, len(every) // 2)
+    checked = min(checked, (len(every) - tested) // 2)
+    known = ~np.isin(garments.designs, every[: tested + checked])
+    own = ~np.isin(garments.bodies, garments.bodies[known])
+    return Split(
+        train=garments.select(rng(seed, 1, Stage.SPLIT).permutation(np.flatnonzero(known))),
+        check=garments.select(np.flatnonzero(np.isin(garments.designs, every[tested : tested + checked]) & own)),
+        test=garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
+    )

@@ -1,0 +1,122 @@
+"""The interface between tasks, models and the training loop.
+
+A ``Learner`` is a network with its loss and its answers. It prepares the examples of a ``GarmentSet`` once, on a
+device; the loop (``training``) draws batches of them. ``TensorExamples`` is the usual form of examples and batches: a
+frozen dataclass of tensors with one row for each example.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
+
+import torch
+from jaxtyping import Int
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from benchmarks.reconstruction.garments import GarmentSet
+    from gcd_dataset.records import Pattern
+
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples"]
+
+Batch = TypeVar("Batch")
+BatchOf = TypeVar("BatchOf", covariant=True)
+Answer = TypeVar("Answer")
+
+
+class Examples(Protocol[BatchOf]):
+    """Examples to learn from."""
+
+    def __len__(self) -> int: ...
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> BatchOf:
+        """The examples ``rows`` (a CPU tensor), on the device of the examples.
+
+        ``chance``: a CPU generator for augmentation, such as a new subset of the points; without one, the batch is
+        always the same. What is drawn must not depend on the number of rows: then several ranks, which draw from equal
+        generators for their parts of a batch, learn what one process learns.
+        """
+
+
+class Learner(nn.Module, ABC, Generic[Batch, Answer]):
+    """A network that the loop can train.
+
+    The loop calls ``loss`` in bfloat16 autocast on a GPU; a loss that needs float32 disables autocast for itself. The
+    loss of a batch is a mean over its examples, so that equal parts of a batch on several ranks give the same gradient.
+    """
+
+    @abstractmethod
+    def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
+        """Inputs and targets of the garments, on the device; computed by ``workers`` processes."""
+
+    def encoder(self) -> "Callable[[GarmentSet], TensorExamples] | None":
+        """A function that computes the examples of garments on a CPU, and that can be pickled.
+
+        Processes that make fresh garments call it. ``None``: the learner learns from fixed sets only.
+        """
+        return None
+
+    def drawn_from(self, encoded: "TensorExamples") -> Examples[Batch]:
+        """Examples whose batches are drawn from what ``encoder`` returned; by default its rows."""
+        return cast(Examples[Batch], encoded)
+
+    @abstractmethod
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Weighted loss terms by name; their sum is minimised."""
+
+    @abstractmethod
+    def predict(self, batch: Batch) -> list[Answer]:
+        """The answer to each example of a batch: a ``Pattern``, or an array."""
+
+    def forward(self, batch: Batch) -> dict[str, Tensor]:
+        """``loss``: the call that ``DistributedDataParallel`` watches."""
+        return self.loss(batch)
+
+    def compile_parts(self) -> None:
+        """Compile the parts of the network that gain by it (``nn.Module.compile``). By default none."""
+
+
+class Reference(Protocol):
+    """A model without training: it answers for the test garments, given those to train on."""
+
+    def __call__(
+        self, known: "GarmentSet", unseen: "GarmentSet", *, device: torch.device, workers: int = 0
+    ) -> "list[Pattern]": ...
+
+
+class TensorExamples:
+    """Base of frozen dataclasses whose fields are tensors with one row for each example."""
+
+    def __len__(self) -> int:
+        return len(self._columns()[0])
+
+    def __getitem__(self, rows: Tensor | slice) -> Self:
+        return type(self)(*(column[rows] for column in self._columns()))
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self:
+        """The examples ``rows``, without augmentation."""
+        return self[rows.to(self.device)]
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the tensors."""
+        found: torch.device = self._columns()[0].device
+        return found
+
+    def to(self, device: torch.device) -> Self:
+        """The same examples on a device."""
+        return type(self)(*(column.to(device) for column in self._columns()))
+
+    def put(self, rows: Int[Tensor, " b"], others: Self) -> None:
+        """Replace the examples ``rows`` by others, in place."""
+        for column, values in zip(self._columns(), others._columns(), strict=True):
+            column[rows.to(column.device)] = values.to(column.device)
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """The examples of several parts, in order."""
+        return cls(*(torch.cat(columns) for columns in zip(*(part._columns() for part in parts), strict=True)))
+
+    def _columns(self) -> list[Any]:
+        return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]

@@ -1,0 +1,1 @@
+"""Scores of predicted patterns that are files, or that need the generator: box meshes, drapes, tables."""

@@ -1,0 +1,141 @@
+"""Distances between surfaces, and between a surface and a point cloud [cm].
+
+The distance of two surfaces is the mean of two means: from points of the one to the other, and back. Points lie
+uniformly by area; their distances to a mesh are distances to its nearest triangles, so that the distance of a surface
+to itself is 0 and not the spacing of the points.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.errors import SpecError
+from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.generator.points import sample_surface
+
+__all__ = ["WORST", "Cloud", "Shape", "Surface", "distance", "input_files", "read_shape"]
+
+WORST = 100.0  # cm: the distance of a failed prediction, and the largest that is reported
+SAMPLES = 4096  # points of a surface
+NEIGHBOURS = 12  # points of a cloud whose plane is the surface near a point
+SMALLEST = 5.0  # cm: an input whose largest extent is smaller is in metres
+ENDINGS = (".ply", ".obj", ".glb", ".stl", ".npy")
+
+
+class Shape(Protocol):
+    """A surface, known by triangles or by points."""
+
+    @property
+    def samples(self) -> Float[np.ndarray, "n 3"]:
+        """Points of the surface [cm]."""
+
+    def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Distances of points to the surface [cm]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh."""
+
+    skin: SkinSurface
+    samples: Float[np.ndarray, "n 3"]
+
+    @staticmethod
+    def of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], *, count: int = SAMPLES) -> "Surface":
+        """The surface of a mesh [cm], with ``count`` points on it; the same for the same mesh."""
+        points = sample_surface(vertices, faces, count, np.random.default_rng(0))[:, :3]
+        return Surface(SkinSurface.of(np.asarray(vertices, float), faces), points)
+
+    def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        return self.skin.nearest(points).distances
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A point cloud; between its points the surface is the plane through the nearest ones."""
+
+    samples: Float[np.ndarray, "n 3"]
+    tree: cKDTree
+    normals: Float[np.ndarray, "n 3"]
+    reach: Float[np.ndarray, " n"]
+    """How far the plane of each point reaches: the distance of its neighbours [cm]."""
+
+    @staticmethod
+    def of(points: Float[np.ndarray, "n 3"]) -> "Cloud":
+        """The surface through points [cm], at least ``NEIGHBOURS``."""
+        tree = cKDTree(points)
+        apart, near = tree.query(points, k=NEIGHBOURS)
+        offsets = points[near] - points[near].mean(axis=1, keepdims=True)
+        normals = np.linalg.svd(offsets, full_matrices=False)[2][:, -1]
+        return Cloud(points, tree, normals, np.median(apart[:, 1:], axis=1))
+
+    def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        apart, near = self.tree.query(points)
+        above = np.abs(np.einsum("ni,ni->n", points - self.samples[near], self.normals[near]))
+        beside = np.sqrt(np.maximum(apart**2 - above**2, 0.0))
+        return np.where(beside <= self.reach[near], above, apart)
+
+
+def distance(one: Shape, other: Shape, *, both_ways: bool = True) -> float:
+    """The mean distance of two surfaces, at most ``WORST`` [cm].
+
+    ``both_ways=False``: only from the points of ``one`` to ``other``, for a ``one`` that is a part of the whole.
+    """
+    means = [other.distances(one.samples).mean()]
+    if both_ways:
+        means.append(one.distances(other.samples).mean())
+    found = float(np.mean(means))
+    return min(found, WORST) if np.isfinite(found) else WORST
+
+
+def input_files(folder: Path) -> dict[str, Path]:
+    """Name of a garment to the file of its mesh or points. Raises ``SpecError`` for a folder without one."""
+    if not folder.is_dir():
+        raise SpecError(f"{folder}: no such folder: give the folder of the input meshes or points")
+    paths = [path for ending in ENDINGS for path in sorted(folder.glob(f"*{ending}"))]
+    if not paths:
+        raise SpecError(f"{folder}: no inputs: it should hold NAME{' or NAME'.join(ENDINGS)}")
+    return {path.stem: path for path in reversed(paths)}
+
+
+def read_shape(path: Path) -> Shape:
+    """A mesh, or points: a PLY or OBJ without faces, or an array (n, 3) or (n, 6) in a ``.npy`` file [cm].
+
+    Raises ``SpecError`` with the file and a remedy.
+    """
+    try:
+        points, faces = _array(path) if path.suffix.lower() == ".npy" else _mesh(path)
+    except Exception as error:  # trimesh and numpy raise any exception for malformed files
+        line = " ".join(str(error).split())[:120]
+        raise SpecError(f"{path}: cannot be read ({line}): give a mesh, or points (n, 3), in centimetres") from error
+    if not len(faces):
+        points = points[np.isfinite(points).all(axis=1)]  # points that a scan did not measure are NaN
+    if len(points) < NEIGHBOURS or not np.isfinite(points).all():
+        raise SpecError(f"{path}: {len(points)} points, or points that are not finite: export the input again")
+    if (extent := float(np.ptp(points, axis=0).max())) < SMALLEST:
+        raise SpecError(f"{path}: its largest extent is {extent:.3g}: inputs are in centimetres, so scale it by 100")
+    return Surface.of(points, faces) if len(faces) else Cloud.of(points)
+
+
+def _array(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    array = np.load(path, allow_pickle=False)
+    if array.ndim != 2 or array.shape[1] not in (3, 6):
+        raise ValueError(f"an array of shape {array.shape}, not (n, 3) or (n, 6)")
+    return array[:, :3].astype(float), np.zeros((0, 3), int)
+
+
+def _mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    scene = trimesh.load(path, process=False, force="scene")
+    parts = [part for part in scene.dump() if len(getattr(part, "vertices", ()))]
+    points = np.concatenate([np.zeros((0, 3)), *(np.asarray(part.vertices, float) for part in parts)])
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    of_parts = [
+        np.asarray(part.faces, int) + start for part, start in zip(parts, first, strict=False) if hasattr(part, "faces")
+    ]
+    return points, np.concatenate([np.zeros((0, 3), int), *of_parts])

@@ -1,0 +1,192 @@
+"""Patterns as graphs of edges for stitch prediction: packed arrays of a set of patterns, and padded batches.
+
+An edge is a row with points at equal distances along it, its length, its panel, the next edge of its loop and its ends
+in space. Names, labels, kinds of curve, numbers of panels and starts of loops are left out: two files of one pattern
+give the same rows, in another order. Loops run counter-clockwise as seen from the right side of the cloth.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from gcd_dataset.curves import LINE, sample_curve
+from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.tensors import require_closed
+
+__all__ = ["MAX_CUTS", "SAMPLES", "EdgeBatch", "EdgeGraph", "PackedGraphs", "edge_refs", "graph_of", "with_seams"]
+
+SAMPLES = 17  # points of an edge, both ends included
+MAX_CUTS = 6  # most subdivision points of an edge
+NO_CUT = -1.0
+LEAST_AREA = 1e-3  # cm²: the centroid of a smaller panel is the mean of its points
+ALIGNMENT = 8  # rows of a batch are a multiple: attention on a GPU needs aligned biases
+
+
+@dataclass(frozen=True)
+class EdgeGraph:
+    """The edges of one pattern, in the order of its panels and their loops."""
+
+    points: Float[np.ndarray, "e 17 2"]
+    """About the centroid of the panel, seen from its right side [cm]."""
+    lengths: Float[np.ndarray, " e"]
+    """[cm]"""
+    panels: Int[np.ndarray, " e"]
+    following: Int[np.ndarray, " e"]
+    """Row of the next edge of the loop."""
+    placed: Float[np.ndarray, "e 3 3"]
+    """Start, middle and end in space [cm]."""
+    partners: Int[np.ndarray, " e"]
+    """Row of the edge that it is sewn to, -1 for none."""
+    right_wrong: Bool[np.ndarray, " e"]
+    cuts: Float[np.ndarray, "e 6"]
+    """Shares of the length at which the edge is subdivided, in order; unused entries are -1."""
+
+
+@dataclass(frozen=True)
+class EdgeBatch:
+    """Graphs padded to the same number of edges; ``panels`` is -1 for padding."""
+
+    points: Float[Tensor, "b e 17 2"]
+    lengths: Float[Tensor, "b e"]
+    panels: Int[Tensor, "b e"]
+    following: Int[Tensor, "b e"]
+    placed: Float[Tensor, "b e 3 3"]
+    partners: Int[Tensor, "b e"]
+    right_wrong: Bool[Tensor, "b e"]
+    cuts: Float[Tensor, "b e 6"]
+
+    @property
+    def valid(self) -> Bool[Tensor, "b e"]:
+        """Rows that are edges."""
+        return self.panels >= 0
+
+    def __len__(self) -> int:
+        return len(self.panels)
+
+    def to(self, device: torch.device) -> "EdgeBatch":
+        return EdgeBatch(*(getattr(self, field.name).to(device) for field in fields(self)))
+
+    def permuted(self, order: Int[Tensor, "b e"]) -> "EdgeBatch":
+        """The rows in another order: new row k is the old row ``order[k]``."""
+        new_row = torch.empty_like(order).scatter_(1, order, torch.arange(order.shape[1]).expand_as(order).to(order))
+
+        def moved(values: Tensor) -> Tensor:
+            index = order.view(*order.shape, *[1] * (values.ndim - 2)).expand(*order.shape, *values.shape[2:])
+            return values.gather(1, index)
+
+        def renamed(rows: Tensor) -> Tensor:
+            return torch.where(rows >= 0, new_row.gather(1, rows.clamp(min=0)), rows)
+
+        changed = {field.name: moved(getattr(self, field.name)) for field in fields(self)}
+        changed |= {name: renamed(changed[name]) for name in ("following", "partners")}
+        return EdgeBatch(**changed)
+
+
+class PackedGraphs:
+    """The graphs of many patterns as flat tensors on one device; ``graphs[rows]`` is a padded batch."""
+
+    def __init__(self, counts: Int[Tensor, " n"], flat: Mapping[str, Tensor]) -> None:
+        self.counts, self.flat = counts, dict(flat)
+        self.first = counts.cumsum(0) - counts
+
+    @staticmethod
+    def of(graphs: Sequence[EdgeGraph]) -> "PackedGraphs":
+        """At least one graph."""
+        flat = {
+            field.name: torch.from_numpy(np.concatenate([getattr(graph, field.name) for graph in graphs]))
+            for field in fields(EdgeGraph)
+        }
+        return PackedGraphs(torch.tensor([len(graph.lengths) for graph in graphs]), flat)
+
+    def to(self, device: torch.device) -> "PackedGraphs":
+        return PackedGraphs(self.counts.to(device), {name: values.to(device) for name, values in self.flat.items()})
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __getitem__(self, rows: Int[Tensor, " b"]) -> EdgeBatch:
+        rows = rows.to(self.counts.device)
+        index, there = self._index(rows)
+        values = {name: flat[index] for name, flat in self.flat.items()}
+        values["panels"] = torch.where(there, values["panels"], -1)
+        values["partners"] = torch.where(there, values["partners"], -1)
+        values["following"] = torch.where(there, values["following"], torch.arange(there.shape[1], device=rows.device))
+        return EdgeBatch(**values)
+
+    def padded(self, values: Float[Tensor, " all"], rows: Int[Tensor, " b"]) -> Float[Tensor, "b e"]:
+        """One value for each edge of the patterns ``rows``, out of one for each edge of all patterns."""
+        return values[self._index(rows)[0]]
+
+    def _index(self, rows: Int[Tensor, " b"]) -> tuple[Int[Tensor, "b e"], Bool[Tensor, "b e"]]:
+        """Flat rows of the edges, and which of them are not padding."""
+        counts = self.counts[rows]
+        width = -(-int(counts.max()) // ALIGNMENT) * ALIGNMENT
+        columns = torch.arange(width, device=rows.device)
+        there = columns < counts[:, None]
+        return torch.where(there, self.first[rows][:, None] + columns, 0), there
+
+
+def edge_refs(pattern: Pattern) -> list[EdgeRef]:
+    """The edge of each row of the pattern's graph."""
+    return [EdgeRef(panel.name, edge) for panel in pattern.panels for edge in range(len(panel.edges))]
+
+
+def graph_of(pattern: Pattern, cuts: Mapping[EdgeRef, Sequence[float]] | None = None) -> EdgeGraph:
+    """The graph of a pattern; ``cuts``: shares of the length at which edges are subdivided.
+
+    Raises ``PatternError`` for an open outline or an arc that does not span its chord.
+    """
+    refs = edge_refs(pattern)
+    row_of = {ref: row for row, ref in enumerate(refs)}
+    sizes = [len(panel.edges) for panel in pattern.panels]
+    first = np.cumsum([0, *sizes[:-1]])
+    following = [start + np.roll(np.arange(size), -1) for start, size in zip(first, sizes, strict=True)]
+    partners, wrong = np.full(len(refs), -1), np.zeros(len(refs), bool)
+    for seam in pattern.seams:
+        left, right = row_of[seam.left], row_of[seam.right]
+        partners[left], partners[right] = right, left
+        wrong[[left, right]] = seam.right_wrong
+    shares = np.full((len(refs), MAX_CUTS), NO_CUT, np.float32)
+    for ref, values in (cuts or {}).items():
+        shares[row_of[ref], : len(values)] = values
+    parts = [_outline(panel) for panel in pattern.panels]
+    return EdgeGraph(
+        points=np.concatenate([points for points, _ in parts]).astype(np.float32),
+        lengths=np.concatenate([panel.edge_lengths() for panel in pattern.panels]).astype(np.float32),
+        panels=np.repeat(np.arange(len(sizes)), sizes),
+        following=np.concatenate(following),
+        placed=np.concatenate([placed for _, placed in parts]).astype(np.float32),
+        partners=partners,
+        right_wrong=wrong,
+        cuts=shares,
+    )
+
+
+def with_seams(pattern: Pattern, pairs: Sequence[tuple[int, int, bool]]) -> Pattern:
+    """The pattern with seams between rows of its graph; the flag says ``right_wrong``."""
+    refs = edge_refs(pattern)
+    return replace(pattern, seams=tuple(Seam(refs[left], refs[right], wrong) for left, right, wrong in pairs))
+
+
+def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarray, "e 3 3"]]:
+    """Points of the edges about the centroid, from the right side; start, middle and end of the edges in space."""
+    require_closed(panel)
+    shares = np.linspace(0, 1, SAMPLES)[:, None]
+    edges = []
+    for index, edge in enumerate(panel.edges):
+        start, end = panel.edge_ends(index)
+        straight = edge.curve == LINE
+        edges.append((1 - shares) * start + shares * end if straight else sample_curve(start, end, edge.curve, SAMPLES))
+    points = np.array(edges)
+    placed = panel.placement.apply(points[:, [0, SAMPLES // 2, -1]].reshape(-1, 2)).reshape(-1, 3, 3)
+    middle = points.mean(axis=(0, 1))
+    x, y = (points[:, :-1] - middle).reshape(-1, 2).T
+    crossed = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = 0.5 * crossed.sum()
+    moments = [((v + np.roll(v, -1)) * crossed).sum() / 6 for v in (x, y)]
+    centroid = middle + np.array(moments) / area if abs(area) > LEAST_AREA else middle
+    return (points - centroid) * [np.copysign(1.0, area), 1.0], placed

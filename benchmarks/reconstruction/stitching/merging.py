@@ -1,0 +1,249 @@
+"""Patterns whose seams join one edge to several, made from patterns whose seams join one edge to one.
+
+Patterns of the generator are subdivided: where a sleeve is sewn to front and back of an armhole, its cap is two edges.
+``merged`` joins such edges where the outline runs smoothly and the two parts are sewn to different panels; ``split``
+subdivides edges again, at the true or at predicted points.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.reconstruction.panel_targets import fitted_curve
+from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
+from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
+
+__all__ = ["Cuts", "Merged", "aligned", "merged", "split", "subdivided"]
+
+Cuts = Mapping[EdgeRef, Sequence[float]]
+"""Shares of the length at which edges are subdivided, in order."""
+
+SMOOTH = np.radians(15.0)  # largest turn of the outline at a corner that may vanish
+CLOSE = 0.2  # cm: largest distance of the joined curve from the edges
+SAMPLES = 33  # points of a curve that is fitted
+FEWEST_EDGES = 2  # of a panel
+ALIGNMENTS = 20  # passes; a chain of edges that subdivide one another settles in a few
+
+
+@dataclass(frozen=True)
+class Merged:
+    """A pattern with joined edges, without the seams of these edges, and how to restore them."""
+
+    pattern: Pattern
+    """Its seams join edges of which neither is to be subdivided."""
+    cuts: dict[EdgeRef, tuple[float, ...]]
+    parts: Pattern
+    """The pattern subdivided at ``cuts``, with all seams: the truth."""
+
+    @property
+    def seams_of_several(self) -> frozenset[int]:
+        """Seams of ``parts`` of which a side is a part of an edge."""
+        refs = dict(zip(edge_refs(self.parts), _origins(self.pattern, self.cuts), strict=True))
+        return frozenset(
+            number
+            for number, seam in enumerate(self.parts.seams)
+            if refs[seam.left] in self.cuts or refs[seam.right] in self.cuts
+        )
+
+
+def merged(pattern: Pattern, rng: np.random.Generator | None = None) -> Merged | None:
+    """The pattern with edges joined wherever possible; ``None`` if it is possible nowhere.
+
+    ``rng``: join a random half of the places only.
+    """
+    partner = {a: b for seam in pattern.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    panels = []
+    cuts: dict[EdgeRef, tuple[float, ...]] = {}
+    new_ref: dict[EdgeRef, EdgeRef] = {}
+    for panel in pattern.panels:
+        runs = _runs(panel, partner, rng)
+        edges = []
+        for number, (run, curve) in enumerate(runs):
+            first = panel.edges[run[0]]
+            edges.append(replace(first, end=panel.edges[run[-1]].end, curve=curve) if len(run) > 1 else first)
+            if len(run) > 1:
+                lengths = [curve_length(*panel.edge_ends(i), panel.edges[i].curve) for i in run]
+                cuts[EdgeRef(panel.name, number)] = tuple((np.cumsum(lengths)[:-1] / sum(lengths)).tolist())
+        panels.append(replace(panel, edges=tuple(edges)))
+        order = [EdgeRef(panel.name, i) for run, _ in runs for i in run]
+        new_ref |= {ref: EdgeRef(panel.name, k) for k, ref in enumerate(order)}
+    if not cuts:
+        return None
+    joined = replace(pattern, panels=tuple(panels), seams=())
+    seams = tuple(replace(seam, left=new_ref[seam.left], right=new_ref[seam.right]) for seam in pattern.seams)
+    parts = replace(split(joined, cuts), seams=seams)
+    ref_of = dict(zip(edge_refs(parts), _origins(joined, cuts), strict=True))
+    kept = tuple(
+        replace(seam, left=ref_of[seam.left], right=ref_of[seam.right])
+        for seam in seams
+        if not {ref_of[seam.left], ref_of[seam.right]} & set(cuts)
+    )
+    return Merged(replace(joined, seams=kept), cuts, parts)
+
+
+def split(pattern: Pattern, cuts: Cuts) -> Pattern:
+    """The pattern with edges subdivided at shares of their lengths; its seams follow if they join whole edges."""
+    panels = []
+    for panel in pattern.panels:
+        vertices, edges = [*panel.vertices], list[Edge]()
+        for index, edge in enumerate(panel.edges):
+            shares = cuts.get(EdgeRef(panel.name, index), ())
+            points, curves = _divided(panel, index, shares)
+            corners = [edge.start, *range(len(vertices), len(vertices) + len(points)), edge.end]
+            vertices += points
+            edges += [
+                replace(edge, start=a, end=b, curve=curve)
+                for (a, b), curve in zip(pairwise(corners), curves, strict=True)
+            ]
+        panels.append(replace(panel, vertices=np.array(vertices), edges=tuple(edges)))
+    whole = replace(pattern, panels=tuple(panels), seams=())
+    new_ref: dict[EdgeRef, EdgeRef] = {}
+    for new, old in zip(edge_refs(whole), _origins(pattern, cuts), strict=True):
+        new_ref.setdefault(old, new)
+    seams = tuple(
+        Seam(new_ref[seam.left], new_ref[seam.right], seam.right_wrong)
+        for seam in pattern.seams
+        if seam.left not in cuts and seam.right not in cuts
+    )
+    return replace(whole, seams=seams)
+
+
+def subdivided(pattern: Pattern, rng: np.random.Generator, *, share: float) -> Pattern:
+    """The pattern with a random share of the seams cut in two, each side at the same place of the seam."""
+    chosen = [number for number in range(len(pattern.seams)) if rng.random() < share]
+    cuts: dict[EdgeRef, tuple[float, ...]] = {}
+    for seam in (pattern.seams[number] for number in chosen):
+        at = float(rng.uniform(0.25, 0.75))
+        cuts |= {seam.left: (at,), seam.right: (at if seam.right_wrong else 1 - at,)}
+    cut = split(pattern, cuts)
+    parts: dict[EdgeRef, list[EdgeRef]] = {}
+    for new, old in zip(edge_refs(cut), _origins(pattern, cuts), strict=True):
+        parts.setdefault(old, []).append(new)
+    seams = []
+    for seam in pattern.seams:
+        left, right = parts[seam.left], parts[seam.right]
+        along = right if seam.right_wrong else right[::-1]
+        seams += [Seam(a, b, seam.right_wrong) for a, b in zip(left, along, strict=True)]
+    return replace(cut, seams=tuple(seams))
+
+
+def aligned(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[float, ...]]:
+    """Cuts at which the parts of an edge are as long, in proportion, as the edges that they are sewn to.
+
+    ``parts``: the pattern subdivided at ``cuts``, with seams. An edge with a free part keeps its cuts.
+    """
+    refs, origins = edge_refs(parts), _origins(pattern, cuts)
+    length = dict(zip(refs, (value for panel in parts.panels for value in panel.edge_lengths()), strict=True))
+    partner = {a: b for seam in parts.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    pieces: dict[EdgeRef, list[EdgeRef]] = {}
+    for new, old in zip(refs, origins, strict=True):
+        if old in cuts:
+            pieces.setdefault(old, []).append(new)
+    movable = {old: own for old, own in pieces.items() if all(piece in partner for piece in own)}
+    for _ in range(ALIGNMENTS):
+        for own in movable.values():
+            wanted = np.array([length[partner[piece]] for piece in own])
+            wanted *= sum(length[piece] for piece in own) / wanted.sum()
+            length |= dict(zip(own, wanted.tolist(), strict=True))
+    found = {old: tuple(values) for old, values in cuts.items()}
+    for old, own in movable.items():
+        lengths = np.array([length[piece] for piece in own])
+        found[old] = tuple((np.cumsum(lengths)[:-1] / lengths.sum()).tolist())
+    return found
+
+
+def _origins(pattern: Pattern, cuts: Cuts) -> list[EdgeRef]:
+    """The edge of the pattern that each edge of the subdivided pattern is a part of."""
+    return [ref for ref in edge_refs(pattern) for _ in range(len(cuts.get(ref, ())) + 1)]
+
+
+# -------------------------------------------------------------------------------------------------------------- joining
+
+
+def _runs(
+    panel: Panel, partner: Mapping[EdgeRef, EdgeRef], rng: np.random.Generator | None
+) -> list[tuple[list[int], Curve]]:
+    """The panel's edges in runs that become one edge each, and the curve of this edge."""
+    count = len(panel.edges)
+    joins = [_may_join(panel, i, partner) and (rng is None or rng.random() < 0.5) for i in range(count)]
+    first = next((i for i in range(count) if not joins[i - 1]), 0)  # begin at a corner that stays
+    runs: list[tuple[list[int], Curve]] = []
+    for number in range(count):
+        index = (first + number) % count
+        left = count - number - 1 + len(runs)
+        if runs and joins[index - 1] and left >= FEWEST_EDGES and len(runs[-1][0]) <= MAX_CUTS:
+            curve = _joined(panel, [*runs[-1][0], index])
+            if curve is not None:
+                runs[-1] = ([*runs[-1][0], index], curve)
+                continue
+        runs.append(([index], panel.edges[index].curve))
+    return runs
+
+
+def _may_join(panel: Panel, index: int, partner: Mapping[EdgeRef, EdgeRef]) -> bool:
+    """Whether an edge and the next are sewn to different panels, and meet smoothly."""
+    after = (index + 1) % len(panel.edges)
+    sewn = [partner.get(EdgeRef(panel.name, i)) for i in (index, after)]
+    if sewn[0] is None or sewn[1] is None or sewn[0].panel == sewn[1].panel:
+        return False
+    if panel.name in (sewn[0].panel, sewn[1].panel):
+        return False
+    one, other = (
+        curve_tangents(*panel.edge_ends(i), panel.edges[i].curve, np.array([t]))[0]
+        for i, t in ((index, 1.0), (after, 0.0))
+    )
+    return bool(abs(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other)) < SMOOTH)
+
+
+def _joined(panel: Panel, run: Sequence[int]) -> Curve | None:
+    """One curve along the edges of a run; ``None`` if none lies close."""
+    lengths = [curve_length(*panel.edge_ends(i), panel.edges[i].curve) for i in run]
+    counts = [max(5, round(4 * SAMPLES * length / sum(lengths))) for length in lengths]
+    along = [sample_curve(*panel.edge_ends(i), panel.edges[i].curve, n) for i, n in zip(run, counts, strict=True)]
+    points = np.concatenate([along[0], *(piece[1:] for piece in along[1:])])
+    even = _resampled(points, SAMPLES)
+    curve = fitted_curve(even)
+    (x0, y0), (x1, y1) = even[0].tolist(), even[-1].tolist()
+    fitted = sample_curve((x0, y0), (x1, y1), curve, SAMPLES)
+    return curve if np.linalg.norm(fitted - even, axis=1).max() <= CLOSE else None
+
+
+def _resampled(points: Float[np.ndarray, "n 2"], count: int) -> Float[np.ndarray, "count 2"]:
+    """Points at equal distances along an open polyline."""
+    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0, reached[-1], count)
+    return np.stack([np.interp(at, reached, points[:, axis]) for axis in (0, 1)], axis=1)
+
+
+# ------------------------------------------------------------------------------------------------------------ splitting
+
+
+def _divided(panel: Panel, index: int, shares: Sequence[float]) -> tuple[list[np.ndarray], list[Curve]]:
+    """Points of subdivision of an edge, and the curves of its parts."""
+    edge, (start, end) = panel.edges[index], panel.edge_ends(index)
+    if not shares:
+        return [], [edge.curve]
+    if edge.curve == LINE:
+        return [(1 - t) * np.array(start) + t * np.array(end) for t in shares], [LINE] * (len(shares) + 1)
+    pieces = [_between(start, end, edge.curve, a, b) for a, b in pairwise([0.0, *shares, 1.0])]
+    points = [piece[-1] for piece in pieces[:-1]]
+    if isinstance(edge.curve, Arc):
+        half = np.pi * edge.curve.radius
+        length = curve_length(start, end, edge.curve)
+        sizes = [length * (b - a) for a, b in pairwise([0.0, *shares, 1.0])]
+        return points, [replace(edge.curve, large=bool(size > half)) for size in sizes]
+    return points, [fitted_curve(piece) for piece in pieces]
+
+
+def _between(
+    start: tuple[float, float], end: tuple[float, float], curve: Curve, first: float, last: float
+) -> Float[np.ndarray, "n 2"]:
+    """Points of a curve from one share of its length to another."""
+    fine = sample_curve(start, end, curve, 16 * SAMPLES)
+    share = np.linspace(0, 1, len(fine))
+    at = np.linspace(first, last, SAMPLES)
+    return np.stack([np.interp(at, share, fine[:, axis]) for axis in (0, 1)], axis=1)

@@ -1,0 +1,234 @@
+"""Task T3 from start to end: draw patterns, train on their stitches, score unseen designs and foreign patterns.
+
+    python -m benchmarks.reconstruction.stitching.run --train 24000 --workers 16 --out runs/stitches
+    python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
+
+The patterns are those of ``tasks``: training and test set share no design and no body. ``--data`` keeps them.
+``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
+the seams of the parts) and, with ``--examples``, the specifications of a folder.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, astuple, fields, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, greedy_by_length, sew
+from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
+from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
+from benchmarks.reconstruction.stitching.merging import Merged, merged
+from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
+from benchmarks.reconstruction.tasks import TASKS
+from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.errors import ConfigError, PatternError
+from gcd_dataset.files import make_folder
+from gcd_dataset.records import Pattern
+from gcd_dataset.spec import read_pattern, write_pattern
+
+__all__ = ["main"]
+
+DRAWS = 1000  # of the bootstrap
+SMOKE: dict[str, Any] = {
+    "train": 200, "test": 50, "minutes": 0.5, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
+}  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command."""
+    args = _parser().parse_args(arguments)
+    if args.smoke:
+        args = argparse.Namespace(**{**vars(args), **SMOKE})
+    device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
+    out, began = make_folder(Path(args.out)), time.perf_counter()
+    data = make_folder(Path(args.data) if args.data else out / "data")
+    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
+    learner = StitchLearner(_config(args))
+    examples = learner.prepare(split.train, device=device, workers=args.workers)
+    tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
+    _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
+
+    def check(step: int, current: Any) -> Mapping[str, float]:
+        scores = [_score(true, own) for true, own in zip(watched, sew(current.net, watched), strict=True)]
+        return {f"check_{name}": value for name, value in _means(scores).items()}
+
+    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
+    trained = train(learner, examples, config, device=device, out=out, check=check)
+    best = trained.learner
+    assert isinstance(best, StitchLearner)
+    report = {
+        "arguments": vars(args),
+        "data": {
+            name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash}
+            for name, part in (("train", split.train), ("test", split.test))
+        },
+        "config": asdict(learner.net.config),
+        "parameters": sum(p.numel() for p in learner.parameters()),
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+        "steps": trained.steps,
+        "train_s": round(trained.seconds, 1),
+        **evaluate(best, tests, out, args.workers),
+    }
+    if args.examples:
+        report["foreign"] = foreign(best, Path(args.examples))
+    report["all_s"] = round(time.perf_counter() - began, 1)
+    (out / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    print(json.dumps({name: value for name, value in report.items() if name not in ("arguments", "config")}, indent=2))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+    def option(name: str, default: Any, text: str) -> None:
+        parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
+
+    parser.add_argument("--out", required=True, help="folder of the checkpoint, curves and report")
+    parser.add_argument("--smoke", action="store_true", help="200 patterns and half a minute on a CPU")
+    parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
+    parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
+    parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
+    option("--train", 24_000, "patterns to train on")
+    option("--test", 500, "patterns to test on, of another seed")
+    option("--seed", 0, "seed of the patterns, the network and the order")
+    option("--minutes", 6.0, "time of the training")
+    option("--batch", 256, "patterns of a step")
+    option("--lr", 8e-4, "highest learning rate")
+    option("--width", 256, "features of an edge")
+    option("--heads", 8, "heads of a layer")
+    option("--layers", 8, "layers")
+    option("--pair-width", 48, "features of a pair of edges")
+    option("--workers", 0, "processes that draw patterns")
+    option("--checks", 8, "scorings on the way")
+    option("--device", "auto", "auto, cpu or cuda:0")
+    option("--data", "", "folder of the patterns; by default in the output folder")
+    option("--examples", "", "folder whose specifications are scored, too")
+    return parser
+
+
+def _config(args: argparse.Namespace) -> StitchConfig:
+    if args.autosew:
+        return StitchConfig.autosew(placed=args.placed)
+    return StitchConfig(
+        width=args.width, heads=args.heads, layers=args.layers, pair_width=args.pair_width, placed=args.placed,
+        rounds=1 if args.one_round else StitchConfig().rounds,
+    )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------------------------------------- the scores
+
+
+def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int) -> dict[str, Any]:
+    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+
+    Writes the predicted and the true specifications into folders of ``out``.
+    """
+    greedy = []
+    for pattern in patterns:
+        graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
+        greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
+    rng = np.random.default_rng(0)
+    joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
+    at_once = sew(learner.net, patterns, rounds=1)
+    began = time.perf_counter()
+    ours = sew(learner.net, patterns)
+    seconds = time.perf_counter() - began
+    parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=True)
+    write(out / "predictions", ours)
+    write(out / "truth", patterns)
+    write(out / "several" / "predictions", parted)
+    write(out / "several" / "truth", [entry.parts for entry in joined])
+    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            scores, first, floor = (list(pool.map(_scored, some, chunksize=16)) for some in pairs)
+            several = list(pool.map(_interval_scored, zip(joined, parted, strict=True), chunksize=16))
+    else:
+        scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
+        several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
+    return {
+        "one_to_one": _table(scores),
+        "one_round": _table(first),
+        "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
+        "greedy_by_length": _means(floor),
+        "several": _table(several),
+        "ms_a_pattern": 1e3 * seconds / len(patterns),
+    }
+
+
+def foreign(learner: StitchLearner, folder: Path) -> dict[str, Any]:
+    """Scores of the specifications in a folder, subdivided as drawn, and of each by name."""
+    patterns, graphs, unreadable = [], [], {}
+    for path in sorted(folder.rglob("*_specification.json")):
+        try:
+            pattern = read_pattern(path)
+            graphs.append(graph_of(pattern))
+            patterns.append(pattern)
+        except PatternError as error:
+            unreadable[str(path.relative_to(folder))] = str(error)
+    if not patterns:
+        raise ConfigError(f"{folder}: no readable *_specification.json: give a folder of patterns")
+    found = sew(learner.net, patterns)
+    scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
+    each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
+    return {**_table(scores), "unreadable": unreadable, "each": each}
+
+
+def write(folder: Path, patterns: Sequence[Pattern]) -> None:
+    """The specifications of patterns, by name, for the evaluator."""
+    make_folder(folder)
+    for pattern in patterns:
+        write_pattern(pattern, folder / f"{pattern.name}_specification.json")
+
+
+def _moved_truth(pattern: Pattern, rng: np.random.Generator) -> StitchScore:
+    """The score of the truth after a random symmetry of its panels: its strict part is below 1."""
+    graph = graph_of(pattern)
+    moved = random_symmetry(graph, rng)
+    return score_stitches(graph, [(moved[a], moved[b]) for a, b in enumerate(graph.partners.tolist()) if b > a])
+
+
+def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:
+    return _score(*pair)
+
+
+def _score(true: Pattern, predicted: Pattern) -> StitchScore:
+    row_of = {ref: row for row, ref in enumerate(edge_refs(true))}
+    return score_stitches(graph_of(true), [(row_of[seam.left], row_of[seam.right]) for seam in predicted.seams])
+
+
+def _interval_scored(pair: tuple[Merged, Pattern]) -> IntervalScore:
+    return score_intervals(*pair)
+
+
+def _means(scores: Sequence[StitchScore]) -> dict[str, float]:
+    means = np.mean([astuple(score) for score in scores], axis=0).tolist()
+    return dict(zip((field.name for field in fields(StitchScore)), means, strict=True))
+
+
+def _table(scores: Sequence[StitchScore] | Sequence[IntervalScore]) -> dict[str, Any]:
+    """Means with 95 % bootstrap intervals; empty for no garments."""
+    if not scores:
+        return {}
+    values = np.array([astuple(score) for score in scores])
+    drawn = values[np.random.default_rng(0).integers(len(values), size=(DRAWS, len(values)))].mean(axis=1)
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    names = [field.name for field in fields(scores[0])]
+    rows = zip(names, values.mean(axis=0), low, high, strict=True)
+    return {"garments": len(scores)} | {name: [round(float(v), 4) for v in (mean, a, b)] for name, mean, a, b in rows}
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""The tasks T0 to T7: what is given, what is asked, the garments, and the score that heads the table.
+
+The garments of T0 to T6 are functions of a seed: the training set of seed ``TRAIN_SEED``, of which each size holds the
+smaller ones; the test set of ``TEST_SEED``, the same designs in every task and for every size of the training set; and
+a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they share no design and no body.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.reconstruction.garments import Split, generated, read_folder, split_off
+from gcd_dataset.errors import ConfigError
+
+__all__ = ["CHECK_SEED", "FRESH_SEED", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
+
+TRAIN_SEED, TEST_SEED, CHECK_SEED, FRESH_SEED = 0, 1, 2, 1000
+CHECKED = 32  # garments that watch a training
+MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
+PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
+DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task."""
+
+    name: str
+    given: str
+    """The input."""
+    asked: str
+    """The answer."""
+    headline: str
+    """The score by which models are compared; a field of ``PatternScore``, or of the task's own score."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Of ``GeneratedGarments``: the recipe besides seed and count."""
+    points: int = 0
+    """Surface points of a garment."""
+    extra: tuple[str, ...] = ()
+    """Further item fields."""
+    sizes: tuple[int, ...] = (1000, 4000, 24_000)
+    """Usual sizes of the training set."""
+    tested: int = 500
+    """Garments of the test set."""
+
+    @property
+    def answers_patterns(self) -> bool:
+        """Whether an answer is a ``Pattern``."""
+        return self.asked == "pattern"
+
+    def load(self, count: int, *, data: Path | None = None, workers: int = 0, tested: int = 0, **changes: Any) -> Split:
+        """The garments; ``data``: folder that caches them. ``changes``: other ``options``, for tests."""
+        options = {**self.options, **changes}
+        make = {"points": self.points, "extra": self.extra, "cache": data, "workers": workers, **options}
+        return Split(
+            train=generated(count, TRAIN_SEED, **make),
+            check=generated(min(CHECKED, count), CHECK_SEED, **make),
+            test=generated(tested or self.tested, TEST_SEED, **make),
+        )
+
+    def read(self, source: str, count: int, *, workers: int = 0, tested: int = 0) -> Split:
+        """The garments of a folder or repository, split by design and body; ``count`` to train on."""
+        whole = read_folder(source, points=self.points, extra=self.extra, workers=workers)
+        return split_off(whole, tested or self.tested).first(count)
+
+
+TASKS = {
+    task.name: task
+    for task in (
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192),
+        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE),
+        Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
+        Task(
+            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
+            extra=("verts", "faces", "panel_id", "labels", "seams"), sizes=(1000, 4000),
+        ),
+        Task("T5", "points of body and garment", "measures", "error_cm", DRAPE, points=8192, sizes=(1000, 4000)),
+        Task(
+            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
+            extra=("verts", "faces", "box", "panel_id"), sizes=(1000, 4000),
+        ),
+        Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
+    )
+}  # fmt: skip
+
+
+def task_named(name: str) -> Task:
+    """The task. Raises ``ConfigError`` for an unknown name."""
+    if name not in TASKS:
+        raise ConfigError(f"no task {name!r:.99}: choose one of {', '.join(TASKS)}")
+    return TASKS[name]

@@ -1,0 +1,392 @@
+"""The training loop: it knows no task, only a ``Learner`` and its examples.
+
+What is drawn in step k depends on the seed and k alone, so a stopped training that is resumed from its checkpoint takes
+the same steps as one that was never stopped. ``torchrun`` starts several ranks; each takes its part of every batch.
+"""
+
+import csv
+import importlib.util
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+from torch.optim.swa_utils import AveragedModel
+
+from benchmarks.reconstruction.learners import Examples, Learner
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.files import drafted, make_folder
+
+__all__ = [
+    "Check",
+    "Growing",
+    "TrainConfig",
+    "Trained",
+    "TrainingError",
+    "learning_rate",
+    "one_of_several_ranks",
+    "train",
+]
+
+Batch = TypeVar("Batch")
+Check = Callable[[int, Learner[Any, Any]], Mapping[str, float]]
+"""Called on the way with the step and the averaged learner; the figures returned become columns of the curves."""
+
+CHECKPOINT, CURVES = "checkpoint.pt", "curves.csv"
+BETAS = (0.9, 0.98)
+
+
+class TrainingError(GcdError):
+    """A training that cannot go on."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """Options of a training. Raises ``ConfigError`` unless exactly one of ``steps`` and ``minutes`` is given."""
+
+    steps: int = 0
+    """Optimiser steps."""
+    minutes: float = 0.0
+    """Time for the steps, checks not counted; the learning rate then follows the clock."""
+    batch: int = 256
+    """Examples of a step, of all ranks together."""
+    lr: float = 5e-4
+    """Highest learning rate."""
+    warm_up: float = 0.05
+    """Share of the training in which the learning rate rises."""
+    weight_decay: float = 0.05
+    """Of matrices; vectors, such as biases, do not decay."""
+    largest_gradient: float = 1.0
+    """Norm to which larger gradients are scaled."""
+    ema: float = 0.999
+    """Decay of the moving average of the weights, which answers; lower in the first steps; 0: the last weights."""
+    bf16: bool = True
+    """Autocast to bfloat16 on a GPU."""
+    compile: bool = False
+    """Compile the learner's parts."""
+    seed: int = 0
+    log_every: int = 50
+    """Steps of a row of the curves."""
+    checks: int = 10
+    """Calls of ``check`` in the course of the training."""
+    checkpoint_minutes: float = 2.0
+    """Time between checkpoints."""
+
+    def __post_init__(self) -> None:
+        if (self.steps > 0) == (self.minutes > 0):
+            raise ConfigError(f"steps {self.steps}, minutes {self.minutes:g}: give one of them, above 0")
+        if self.batch < 1 or not 0 <= self.ema < 1:
+            raise ConfigError(f"batch {self.batch}, ema {self.ema:g}: give a batch of 1 or more, an ema in [0, 1)")
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The options that a resumed training must share."""
+        free = ("log_every", "checks", "checkpoint_minutes", "compile")
+        return {name: value for name, value in asdict(self).items() if name not in free}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The end of a training."""
+
+    learner: Learner[Any, Any]
+    """With the averaged weights, in evaluation mode."""
+    steps: int
+    seconds: float
+    """Time of the steps."""
+    curve: list[dict[str, float]]
+    """Rows of the curves: step, seconds, learning rate, mean loss and its terms since the row before, checks."""
+
+
+@runtime_checkable
+class Growing(Protocol):
+    """Examples that change in the course of a training, such as a pool fed by a stream."""
+
+    def advance(self, step: int) -> None:
+        """Called before each step, in order."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """The position of the stream."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+
+def train(
+    learner: Learner[Batch, Any],
+    examples: Examples[Batch],
+    config: TrainConfig,
+    *,
+    device: torch.device,
+    out: Path | None = None,
+    check: Check | None = None,
+    stop_after: int | None = None,
+) -> Trained:
+    """Train a learner, or continue from the checkpoint in ``out``.
+
+    ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``: stop after this step
+    as a job's time limit does, with a checkpoint. Raises ``TrainingError`` for a loss that is not finite, and
+    ``ConfigError`` for a checkpoint of other options.
+    """
+    torch.manual_seed(config.seed)
+    run = _Run(learner.to(device), config, device)
+    curves = _Curves(None if out is None or _rank() else make_folder(out))
+    if out is not None and (out / CHECKPOINT).exists():
+        run.restore(out / CHECKPOINT, examples)
+        curves.resume(run.step)
+    saved, mark = time.perf_counter(), time.perf_counter()
+    next_check = math.floor(run.progress * config.checks) + 1
+    while run.progress < 1 and (stop_after is None or run.step < stop_after):
+        run.take_step(examples)
+        elapsed = time.perf_counter() - mark
+        run.seconds, mark = run.seconds + elapsed, mark + elapsed
+        run.agree_on_time()
+        is_last = run.progress >= 1 or run.step == stop_after
+        checked: Mapping[str, float] = {}
+        if check is not None and run.progress * config.checks >= next_check:
+            next_check = math.floor(run.progress * config.checks) + 1
+            checked = check(run.step, run.average()) if not _rank() else {}
+        if checked or is_last or run.step % config.log_every == 0:
+            curves.add(run.row(checked))
+        if out is not None and (is_last or run.is_due(saved)):
+            run.save(out / CHECKPOINT, examples)
+            saved = time.perf_counter()
+        mark = time.perf_counter()
+    curves.close()
+    return Trained(run.average(), run.step, run.seconds, curves.rows)
+
+
+def learning_rate(progress: float, warm_up: float) -> float:
+    """Learning rate relative to the highest at a progress in [0, 1]: linear warm-up, then half a cosine."""
+    if progress < warm_up:
+        return progress / warm_up
+    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, (progress - warm_up) / (1 - warm_up)))
+
+
+@contextmanager
+def one_of_several_ranks(device: str) -> Iterator[torch.device]:
+    """The device of this rank; under ``torchrun``, the ranks are joined for the length of the block."""
+    several = int(os.environ.get("WORLD_SIZE", "1")) > 1
+    if not several:
+        yield torch.device(device)
+        return
+    cuda = device.startswith("cuda")
+    own = torch.device("cuda", int(os.environ["LOCAL_RANK"])) if cuda else torch.device(device)
+    if cuda:
+        torch.cuda.set_device(own)
+    dist.init_process_group("nccl" if cuda else "gloo")
+    try:
+        yield own
+    finally:
+        dist.destroy_process_group()
+
+
+# -------------------------------------------------------------------------------------------------------------- the run
+
+
+class _Run:
+    """The state of a training."""
+
+    def __init__(self, learner: Learner[Any, Any], config: TrainConfig, device: torch.device) -> None:
+        self.learner, self.config, self.device = learner, config, device
+        self.step, self.seconds = 0, 0.0
+        self.averaged = AveragedModel(learner, multi_avg_fn=_average_with(config.ema), use_buffers=True)
+        if config.compile:
+            learner.compile_parts()
+        matrices = [p for p in learner.parameters() if p.requires_grad and p.ndim > 1]
+        vectors = [p for p in learner.parameters() if p.requires_grad and p.ndim <= 1]
+        groups = [{"params": matrices, "weight_decay": config.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
+        self.optimizer = torch.optim.AdamW(groups, lr=config.lr, betas=BETAS, fused=device.type == "cuda")
+        self.model: nn.Module = learner
+        if _ranks() > 1:
+            self.model = DistributedDataParallel(learner, find_unused_parameters=False)
+        self._sums: dict[str, Tensor] = {}
+        self._summed = 0
+
+    @property
+    def progress(self) -> float:
+        """Share of the training that is done."""
+        if self.config.steps:
+            return self.step / self.config.steps
+        return self.seconds / (60.0 * self.config.minutes)
+
+    def take_step(self, examples: Examples[Any]) -> None:
+        config = self.config
+        if isinstance(examples, Growing):
+            examples.advance(self.step)
+        chance = torch.Generator().manual_seed(_seed_of(config.seed, self.step))
+        rows = torch.randint(len(examples), (config.batch,), generator=chance)
+        batch = examples.batch(rows[_rank() :: _ranks()], chance)
+        rate = config.lr * learning_rate(self._progress_after(), config.warm_up)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.model.train()
+        with self._autocast():
+            parts = self.model(batch)
+        loss = torch.stack([part.float() for part in parts.values()]).sum()
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        nn.utils.clip_grad_norm_(self.learner.parameters(), config.largest_gradient)
+        self.optimizer.step()
+        self.averaged.update_parameters(self.learner)
+        self.step += 1
+        self._add({"loss": loss, **parts})
+
+    def _progress_after(self) -> float:
+        """Progress after the step that begins, so that the first step has a learning rate above 0."""
+        if self.config.steps:
+            return min(1.0, (self.step + 0.5) / self.config.steps)
+        return min(1.0, (self.step + 1) / max(self.step, 1) * self.progress) if self.step else 1e-3
+
+    def agree_on_time(self) -> None:
+        """All ranks take the time of the first, and so stop at the same step."""
+        if _ranks() > 1:
+            seconds = torch.tensor([self.seconds], dtype=torch.float64, device=self.device)
+            dist.broadcast(seconds, 0)
+            self.seconds = seconds.item()
+
+    def average(self) -> Learner[Any, Any]:
+        """The averaged learner, in evaluation mode."""
+        return cast(Learner[Any, Any], self.averaged.module.eval())
+
+    def row(self, checked: Mapping[str, float]) -> dict[str, float]:
+        """A row of the curves. Raises ``TrainingError`` for a loss that is not finite."""
+        means = {name: float(total) / self._summed for name, total in self._sums.items()}
+        if not math.isfinite(means["loss"]):
+            raise TrainingError(f"step {self.step}: the loss is {means['loss']}: lower lr {self.config.lr:g}")
+        self._sums, self._summed = {}, 0
+        rate = float(self.optimizer.param_groups[0]["lr"])
+        return {"step": self.step, "seconds": round(self.seconds, 2), "lr": rate, **means, **checked}
+
+    def _add(self, parts: Mapping[str, Tensor]) -> None:
+        self._summed += 1
+        for name, part in parts.items():
+            value = part.detach().float()
+            self._sums[name] = self._sums[name] + value if name in self._sums else value
+
+    def _autocast(self) -> AbstractContextManager[Any]:
+        on = self.config.bf16 and self.device.type == "cuda"
+        return torch.autocast("cuda", torch.bfloat16) if on else nullcontext()
+
+    # ----------------------------------------------------------------------------------------------- checkpoints
+
+    def is_due(self, saved: float) -> bool:
+        """Whether the next checkpoint is due."""
+        return time.perf_counter() - saved > 60.0 * self.config.checkpoint_minutes
+
+    def save(self, path: Path, examples: Examples[Any]) -> None:
+        """Write the checkpoint, on the first rank."""
+        if _rank():
+            return
+        state = {
+            "config": self.config.identity,
+            "learner": self.learner.state_dict(),
+            "averaged": self.averaged.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "seconds": self.seconds,
+            "random": torch.get_rng_state(),
+            "random_cuda": torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None,
+            "examples": examples.state_dict() if isinstance(examples, Growing) else {},
+        }
+        with drafted(path) as draft:
+            torch.save(state, draft)
+
+    def restore(self, path: Path, examples: Examples[Any]) -> None:
+        """Continue from a checkpoint. Raises ``ConfigError`` for one of other options."""
+        state = torch.load(path, map_location=self.device, weights_only=True)
+        if state["config"] != self.config.identity:
+            ours, theirs = self.config.identity, state["config"]
+            name = next(name for name in {**theirs, **ours} if ours.get(name) != theirs.get(name))
+            raise ConfigError(
+                f"{path}: of a training with {name} {theirs.get(name)}, not {ours.get(name)}: give another folder"
+            )
+        self.learner.load_state_dict(state["learner"])
+        self.averaged.load_state_dict(state["averaged"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.seconds = state["step"], state["seconds"]
+        torch.set_rng_state(state["random"].cpu())
+        if state["random_cuda"] is not None:
+            torch.cuda.set_rng_state(state["random_cuda"].cpu(), self.device)
+        if isinstance(examples, Growing):
+            examples.load_state_dict(state["examples"])
+
+
+def _average_with(decay: float) -> Callable[[Any, Any, Any], None]:
+    """The update of a moving average: the mean of few steps at first, then with the decay."""
+
+    @torch.no_grad()
+    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor | int) -> None:
+        steps = int(count)
+        weight = 1.0 - min(decay, (1 + steps) / (10 + steps)) if decay else 1.0
+        floating = [(a, c) for a, c in zip(averaged, current, strict=True) if a.is_floating_point()]
+        torch._foreach_lerp_([a for a, _ in floating], [c for _, c in floating], weight)
+        for a, c in zip(averaged, current, strict=True):
+            if not a.is_floating_point():
+                a.copy_(c)
+
+    return update
+
+
+def _seed_of(seed: int, step: int) -> int:
+    return int(np.random.SeedSequence((seed, step)).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _rank() -> int:
+    return dist.get_rank() if dist.is_initialized() else 0
+
+
+def _ranks() -> int:
+    return dist.get_world_size() if dist.is_initialized() else 1
+
+
+# ----------------------------------------------------------------------------------------------------------- the curves
+
+
+class _Curves:
+    """The rows of a training, in memory, in a CSV file, on stderr, and for TensorBoard where it is installed."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.rows: list[dict[str, float]] = []
+        self._folder = folder
+        self._board = None
+        if folder is not None and importlib.util.find_spec("tensorboard") is not None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(folder / "tensorboard"))
+
+    def resume(self, step: int) -> None:
+        """Keep the rows of an earlier run up to its checkpoint."""
+        if self._folder is not None and (self._folder / CURVES).exists():
+            with (self._folder / CURVES).open(newline="") as file:
+                rows = [{name: float(v) for name, v in row.items() if v != ""} for row in csv.DictReader(file)]
+            self.rows = [{**row, "step": int(row["step"])} for row in rows if row["step"] <= step]
+
+    def add(self, row: dict[str, float]) -> None:
+        """Add a row and write all."""
+        self.rows.append(row)
+        if self._folder is None:
+            return
+        shown = " ".join(f"{name} {value:.4g}" for name, value in row.items())
+        print(shown, file=sys.stderr, flush=True)
+        names = list(dict.fromkeys(name for entry in self.rows for name in entry))
+        with drafted(self._folder / CURVES) as draft, draft.open("w", newline="") as file:
+            writer = csv.DictWriter(file, names, restval="")
+            writer.writeheader()
+            writer.writerows(self.rows)
+        if self._board is not None:
+            for name, value in row.items():
+                self._board.add_scalar(name, value, int(row["step"]))
+
+    def close(self) -> None:
+        if self._board is not None:
+            self._board.close()

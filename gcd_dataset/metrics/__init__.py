@@ -1,0 +1,38 @@
+"""Scores of a predicted pattern against the true one.
+
+Panels are matched by outline and placement in space. Renaming or reordering panels, moving the first corner of a loop
+or a panel's local origin, or drawing a panel from its other side changes no score. The direction of a panel's axes is
+part of its placement and counts in ``rot_deg``.
+
+Means include every garment: an unmatched panel counts as missing, a prediction without any match gets the worst score,
+and ``failed_score`` is the score of a prediction that is missing or cannot be read.
+"""
+
+from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
+from gcd_dataset.metrics.scores import (
+    PatternScore,
+    bootstrap_interval,
+    bootstrap_means,
+    failed_score,
+    mean_scores,
+    score_pattern,
+)
+from gcd_dataset.metrics.seams import SewnPiece, seam_lengths_score, sewn_pieces
+from gcd_dataset.metrics.shapes import PanelShape, resample_loop
+
+__all__ = [
+    "PanelPair",
+    "PanelShape",
+    "PatternScore",
+    "SewnPiece",
+    "bootstrap_interval",
+    "bootstrap_means",
+    "failed_score",
+    "match_panels",
+    "matched_edges",
+    "mean_scores",
+    "resample_loop",
+    "score_pattern",
+    "seam_lengths_score",
+    "sewn_pieces",
+]

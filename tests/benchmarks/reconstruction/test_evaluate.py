@@ -1,0 +1,228 @@
+"""The evaluator's command, as its users run it."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from benchmarks.reconstruction.evaluate import main
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.metrics import PatternScore
+from gcd_dataset.records import Pattern
+from gcd_dataset.spec import spec_from_pattern
+from tests.test_metrics import SAME, garment
+
+
+def save(folder: Path, patterns: dict[str, Pattern], *, order: bool = True, ending: str = "") -> Path:
+    folder.mkdir()
+    for name, pattern in patterns.items():
+        tree = spec_from_pattern(pattern)
+        if not order:
+            del tree["pattern"]["panel_order"]
+        (folder / f"{name}{ending}.json").write_text(json.dumps(tree))
+    return folder
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    return save(tmp_path / "truth", dict.fromkeys("abcd", garment()), ending="_specification")
+
+
+def figures(printed: str) -> dict[str, float]:
+    """The figures of lines ``evaluate.metric value unit …``."""
+    lines = [line.split() for line in printed.splitlines() if line.startswith("evaluate.")]
+    return {name.removeprefix("evaluate."): float(value) for name, value, *_ in lines}
+
+
+def run(*arguments: object) -> int:
+    return main([*map(str, arguments), "--quiet"])
+
+
+def test_copies_are_perfect_however_they_are_written(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without ``panel_order``, in another order, renamed, started elsewhere and drawn from behind."""
+    ours = dict(
+        zip("abcd", (SAME[change](garment()) for change in ("copied", "renamed", "shuffled", "all of it")), strict=True)
+    )
+    assert run(save(tmp_path / "ours", ours, order=False), truth) == 0
+    printed = capsys.readouterr()
+    found = figures(printed.out)
+    assert set(PatternScore.__dataclass_fields__) <= found.keys()
+    assert (found["garments"], found["failed"]) == (4, 0)
+    for name in ("iou", "stitch_f1", "panel_count_acc", "edge_count_acc", "topology_exact", "garment_perfect"):
+        assert found[name] == 1, name
+    for name in ("panel_l2", "transl_cm", "boxmesh_cd", "seam_mismatch"):
+        assert found[name] == pytest.approx(0, abs=1e-2), name
+    assert printed.err == ""
+
+
+def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One perfect, one unreadable, one without panels, one missing: a quarter."""
+    ours = save(tmp_path / "ours", {"a": garment(), "c": Pattern("", (), ()), "z": garment()})
+    (ours / "b.json").write_text('{"pattern": {')
+    assert run(ours, truth, "--json", tmp_path / "out.json") == 0
+    printed = capsys.readouterr()
+    found = figures(printed.out)
+    assert (found["garments"], found["failed"]) == (4, 2)
+    for name in ("iou", "stitch_f1", "stitch_nm_f1", "topology_exact", "valid", "panel_f1"):
+        assert found[name] == 0.25, name
+    assert found["transl_cm"] == pytest.approx(30)
+    assert found["boxmesh_cd"] == pytest.approx(75)
+    table = {line.split()[0]: line for line in printed.out.splitlines() if line[:2] in ("a ", "b ", "c ", "d ")}
+    assert "line 1, column 14" in table["b"]
+    assert "no prediction" in table["d"]
+    assert "no panels" in table["c"]
+    assert "1 of 4 garments without a prediction, all failures: d" in printed.err
+    assert "predictions without a true pattern, not scored: 1: z" in printed.err
+    tree = json.loads((tmp_path / "out.json").read_text())
+    assert [row["iou"] for row in tree["garments"]] == pytest.approx([1, 0, 0, 0], abs=1e-9)
+    assert tree["figures"]["iou"]["low"] <= 0.25 <= tree["figures"]["iou"]["high"]
+
+
+def test_lines_hold_interval_and_median(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = save(tmp_path / "ours", {"a": garment(), "b": garment(), "c": garment()})
+    assert run(ours, truth) == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("evaluate.iou ")]
+    name, value, unit, low, high, word, median = line.split()
+    assert (name, float(value), unit, word, float(median)) == ("evaluate.iou", 0.75, "share", "median", 1)
+    assert float(low.strip("[,")) < 0.75 < float(high.strip("]"))
+
+
+def test_several_processes_score_alike(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    less = replace(garment(), seams=garment().seams[1:])
+    ours = save(tmp_path / "ours", {"a": garment(), "b": less, "d": less})
+    printed = []
+    for workers in (1, 2):
+        assert run(ours, truth, "--workers", workers) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1]
+
+
+def test_kinds_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kinds = {"a": "cape", "b": "cape", "c": "tea gown"}
+    patterns = {name: replace(garment(), extra={"properties": {"kind": kind}}) for name, kind in kinds.items()}
+    true = save(tmp_path / "true", patterns)
+    assert run(save(tmp_path / "ours", {"a": garment(), "c": garment()}), true, "--by-kind") == 0
+    found = figures(capsys.readouterr().out)
+    assert (found["cape.garments"], found["cape.iou"], found["tea_gown.iou"]) == (2, 0.5, 1)
+    assert found["iou"] == pytest.approx(2 / 3, abs=1e-4)
+
+
+def test_a_preset_is_loaded_when_asked_for(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def legacy_scores(preset: str, predicted: Sequence[Pattern | None], true: Sequence[Pattern]) -> dict[str, float]:
+        right = sum(
+            one is not None and len(one.panels) == len(other.panels) for one, other in zip(predicted, true, strict=True)
+        )
+        return {"panels": right / len(true), "unknown": float("nan"), "preset": float(preset == "aipparel")}
+
+    module = ModuleType("gcd_dataset.metrics.legacy")
+    module.legacy_scores = legacy_scores  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    ours = save(tmp_path / "ours", {"a": garment()})
+    assert run(ours, truth, "--preset", "aipparel", "--json", tmp_path / "out.json") == 0
+    found = figures(capsys.readouterr().out)
+    assert (found["aipparel.panels"], found["aipparel.preset"]) == (0.25, 1)
+    assert json.loads((tmp_path / "out.json").read_text())["presets"]["aipparel"]["unknown"] is None
+
+
+@pytest.mark.parametrize(
+    ("content", "place"),
+    [
+        ("{", "line 1"),
+        ('{"pattern": {"panels": {"p": {"vertices": [[0, 0]], "edges": 3}}}}', "panel p"),
+        ('{"pattern": {"panels": {}}}', "without panels"),
+        (
+            '{"pattern": {"panels": {"p": {"vertices": [[0, 0], [9, 0], [9, 9]], "edges": '
+            '[{"endpoints": [0, 1]}, {"endpoints": [1, 2]}]}}}}',
+            "panel p, edge 0",
+        ),
+    ],
+)
+def test_true_patterns_must_be_readable(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], content: str, place: str
+) -> None:
+    (truth / "b_specification.json").write_text(content)
+    assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
+    [line] = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert line.startswith("evaluate: ")
+    assert "b_specification.json" in line and place in line
+
+
+def test_an_input_that_is_missing_is_an_error(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    inputs = tmp_path / "inputs"
+    inputs.mkdir()
+    np.save(inputs / "a.npy", np.zeros((100, 3)))
+    assert run(save(tmp_path / "ours", {"a": garment()}), truth, "--drape", "--inputs", inputs) == 1
+    assert "no input for b (3 in all)" in capsys.readouterr().err
+
+
+def test_missing_bodies_and_folders_are_errors_at_once(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours, bodies = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies"
+    bodies.mkdir()
+    for name in "abc":
+        np.save(bodies / f"{name}.npy", np.zeros(3))
+    assert run(ours, truth, "--drape", "--bodies", bodies) == 1
+    assert "no body for d" in capsys.readouterr().err
+    assert run(ours, truth, "--json", tmp_path / "nowhere" / "out.json") == 1
+    assert "no such folder" in capsys.readouterr().err
+
+
+def test_the_headline_counts_right_drapes_of_all_garments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A copy, a copy without one seam, and no prediction: a third."""
+    skirt = outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    true = save(tmp_path / "true", dict.fromkeys("abc", skirt))
+    ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
+    options = ("--drape", "--resolution", 8, "--device", "cpu", "--json", tmp_path / "out.json")
+    assert run(ours, true, *options) == 0
+    printed = capsys.readouterr().out
+    found = figures(printed)
+    assert found["within_1cm"] == pytest.approx(1 / 3, abs=1e-4)
+    assert found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    assert list(found)[-1] == "within_1cm"
+    rows = {row["name"]: row for row in json.loads((tmp_path / "out.json").read_text())["garments"]}
+    assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
+    assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100
+
+
+def test_a_device_that_is_missing(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    assert run(ours, truth, "--drape", "--device", "cuda:99") == 2
+    assert "cuda:99" in capsys.readouterr().err
+
+
+def test_a_reader_that_exits_early(tmp_path: Path, truth: Path) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()
+
+
+@pytest.mark.parametrize("arguments", [["--bodies", "neutral"], ["--drape", "--partial"], ["--workers", "0"]])
+def test_wrong_usage(tmp_path: Path, truth: Path, arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run(tmp_path, truth, *arguments)
+    assert caught.value.code == 2
+
+
+def test_patterns_are_scored_without_torch_and_simulator(tmp_path: Path, truth: Path) -> None:
+    ours = save(tmp_path / "ours", {"a": garment()})
+    code = (
+        "import sys; from benchmarks.reconstruction.evaluate import main; "
+        f"main([{str(ours)!r}, {str(truth)!r}]); print([m for m in ('torch', 'warp') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[-1] == "[]"

@@ -1,0 +1,145 @@
+"""Garment sets: what is read is what was made, hashes tell sets apart, and splits share neither design nor body."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.reconstruction.garments import (
+    CENTRE,
+    GarmentSet,
+    Ragged,
+    Split,
+    fresh_garments,
+    generated,
+    read_folder,
+    split_off,
+)
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator import MakeConfig
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import recipe_of
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.metrics import score_pattern
+from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.shards import ShardWriter
+from tests.benchmarks.reconstruction.conftest import SKIRTS
+
+PATTERNS: dict[str, Any] = {"points": 0, "stage": "pattern", "drape": None}
+
+
+def same(one: GarmentSet, other: GarmentSet) -> bool:
+    return (
+        one.keys == other.keys
+        and one.kinds == other.kinds
+        and all(np.array_equal(getattr(one, n), getattr(other, n)) for n in ("designs", "bodies", "shapes", "points"))
+        and one.patterns_hash == other.patterns_hash
+    )
+
+
+def test_a_set_holds_the_garments_that_were_made(six: GarmentSet) -> None:
+    config = MakeConfig(stage="mesh", resolution=5.0, picture=0, points=512, design=Overlay.from_dict(SKIRTS))
+    sample = make(0, 4, config)
+    assert sample.points is not None
+    assert sample.shape is not None
+    assert six.keys[4] == "0_000000004"
+    assert score_pattern(six.pattern(4), sample.pattern).stitch_f1 == 1.0
+    assert [panel.label for panel in six.pattern(4).panels] == [panel.label for panel in sample.pattern.panels]
+    assert np.allclose(six.points[4][:, :3] + CENTRE, sample.points[:, :3], atol=0.1)
+    assert np.allclose(six.shapes[4], sample.shape.weights)
+    assert six.measures[4][MEASURES.index("waist")] == pytest.approx(sample.measurements.waist)
+    assert set(six.kinds) == {"skirt"}
+
+
+def test_a_saved_set_is_read_as_it_was(six: GarmentSet, tmp_path: Path) -> None:
+    six.save(tmp_path / "set.npz")
+    assert same(GarmentSet.load(tmp_path / "set.npz"), six)
+    assert GarmentSet.load(tmp_path / "set.npz").recipe == six.recipe
+    (tmp_path / "set.npz").write_bytes(b"PK")
+    with pytest.raises(ConfigError, match="delete the file"):
+        GarmentSet.load(tmp_path / "set.npz")
+
+
+def test_a_cached_set_grows_and_holds_the_smaller_ones(tmp_path: Path) -> None:
+    made = {count: generated(count, 3, cache=tmp_path, **PATTERNS) for count in (3, 5, 2)}
+    assert len(list(tmp_path.iterdir())) == 1
+    assert [len(found) for found in made.values()] == [3, 5, 2]
+    assert same(made[2], made[5].select([0, 1]))
+    assert same(made[5], generated(5, 3, **PATTERNS))
+
+
+def test_workers_make_the_same_set() -> None:
+    assert same(generated(3, 0, workers=2, **PATTERNS), generated(3, 0, **PATTERNS))
+
+
+def test_hashes_depend_on_the_patterns_and_their_order(six: GarmentSet) -> None:
+    assert six.select([0, 1]).patterns_hash != six.select([1, 0]).patterns_hash
+    assert six.select([0, 1]).ids_hash != six.select([1, 0]).ids_hash
+    assert six.select([0, 1]).ids_hash == GarmentSet.join([six.select([0]), six.select([1])]).ids_hash
+
+
+def test_ragged_arrays_are_selected_and_joined() -> None:
+    ragged = Ragged.of([np.arange(2), np.arange(0), np.arange(3)])
+    assert [len(ragged[k]) for k in range(len(ragged))] == [2, 0, 3]
+    both = Ragged.join([ragged.select(np.array([2])), ragged.select(np.array([], int)), ragged])
+    assert [both[k].tolist() for k in range(len(both))] == [[0, 1, 2], [0, 1], [], [0, 1, 2]]
+
+
+def numbered(designs: list[int], bodies: list[int], six: GarmentSet) -> GarmentSet:
+    """A set with these designs and bodies; its patterns are copies."""
+    found = six.select(np.arange(len(designs)) % len(six))
+    keys = tuple(str(k) for k in range(len(designs)))
+    return replace(found, designs=np.array(designs), bodies=np.array(bodies), keys=keys)
+
+
+def test_a_split_shares_neither_design_nor_body(six: GarmentSet) -> None:
+    # Ten designs, each on a body of its own, and on body 0, which all wear.
+    whole = numbered([k // 2 for k in range(20)], [0 if k % 2 else k + 1 for k in range(20)], six)
+    split = split_off(whole, 3, checked=2)
+    assert (len(np.unique(split.test.designs)), len(np.unique(split.check.designs))) == (3, 2)
+    assert (len(split.train), len(split.check), len(split.test)) == (10, 2, 3)
+    assert 0 not in split.test.bodies
+    assert not set(split.train.bodies) & set(split.test.bodies)
+    assert split.first(4).train.keys == split.train.keys[:4]
+    assert split.first(4).test.keys == split.test.keys
+
+
+def test_designs_with_one_body_cannot_be_split(six: GarmentSet) -> None:
+    with pytest.raises(ConfigError, match="bodies of their own"):
+        split_off(numbered(list(range(6)), [0] * 6, six), 2)
+
+
+def test_a_shared_design_is_refused(six: GarmentSet) -> None:
+    with pytest.raises(ConfigError, match="1 designs are in train and test"):
+        Split(six.select([0, 1]), six.select([2]), replace(six.select([3]), designs=six.designs[:1]))
+
+
+def test_a_kind_is_left_out(six: GarmentSet) -> None:
+    named = replace(six, kinds=("skirt", "dress") * 3)
+    split = Split(named.select([0, 1]), named.select([2, 3]), named.select([4, 5])).without("dress")
+    assert (split.train.kinds, split.check.kinds, split.test.kinds) == (("skirt",), ("skirt",), ("dress",))
+    with pytest.raises(ConfigError, match="no pants to test on: choose one of dress, skirt"):
+        Split(named.select([0, 1]), named.select([2, 3]), named.select([4, 5])).without("pants")
+
+
+def test_garments_that_did_not_settle_are_left_out(tmp_path: Path) -> None:
+    config = MakeConfig(resolution=8.0, picture=0, points=64, stage="mesh", device="cpu")
+    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(replace(config, stage="drape"))) as writer:
+        for index, outcome in enumerate((Outcome.SETTLED, Outcome.SLID_OFF, Outcome.SETTLED)):
+            sample = make(5, index, config)
+            assert sample.box_mesh is not None
+            drape = Drape(sample.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
+            writer.write(replace(sample, drape=drape))
+    assert read_folder(str(tmp_path), points=64).keys == ("5_000000000", "5_000000002")
+
+
+def test_a_stream_begins_at_any_garment() -> None:
+    stream = fresh_garments(_key, 3, first=2, **PATTERNS)
+    assert [next(stream) for _ in range(3)] == ["3_000000002", "3_000000003", "3_000000004"]
+
+
+def _key(garments: GarmentSet) -> str:
+    return garments.keys[0]

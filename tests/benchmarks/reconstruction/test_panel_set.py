@@ -1,0 +1,161 @@
+"""The panel set network: what its loss ignores, what its answers are, and that it learns."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.models.panel_set import (
+    PanelSet,
+    Predicted,
+    _edges_of,
+    _partners,
+    build,
+    match_panels,
+    panel_losses,
+    rotation_of,
+)
+from benchmarks.reconstruction.panel_targets import PanelTargets
+from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.metrics import score_pattern
+from gcd_dataset.validate import Severity, check_pattern
+
+CPU = torch.device("cpu")
+
+
+def learner(**sizes: int) -> PanelSet:
+    torch.manual_seed(0)
+    return build(smoke=True, options={"points": 128, "stored_points": 512, **sizes})
+
+
+@pytest.fixture(scope="module")
+def targets(six: GarmentSet) -> PanelTargets:
+    return learner().prepare(six, device=CPU).whole
+
+
+def loss_of(network: PanelSet, true: PanelTargets) -> float:
+    with torch.no_grad():
+        return float(sum(part.item() for part in network.loss(true).values()))
+
+
+def shuffled(true: PanelTargets) -> PanelTargets:
+    """The same garments with their panels in another order."""
+    order = torch.randperm(true.exists.shape[1], generator=torch.Generator().manual_seed(1))
+    names = ("exists", "corners", "bends", "extents", "centres", "rotations", "edge_counts", "labels", "slimness")
+    place = order.argsort()[true.edge_panels.long().clamp(min=0)].to(true.edge_panels.dtype)
+    panels = {name: getattr(true, name)[:, order] for name in names}
+    return replace(true, **panels, edge_panels=torch.where(true.edge_panels < 0, true.edge_panels, place))
+
+
+def started_elsewhere(true: PanelTargets) -> PanelTargets:
+    """The same garments with every loop started two corners later."""
+    counts = true.edge_counts.clamp(min=1)[..., None]
+    slot = torch.arange(true.corners.shape[2])
+    at = torch.where(slot < counts, (slot + 2) % counts, slot)
+    garment, query = torch.arange(len(at))[:, None, None], torch.arange(at.shape[1])[:, None]
+    count = counts[..., 0].gather(1, true.edge_panels.long().clamp(min=0))
+    slots = torch.where(true.edge_panels < 0, 0, (true.edge_slots.long() - 2) % count).to(true.edge_slots.dtype)
+    return replace(
+        true, corners=true.corners[garment, query, at], bends=true.bends[garment, query, at], edge_slots=slots
+    )
+
+
+@pytest.mark.parametrize("change", [shuffled, started_elsewhere])
+def test_the_loss_ignores_the_order_of_panels_and_the_start_of_loops(
+    change: Callable[[PanelTargets], PanelTargets], targets: PanelTargets
+) -> None:
+    network = learner()
+    assert not torch.equal(change(targets).corners, targets.corners)
+    assert loss_of(network, change(targets)) == pytest.approx(loss_of(network, targets), rel=1e-4)
+
+
+def as_predicted(true: PanelTargets) -> Predicted:
+    """The targets in the form of a network's output."""
+    slots = true.corners.shape[2]
+    return Predicted(
+        exists=20.0 * (2.0 * true.exists.float() - 1.0),
+        corners=true.corners,
+        bends=true.bends,
+        extents=true.extents.clamp(min=1e-3),
+        centres=true.centres,
+        axes=true.rotations[..., :2].transpose(-1, -2).flatten(-2),
+        edges=40.0 * torch.nn.functional.one_hot(true.edge_counts, slots + 1).float(),
+        labels=40.0 * torch.nn.functional.one_hot(true.labels, 4).float(),
+    )
+
+
+def test_the_targets_as_prediction_have_zero_loss(targets: PanelTargets) -> None:
+    for changed in (targets, shuffled(targets), started_elsewhere(targets)):
+        parts, _, _ = panel_losses([as_predicted(changed)], targets)
+        assert sum(part.item() for part in parts.values()) == pytest.approx(0.0, abs=1e-4)
+    matched = match_panels(as_predicted(targets), targets)
+    assert torch.equal(matched.queries, matched.panels)
+    assert len(matched.panels) == int(targets.exists.sum())
+
+
+def test_an_answer_depends_on_its_own_garment_only(six: GarmentSet) -> None:
+    network = learner().eval()
+    examples = network.prepare(six, device=CPU)
+    whole, alone = (network.predict(examples.batch(torch.tensor(rows))) for rows in ([0, 3, 5], [3]))
+    score = score_pattern(whole[1], alone[0])
+    assert len(whole) == 3
+    assert (score.panel_count_acc, score.edge_count_acc) == (1, 1)
+    assert score.iou == pytest.approx(1.0, abs=1e-4)
+
+
+def test_answers_can_be_sewn_even_before_training(six: GarmentSet) -> None:
+    network = learner().eval()
+    for pattern in network.predict(network.prepare(six, device=CPU).batch(torch.arange(6))):
+        assert pattern.panels
+        assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+
+
+def test_processes_encode_the_same_targets(six: GarmentSet) -> None:
+    one, two = (learner().prepare(six, device=CPU, workers=workers).whole for workers in (0, 2))
+    assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
+
+
+def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
+    examples = learner().prepare(six, device=CPU)
+    first, again, other = (
+        examples.batch(torch.tensor([2]), torch.Generator().manual_seed(seed)).points for seed in (1, 1, 2)
+    )
+    assert first.shape == (1, 128, 6)
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_the_loss_falls(six: GarmentSet) -> None:
+    network = learner(tokens=16, neighbours=8)
+    config = TrainConfig(steps=60, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
+    assert curve[-1]["loss"] < curve[0]["loss"] / 2
+
+
+def test_the_likeliest_pairs_are_sewn_first() -> None:
+    logits = torch.tensor([[[-9.0, 5, 4, -9, 0], [5, -9, 3, -9, 0], [4, 3, -9, 0.5, 0], [-9, -9, 0.5, -9, 2]]])
+    exists = torch.tensor([[True, True, True, True]])
+    assert _partners(logits, exists).tolist() == [[1, 0, -1, -1]]
+    assert _partners(logits, exists & torch.tensor([True, False, True, True])).tolist() == [[2, -1, 0, -1]]
+
+
+def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
+    edges = _edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
+    assert edges.queries.tolist() == [[0, 0, 0, 2, 2, 2, 2, 0]]
+    assert edges.slots.tolist() == [[0, 1, 2, 0, 1, 2, 3, 0]]
+    assert edges.following.tolist() == [[1, 2, 0, 1, 2, 3, 0, 0]]
+    assert edges.exists.tolist() == [[True] * 7 + [False]]
+
+
+def test_two_columns_give_a_rotation() -> None:
+    rotations = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
+    assert torch.allclose(rotations @ rotations.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
+    assert torch.allclose(torch.linalg.det(rotations), torch.ones(5))
+
+
+def test_an_unknown_size_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no size depth of a panel_set network: choose of queries, slots"):
+        learner(depth=3)

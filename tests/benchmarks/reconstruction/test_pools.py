@@ -1,0 +1,61 @@
+"""A pool of fresh examples: the latest are kept, in the order of the stream."""
+
+import time
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from benchmarks.reconstruction.pools import FreshPool
+from tests.benchmarks.reconstruction.toys import Line, LineLearner
+
+
+def numbered(*numbers: int) -> Line:
+    values = torch.tensor(numbers, dtype=torch.float32)
+    return Line(values[:, None].expand(-1, 2).clone(), values)
+
+
+def pool(first: Line, *, fresh: int, room: int) -> FreshPool[Line]:
+    def stream(begin: int) -> Iterator[Line]:
+        yield from (numbered(100 + k) for k in range(begin, fresh))
+
+    return FreshPool(LineLearner(), first, stream, room=room)
+
+
+def advance_to(found: FreshPool[Line], received: int) -> None:
+    begun = time.monotonic()
+    while found.received < received and time.monotonic() - begun < 10:
+        found.advance(0)
+        time.sleep(0.001)
+
+
+def contents(found: FreshPool[Line]) -> list[float]:
+    return found.batch(torch.arange(len(found))).y.tolist()
+
+
+def test_a_pool_begins_with_the_examples_given() -> None:
+    assert contents(pool(numbered(0, 1, 2), fresh=0, room=5)) == [0, 1, 2]
+
+
+def test_fresh_examples_fill_the_room_then_replace_the_oldest() -> None:
+    found = pool(numbered(0, 1), fresh=4, room=4)
+    advance_to(found, 4)
+    assert contents(found) == [102, 103, 100, 101]
+
+
+def test_a_pool_continues_after_the_examples_received() -> None:
+    found = pool(numbered(0), fresh=5, room=8)
+    found.load_state_dict({"received": 3})
+    advance_to(found, 5)
+    assert contents(found) == [0, 103, 104]
+    assert found.state_dict() == {"received": 5}
+
+
+def test_an_error_of_the_stream_is_raised() -> None:
+    def stream(begin: int) -> Iterator[Line]:
+        yield numbered(1)
+        raise ValueError("no cloth")
+
+    found = FreshPool(LineLearner(), numbered(0), stream, room=4)
+    with pytest.raises(ValueError, match="no cloth"):
+        advance_to(found, 2)

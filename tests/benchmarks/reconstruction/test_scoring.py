@@ -1,0 +1,330 @@
+"""Files, box meshes, bodies and drapes of the evaluator."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.reconstruction.scoring.bodies import wearers_of
+from benchmarks.reconstruction.scoring.distances import (
+    WORST,
+    Cloud,
+    Shape,
+    Surface,
+    distance,
+    input_files,
+    read_shape,
+)
+from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
+from benchmarks.reconstruction.scoring.files import garment_files, match_folders
+from benchmarks.reconstruction.scoring.garments import box_mesh_distance, kind_of, score_garment
+from gcd_dataset.curves import Cubic
+from gcd_dataset.errors import BodyError, GcdError, SpecError
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements
+from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
+from tests.test_metrics import SAME, each, garment
+
+
+@pytest.fixture(scope="module")
+def skirt() -> Pattern:
+    """A pencil skirt of the neutral body, with darts."""
+    return outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+
+
+def write(folder: Path, *names: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_text("{}")
+    return folder
+
+
+def test_files_are_matched_by_the_garments_name(tmp_path: Path) -> None:
+    truth = write(tmp_path / "truth", "dress_specification.json", "skirt.json", "top_specification.json")
+    predictions = write(tmp_path / "predictions", "dress.json", "skirt_specification.json", "cape.json")
+    folders = match_folders(predictions, truth)
+    assert [(case.name, case.predicted is not None) for case in folders.cases] == [
+        ("dress", True),
+        ("skirt", True),
+        ("top", False),
+    ]
+    assert folders.unknown == ("cape",)
+    missing, unknown = folders.remarks()
+    assert "1 of 3 garments" in missing and "top" in missing
+    assert "cape" in unknown
+
+
+def test_files_in_a_folder_for_each_garment(tmp_path: Path) -> None:
+    """The layout of the published data, and of predictions named after their folder."""
+    folder = write(tmp_path / "truth", "a/dress/dress_specification.json", "a/skirt/specification.json")
+    assert sorted(garment_files(folder)) == ["dress", "skirt"]
+
+
+def test_folders_that_cannot_be_matched(tmp_path: Path) -> None:
+    truth = write(tmp_path / "truth", "dress.json")
+    with pytest.raises(SpecError, match="no file is named as one of"):
+        match_folders(write(tmp_path / "other", "shirt.json"), truth)
+    with pytest.raises(SpecError, match="no specification files"):
+        match_folders(write(tmp_path / "empty"), truth)
+    with pytest.raises(SpecError, match="no such folder"):
+        match_folders(tmp_path / "nowhere", truth)
+    with pytest.raises(SpecError, match="the same garment"):
+        garment_files(write(tmp_path / "twice", "dress.json", "dress_specification.json"))
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (["right_ftorso", "skirt_front"], "dress"),
+        (["right_ftorso", "pant_f_r"], "jumpsuit"),
+        (["right_ftorso", "sl_right_cuff_skirt_f"], "top"),
+        (["wb_front", "skirt_front"], "skirt"),
+        (["wb_front", "pant_f_r"], "trousers"),
+        (["0", "1"], "other"),
+    ],
+)
+def test_kinds_by_the_names_of_panels(names: list[str], kind: str) -> None:
+    square = garment().panels[0]
+    assert kind_of(Pattern("p", tuple(replace(square, name=name) for name in names), ())) == kind
+
+
+def test_the_file_may_name_the_kind() -> None:
+    assert kind_of(replace(garment(), extra={"properties": {"kind": "cape"}})) == "cape"
+
+
+# ----------------------------------------------------------------------------------------------------------- distances
+
+
+def square(height: float, *, side: float = 40.0) -> Surface:
+    """A horizontal square of four triangles round its centre [cm]."""
+    corners = 0.5 * side * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]])
+    vertices = np.column_stack([corners[:, 0], np.full(5, height), corners[:, 1]])
+    return Surface.of(vertices, np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
+
+
+def grid(height: float) -> Cloud:
+    """A horizontal square of points, 1.25 cm apart."""
+    x, z = np.meshgrid(np.linspace(-20, 20, 33), np.linspace(-20, 20, 33))
+    return Cloud.of(np.column_stack([x.ravel(), np.full(x.size, height), z.ravel()]))
+
+
+@pytest.mark.parametrize("shapes", [(square, square), (grid, square), (square, grid), (grid, grid)])
+def test_parallel_squares(shapes: tuple[Callable[[float], Shape], Callable[[float], Shape]]) -> None:
+    """3 cm apart; and 0 from themselves, not the spacing of the points."""
+    for height in (0.0, 3.0):
+        assert distance(shapes[0](0.0), shapes[1](height)) == pytest.approx(height, abs=1e-6)
+
+
+def test_a_part_lies_on_the_whole_one_way() -> None:
+    """A square of half the side: on the larger one, which is up to 14 cm away from it."""
+    part, whole = square(0.0, side=20.0), square(0.0)
+    assert distance(part, whole, both_ways=False) == pytest.approx(0, abs=1e-9)
+    assert 1 < distance(part, whole) < 5
+
+
+def test_distances_have_an_upper_bound() -> None:
+    assert distance(square(0.0), square(5000.0)) == WORST
+
+
+def test_inputs_are_read_as_meshes_and_points(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    ball.export(tmp_path / "mesh.ply")
+    ball.export(tmp_path / "mesh2.obj")
+    trimesh.PointCloud(ball.vertices).export(tmp_path / "points.ply")
+    np.save(tmp_path / "array.npy", np.hstack([ball.vertices, ball.vertex_normals]).astype(np.float16))
+    files = input_files(tmp_path)
+    assert set(files) == {"mesh", "mesh2", "points", "array"}
+    shapes = {name: read_shape(path) for name, path in files.items()}
+    assert {name: type(shape) for name, shape in shapes.items()} == {
+        "mesh": Surface, "mesh2": Surface, "points": Cloud, "array": Cloud,
+    }  # fmt: skip
+    for shape in shapes.values():
+        assert distance(shapes["mesh"], shape) < 0.1  # sagitta of the edges
+
+
+def test_inputs_that_cannot_be_used(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.4)
+    ball.export(tmp_path / "metres.ply")
+    np.save(tmp_path / "flat.npy", np.zeros((100, 2)))
+    (tmp_path / "text.obj").write_text("nothing")
+    (tmp_path / "broken.ply").write_bytes(b"ply\n")
+    for name, message in (
+        ("metres.ply", "centimetres"),
+        ("flat.npy", r"shape \(100, 2\)"),
+        ("text.obj", "text.obj"),
+        ("broken.ply", "broken.ply"),
+    ):
+        with pytest.raises(SpecError, match=message):
+            read_shape(tmp_path / name)
+
+
+def test_box_meshes_of_a_garment_moved_by_2_cm(skirt: Pattern) -> None:
+    """Front and back move along their normals: every point is 2 cm from the other mesh, or a little less at corners."""
+
+    def moved(panel: Panel) -> Panel:
+        away = 2.0 * panel.placement.matrix[:, 2]
+        return replace(panel, placement=replace(panel.placement, translation=panel.placement.translation + away))
+
+    loose = replace(skirt, seams=())  # seams would weld the borders half-way
+    apart, remarks = box_mesh_distance(each(moved)(loose), loose, spacing=4.0)
+    assert remarks == ()
+    assert apart == pytest.approx(2.0, rel=0.02)
+    assert box_mesh_distance(skirt, skirt, spacing=4.0)[0] == pytest.approx(0, abs=1e-3)
+
+
+def test_a_garment_without_a_box_mesh_is_far_away(skirt: Pattern) -> None:
+    enormous = each(lambda panel: replace(panel, vertices=40 * panel.vertices))(skirt)
+    for other in (Pattern("", (), ()), enormous):
+        apart, [remark] = box_mesh_distance(other, skirt)
+        assert apart == WORST
+        assert remark.startswith("prediction has no box mesh")
+
+
+# -------------------------------------------------------------------------------------------------------------- bodies
+
+
+def test_bodies_of_a_folder(tmp_path: Path) -> None:
+    """A garment's own shape first, then ``bodies.json``, then the default; poses by garment."""
+    shapes = {"dress": draw_shape(np.random.default_rng(0)), "default": neutral_shape()}
+    for name, shape in shapes.items():
+        np.save(tmp_path / f"{name}.npy", shape.weights.astype(np.float32))
+    (tmp_path / "dress.meta.json").write_text(json.dumps({"pose": {"arm_angle": float(shapes["dress"].arm_angle)}}))
+    (tmp_path / "bodies.json").write_text(json.dumps({"cape": "dress", "top": "male"}))
+    wearers = wearers_of(str(tmp_path))
+    dress, size = wearers.wearer("dress", legs_apart=False)
+    assert np.allclose(dress.vertices, build_body(shapes["dress"]).vertices, atol=1e-3)
+    assert size.waist == pytest.approx(measure(build_body(shapes["dress"])).waist, abs=1e-2)
+    assert wearers.wearer("cape", legs_apart=False)[0] is dress
+    assert np.allclose(
+        wearers.wearer("skirt", legs_apart=False)[0].vertices, build_body(neutral_shape()).vertices, atol=1e-3
+    )
+    male = wearers.wearer("top", legs_apart=True)[0]
+    assert np.ptp(male.vertices[:, 1]) > np.ptp(build_body(neutral_shape()).vertices[:, 1])
+
+
+def test_mesh_files_of_bodies(tmp_path: Path) -> None:
+    """The apart file serves garments with legs; measures of the straight body serve both."""
+    size = measure(build_body(neutral_shape()))
+    for name, legs_apart in (("default", False), ("default_apart", True)):
+        body = build_body(neutral_shape(legs_apart=legs_apart))
+        trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / f"{name}.ply")
+    write_measurements(replace(size, waist=77.0), tmp_path / "default.yaml")
+    wearers = wearers_of(str(tmp_path))
+    straight, apart = (wearers.wearer("dress", legs_apart=legs) for legs in (False, True))
+    assert straight[1].waist == apart[1].waist == 77.0
+    feet = [np.ptp(body.vertices[body.vertices[:, 1] < 5.0, 0]) for body, _ in (straight, apart)]
+    assert feet[1] > feet[0] + 2
+
+
+def test_missing_and_broken_bodies(tmp_path: Path) -> None:
+    np.save(tmp_path / "dress.npy", np.zeros(3))
+    wearers = wearers_of(str(tmp_path))
+    with pytest.raises(BodyError, match="no body for skirt"):
+        wearers.wearer("skirt", legs_apart=False)
+    with pytest.raises(BodyError, match="shape weights"):
+        wearers.wearer("dress", legs_apart=False)
+    with pytest.raises(GcdError, match="nobody"):
+        wearers_of("nobody")
+    (tmp_path / "bodies.json").write_text("[]")
+    with pytest.raises(BodyError, match=r"bodies\.json"):
+        wearers_of(str(tmp_path))
+
+
+# -------------------------------------------------------------------------------------------------------------- drapes
+
+
+@pytest.mark.parametrize("change", SAME)
+def test_the_same_garment_is_arranged_as_the_true_one(change: str, skirt: Pattern) -> None:
+    """However it is numbered, named or drawn: so it drapes to the same bytes."""
+    for whole in (garment(), skirt):
+        ours = arranged(SAME[change](whole), whole)
+        assert ours.panels == whole.panels
+        assert ours.seams == whole.seams
+
+
+def test_arranging_rounds_no_real_difference() -> None:
+    whole = garment()
+    moved = each(lambda panel: replace(panel, vertices=1.001 * panel.vertices))(SAME["all of it"](whole))
+    ours = arranged(moved, whole)
+    assert [panel.name for panel in ours.panels] == [panel.name for panel in whole.panels]
+    assert ours.seams == whole.seams
+    for panel, own, true in zip(
+        ours.panels, each(lambda p: replace(p, vertices=1.001 * p.vertices))(whole).panels, whole.panels, strict=True
+    ):
+        assert panel != true
+        assert np.allclose(panel.edge_lengths(), own.edge_lengths(), rtol=1e-3)
+        placed, wanted = (p.placement.apply(p.vertices[[e.start for e in p.edges]]) for p in (panel, true))
+        assert np.abs(placed - wanted).max() < 0.2  # 0.1 % of panels of 60 cm, and of moved origins
+
+
+def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
+    whole = garment()
+    far = Placement(np.array([300.0, 0.0, 0.0]), np.zeros(3))
+    corners = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    edges = (Edge(0, 1, Cubic((0.3, 0.1), (0.6, 0.1))), Edge(1, 2), Edge(2, 0))
+    extra = Panel("front", corners, edges, far)  # named as a true panel
+    ours = Pattern("p", (extra, *(replace(panel, name=f"_{panel.name}") for panel in whole.panels)), ())
+    seams = tuple(
+        Seam(replace(s.left, panel=f"_{s.left.panel}"), replace(s.right, panel=f"_{s.right.panel}"))
+        for s in whole.seams
+    )
+    found = arranged(replace(ours, seams=seams), whole)
+    assert [panel.name for panel in found.panels] == ["front", "back", "sleeve", "extra 0"]
+    assert found.seams == whole.seams
+    assert len(found.panels[-1].edges) == 3
+
+
+def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern) -> None:
+    """The same garment otherwise numbered, one 6 cm longer, one that cannot be sewn, and none."""
+
+    def longer(panel: Panel) -> Panel:
+        low = panel.vertices[:, 1] < panel.vertices[:, 1].min() + 1.0
+        return replace(panel, vertices=panel.vertices - np.outer(low, [0.0, 6.0]))
+
+    answers = {
+        "same": SAME["all of it"](skirt),
+        "longer": each(longer)(skirt),
+        "broken": each(lambda panel: replace(panel, vertices=0.001 * panel.vertices))(skirt),
+        "none": None,
+    }
+    scored = [score_garment(name, pattern, skirt, spacing=8.0) for name, pattern in answers.items()]
+    rows = {r.name: r for r in with_drapes(scored, wearers_of("neutral"), spacing=8.0, device="cpu")}
+    assert list(rows) == list(answers)
+    values = {
+        name: [row.values[key] for key in ("sim_ok", "redrape_cd_cm", "within_1cm")] for name, row in rows.items()
+    }
+    assert values["same"] == pytest.approx([1, 0, 1], abs=1e-6)
+    assert values["longer"][0] == 1
+    assert 0.1 < values["longer"][1] < 3
+    assert values["broken"] == values["none"] == [0, WORST, 0]
+    assert rows["none"].failure == "no prediction"
+
+
+def test_drapes_are_compared_with_the_input(skirt: Pattern) -> None:
+    """The input lies 50 cm higher than any drape of the garment."""
+    high = garment_surface(skirt, lift=50.0)
+    [row] = with_drapes(
+        [score_garment("skirt", skirt, skirt, spacing=8.0)],
+        wearers_of("neutral"),
+        inputs={"skirt": high},
+        spacing=8.0,
+        device="cpu",
+    )
+    assert row.values["topology_exact"] == 1
+    assert row.values["redrape_cd_cm"] > 10
+    assert row.values["within_1cm"] == 0
+
+
+def garment_surface(pattern: Pattern, *, lift: float) -> Surface:
+    from gcd_dataset.generator.mesh import build_box_mesh
+
+    mesh = build_box_mesh(pattern, spacing=8.0)
+    return Surface.of(mesh.vertices + [0.0, lift, 0.0], mesh.faces)

@@ -1,0 +1,70 @@
+"""The command: what it writes can be read and scored again, and a repeated call continues."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.reconstruction.train import main
+from benchmarks.run import main as run_case
+from gcd_dataset.metrics import mean_scores, score_pattern
+from gcd_dataset.spec import read_pattern
+
+SMALL = ["--smoke", "--test", "3", "--resolution", "6", "--device", "cpu"]
+
+
+def patterns_in(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.json"))
+
+
+def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
+    assert "T0.panel_set.iou " in capsys.readouterr().out
+    pairs = list(zip(patterns_in(out / "predictions"), patterns_in(out / "truth"), strict=True))
+    assert [one.name for one, _ in pairs] == [f"1_{k:09d}.json" for k in range(3)]
+    report = json.loads((out / "report.json").read_text())
+    again = mean_scores([score_pattern(read_pattern(one), read_pattern(other)) for one, other in pairs])
+    assert report["scores"]["iou"][0] == pytest.approx(again.iou, abs=1e-6)
+    assert report["scores"]["stitch_f1"][0] == pytest.approx(again.stitch_f1)
+    assert (report["steps"], report["data"]["test"]["count"]) == (4, 3)
+    with (out / "scores.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sum(float(row["iou"]) for row in rows) / 3 == pytest.approx(again.iou)
+    assert (out / "pictures" / "test.png").stat().st_size > 1000
+
+    written = (out / "report.json").read_text()
+    assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
+    assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
+
+
+def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
+    flags = ["--smoke", "--test", "2", "--steps", "60", "--batch", "2", "--fresh", "32", "--resolution", "8"]
+    assert main(["panel_set", *flags, "--device", "cpu", "--out", str(tmp_path / "out")]) == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0
+
+
+def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = [*SMALL, "--steps", "3", "--out", str(tmp_path / "out"), "--report", str(tmp_path / "report.md")]
+    assert run_case(["reconstruction", *flags]) == 0
+    printed = capsys.readouterr().out
+    for name in ("panel_set_iou", "nearest_iou", "typical_stitch_f1", "ceiling_iou", "train_minutes"):
+        assert f"reconstruction.{name} " in printed
+    assert "| panel_set |" in (tmp_path / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        (["--task", "T9"], "no task 'T9'"),
+        (["--task", "T4"], "T4: its answers are no patterns"),
+        (["--set", "width"], "--set width: give NAME=NUMBER"),
+        (["--steps", "3", "--minutes", "1"], "give one of them"),
+    ],
+)
+def test_unusable_options_are_refused(
+    flags: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["panel_set", "--out", str(tmp_path / "out"), *flags]) == 1
+    assert expected in capsys.readouterr().err

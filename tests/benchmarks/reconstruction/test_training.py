@@ -1,0 +1,139 @@
+"""The training loop on a line: it is found, and a stopped training continues with the same numbers."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from benchmarks.reconstruction.training import TrainConfig, Trained, TrainingError, learning_rate, train
+from gcd_dataset.errors import ConfigError
+from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
+
+CPU = torch.device("cpu")
+CONFIG = TrainConfig(steps=40, batch=8, lr=0.1, log_every=10)
+
+
+def trained(out: Path | None = None, *, config: TrainConfig = CONFIG, dropout: float = 0.0, **options: Any) -> Trained:
+    return train(LineLearner(dropout), line(), config, device=CPU, out=out, **options)
+
+
+def same(one: Trained, other: Trained) -> bool:
+    ours, theirs = one.learner.state_dict(), other.learner.state_dict()
+    return all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
+def weight_of(found: Trained) -> Tensor:
+    return found.learner.state_dict()["net.1.weight"]
+
+
+def test_the_line_is_found() -> None:
+    found = trained(config=TrainConfig(steps=300, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
+    assert weight_of(found).tolist()[0] == pytest.approx([2.0, -1.0], abs=0.02)
+    assert found.curve[-1]["loss"] < 1e-3 * found.curve[0]["loss"]
+
+
+def test_a_stopped_training_continues_with_the_same_numbers(tmp_path: Path) -> None:
+    whole = trained(dropout=0.2)
+    stopped = trained(tmp_path, dropout=0.2, stop_after=17)
+    assert stopped.steps == 17
+    assert not same(stopped, whole)
+    continued = trained(tmp_path, dropout=0.2)
+    assert continued.steps == 40
+    assert same(continued, whole)
+
+
+def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None:
+    assert same(trained(tmp_path), trained(tmp_path))
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
+    assert same(trained(), trained())
+    assert not same(trained(), trained(config=TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, seed=1)))
+
+
+def test_curves_hold_losses_and_checks_of_all_runs(tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    def check(step: int, learner: object) -> Mapping[str, float]:
+        seen.append(step)
+        return {"error": float(step)}
+
+    config = TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, checks=2)
+    trained(tmp_path, config=config, check=check, stop_after=23)
+    trained(tmp_path, config=config, check=check)
+    assert seen == [20, 40]
+    with (tmp_path / "curves.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [10, 20, 23, 30, 40]
+    assert [row["error"] for row in rows] == ["", "20.0", "", "", "40.0"]
+    assert all(float(row["square"]) == float(row["loss"]) for row in rows)
+
+
+def test_the_time_given_is_used(tmp_path: Path) -> None:
+    found = trained(config=TrainConfig(minutes=0.005, batch=8, checks=0))
+    assert 0.3 <= found.seconds < 1.0
+    assert found.curve[-1]["lr"] < 0.1 * TrainConfig(minutes=1).lr
+
+
+def test_the_average_follows_the_weights() -> None:
+    last = trained(config=TrainConfig(steps=40, batch=8, lr=0.1, ema=0.0))
+    average = trained(config=TrainConfig(steps=40, batch=8, lr=0.1, ema=0.999))
+    assert not same(last, average)
+    assert torch.allclose(weight_of(last), weight_of(average), atol=0.5)
+
+
+class Stream:
+    """Examples of which there are more at each step."""
+
+    def __init__(self) -> None:
+        self.whole, self.known = line(), 0
+
+    def __len__(self) -> int:
+        return self.known
+
+    def batch(self, rows: Tensor, chance: torch.Generator | None = None) -> Line:
+        return self.whole.batch(rows)
+
+    def advance(self, step: int) -> None:
+        assert self.known == step
+        self.known += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"known": self.known}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.known = state["known"]
+
+
+def test_a_stream_continues_where_it_stopped(tmp_path: Path) -> None:
+    whole = train(LineLearner(), Stream(), CONFIG, device=CPU)
+    train(LineLearner(), Stream(), CONFIG, device=CPU, out=tmp_path, stop_after=9)
+    assert same(train(LineLearner(), Stream(), CONFIG, device=CPU, out=tmp_path), whole)
+
+
+def test_the_learning_rate_rises_then_falls() -> None:
+    rates = [learning_rate(step / 100, 0.05) for step in range(101)]
+    assert max(rates) == rates[5] == 1.0
+    assert rates[1] == pytest.approx(0.2)
+    assert rates[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_checkpoint_of_other_options_is_refused(tmp_path: Path) -> None:
+    trained(tmp_path, stop_after=3)
+    with pytest.raises(ConfigError, match=r"with lr 0.1, not 0.2: give another folder"):
+        trained(tmp_path, config=TrainConfig(steps=40, batch=8, lr=0.2))
+
+
+def test_a_loss_that_is_not_finite_stops_the_training() -> None:
+    with pytest.raises(TrainingError, match="lower lr"):
+        trained(config=TrainConfig(steps=200, batch=8, lr=1e30, ema=0.0))
+
+
+@pytest.mark.parametrize("options", [{}, {"steps": 1, "minutes": 1.0}, {"steps": 1, "batch": 0}])
+def test_invalid_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="give"):
+        TrainConfig(**options)
