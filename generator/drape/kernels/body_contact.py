@@ -74,10 +74,10 @@ def is_ignored(parts: int, part: int) -> bool:
 def skin_friction(world: World, held: int, keeps: bool) -> float:
     """Coulomb coefficient of cloth on skin; ``keeps``: of the edge that keeps the garment up.
 
-    No friction while waist and collar are held: a dress that is put on is smoothed into place. Patterns place a
-    skirt lower than it is worn; with friction, a skirt tight on the hips stayed there and stretched the bodice.
+    No friction while waist or collar are held: a dress that is put on is smoothed into place. Patterns place a skirt
+    lower than it is worn; with friction, a skirt tight on the hips stayed there and stretched the bodice.
     """
-    if held != 0:
+    if held != 0 and world.holds > 0:
         return 0.0
     if keeps:
         return GRIP * world.friction
