@@ -7,8 +7,8 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
-# The slope from hips to waist, (hips - waist) / (2 pi hips_line), is 0.15 on the neutral body, as large as 0.3 times the
-# usual friction: rings that fit do not ride up, and stretched bodices lift tight skirts.
+# The slope from hips to waist, (hips - waist) / (2 pi hips_line), is 0.15 on the neutral body, and 0.3 times the usual
+# friction is as large: rings that fit do not ride up, and stretched bodices lift tight skirts.
 SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
