@@ -32,7 +32,7 @@ from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
-from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, stored_body
+from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, picture_seed, stored_body
 from gcd_dataset.records import (
     Body,
     BodyShape,
@@ -286,9 +286,10 @@ def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewReques
     """The drawn views of each wearer; none if ``config.views`` is 0."""
     if not config.views:
         return ()
+    seed = picture_seed(design.seed, data_seed=design.seed, recipe=recipe_of(config))
     return tuple(
         ViewRequest(
-            design.seed,
+            seed,
             wearer.index,
             config.views,
             config.view_size,

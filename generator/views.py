@@ -3,6 +3,7 @@
 Both use the arrays at the precision of shards: ``stored_body`` and ``stored_scene`` round to float32 first.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Pattern
 from gcd_dataset.records import View as StoredView
+from gcd_dataset.shards.layout import recipe_hash
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import Camera, Cloth, Lights, Picture, Ranges, View
@@ -24,6 +26,7 @@ __all__ = [
     "RenderedView",
     "ViewRequest",
     "finished_view",
+    "picture_seed",
     "requested_scene",
     "requested_views",
     "stored_body",
@@ -43,6 +46,7 @@ class ViewRequest:
     """Pictures to take of a draped sample."""
 
     seed: int
+    """See ``picture_seed``."""
     index: int
     count: int
     size: int
@@ -58,6 +62,22 @@ class RenderedView:
 
     rgb: UInt8[np.ndarray, "h w 3"]
     facts: Mapping[str, Any]
+
+
+def picture_seed(seed: int, *, data_seed: int, recipe: Mapping[str, Any]) -> int:
+    """The seed of the pictures, scans and sketches of a data set: others have other looks at the same number.
+
+    ``seed`` is that of ``Views``, ``Scan`` or ``Sketch``; ``data_seed`` and ``recipe`` are those of the garments.
+    Options that change no garment (``SIDE_OPTIONS``) do not count: a data set has the same looks if it is made again
+    on another device, or with captions.
+    """
+    garments = {name: value for name, value in recipe.items() if name not in SIDE_OPTIONS}
+    identity = f"{int(seed)} {int(data_seed)} {recipe_hash(garments)}"
+    return int.from_bytes(hashlib.sha256(identity.encode()).digest()[:7], "little")
+
+
+SIDE_OPTIONS = ("captions", "device", "picture", "points", "view_size", "views")
+"""Options of a recipe that decide what is stored beside the garments, or on which kind of device they are made."""
 
 
 def stored_body(shape: BodyShape) -> Body:

@@ -14,7 +14,7 @@ from gcd_dataset.loaders.base import Garments, Transform, recipe_from_meta
 from gcd_dataset.loaders.indexing import index_from_key
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of, garments_layout, key_of, select_fields
+from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of, garments_layout, is_view_field, key_of, select_fields
 
 __all__ = ["Hdf5Garments"]
 
@@ -43,11 +43,13 @@ class Hdf5Garments(Garments):
     ) -> None:
         from gcd_dataset.shards.hdf5 import Hdf5Reader  # imports h5py
 
-        select_fields(fields, fields_of(garments_layout(caption=True).members))
+        requested = fields if fields is None else {fields} if isinstance(fields, str) else set(fields)
+        of_garment = requested and [field for field in requested if not is_view_field(field)]
+        select_fields(of_garment, fields_of(garments_layout(caption=True).members))
         _require_file(user_path(source))
         self._reader = Hdf5Reader(source)
         available, absent = fields_of(self._reader.members), absent_when_empty(self._is_empty, FIELDS)
-        super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
+        super().__init__(requested, transform, available=available, absent=absent, dtype=dtype)
 
     @property
     def split(self) -> str:

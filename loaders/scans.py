@@ -41,7 +41,7 @@ class Scan:
     ``scan_camera_k``      f32 [n, 3, 3]: intrinsics [pixels]
     =====================  =============================================================================================
 
-    Scans are a function of ``seed``, epoch and the garment's number, ``meta["index"]``; not of workers, order or batch.
+    Scans are a function of ``seed``, epoch and garment, as for ``Views``; not of workers, order or batch.
     A CPU and a GPU differ in roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in
     ``Augmented`` and ``FreshGarments(augment=…)`` each use has a stream of its own.
 
@@ -96,7 +96,7 @@ class Scan:
 
         garment = StoredGarment.of(item, user="Scan")
         scene = stored_scene(garment.mesh, garment.vertices, wearer_of(garment, self._body_of))
-        stream = seeded_rng(self.seed, garment.index, Stage.SCAN, use)
+        stream = seeded_rng(garment.picture_seed(self.seed), garment.index, Stage.SCAN, use)
         cameras = draw_scan_cameras(stream, scene, self.n, ranges=self.cameras, body=self.body)
         options: dict[str, Any] = {"noise": self.noise, "body": self.body, "size": self.size, "device": self.device}
         return scan(scene, cameras, stream, points=self.points, **options)

@@ -51,6 +51,11 @@ class StoredGarment:
         """For the transform ``user``. Raises ``ConfigError`` for a missing field, mesh or drape."""
         _require_fields(item, user)
         meta = item["meta"]
+        if meta.get("yaw"):
+            raise ConfigError(
+                f"{meta['key']} was turned by Yaw before {user}, which finds the wearer unturned: apply {user} before "
+                "Yaw, or leave Yaw out; its cameras are drawn all round the figure"
+            )
         arrays = {name: _array(item[name]) for name in ("faces", "corners", "uv_vertex", "panel_id", "seams")}
         vertices = _array(item["verts"]).astype(float)
         mesh = BoxMesh(
@@ -64,6 +69,12 @@ class StoredGarment:
         weights = _array(item["body"]).astype(float) if "body" in item else np.zeros(0)
         fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
         return cls(meta["index"], fabric, mesh, vertices, item["spec"], weights if len(weights) else None, meta, user)
+
+    def picture_seed(self, seed: int) -> int:
+        """The seed of its pictures, scans or sketches, from the seed of the transform."""
+        from gcd_dataset.generator.views import picture_seed
+
+        return picture_seed(seed, data_seed=self.meta["seed"], recipe=self.meta["recipe"])
 
     @cached_property
     def pattern(self) -> Pattern:

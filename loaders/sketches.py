@@ -40,9 +40,9 @@ class Sketch:
     ``sketch_rt``      f32 [n, 3, 4]: [R | t] of each view, world to camera [1, cm]; OpenCV's conventions, as ``Views``
     =================  =================================================================================================
 
-    Lines drawn by hand and ``turn`` are a function of ``seed``, epoch and the garment's number, ``meta["index"]``; not
-    of workers, order or batch. Clean lines from a fixed side are the same in every epoch. A CPU and a GPU differ in
-    roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in ``Augmented`` and
+    Lines drawn by hand and ``turn`` are a function of ``seed``, epoch and garment, as for ``Views``; not of workers,
+    order or batch. Clean lines from a fixed side are the same in every epoch. A CPU and a GPU differ in roundings. As a
+    ``transform``, ``set_epoch`` sets the epoch, in running workers too; in ``Augmented`` and
     ``FreshGarments(augment=…)`` each use has a stream of its own.
 
     - ``yaws``: sides to draw [degrees]: 0 in front, 90 at the wearer's left, 180 behind.
@@ -99,7 +99,7 @@ class Sketch:
         garment = StoredGarment.of(item, user="Sketch")
         body = wearer_of(garment, self._body_of) if self.style.body else NOBODY
         scene = stored_scene(garment.mesh, garment.vertices, body)
-        stream = seeded_rng(self.seed, garment.index, Stage.SKETCH, use)
+        stream = seeded_rng(garment.picture_seed(self.seed), garment.index, Stage.SKETCH, use)
         cameras = [sketch_camera(scene, yaw + stream.uniform(-self.turn, self.turn)) for yaw in self.yaws]
         options: dict[str, Any] = {"size": self.size, "style": self.style, "rng": stream, "device": self.device}
         entries = {

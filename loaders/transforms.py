@@ -8,6 +8,7 @@ torch.Size([64, 6])
 Draws depend on seed, garment index and epoch alone. A field that an item lacks is skipped.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -35,8 +36,13 @@ __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "Point
 
 Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
 
-PLACED = ("box", "verts", "points")
+PLACED = ("box", "verts", "points", "scan")
 """Fields of positions [cm]: three columns, possibly followed by three of normals."""
+CAMERAS = ("camera_rt", "scan_camera_rt", "sketch_rt")
+"""Fields of extrinsics [R | t], world to camera."""
+VIEW_FACTS = re.compile(r"view_\d+_json")
+DIRECTIONS = ("key_direction", "fill_direction")
+"""Directions in the world, in the light of a stored view's facts."""
 
 
 class Chain:
@@ -53,7 +59,13 @@ class Chain:
 
 @dataclass(frozen=True)
 class Yaw:
-    """Rotates ``box``, ``verts`` and ``points`` about the vertical; pattern and pictures stay."""
+    """Rotates the figure about the vertical: ``box``, ``verts``, ``points`` and ``scan``.
+
+    Cameras and lights turn with it: pictures and their maps stay, and ``camera_rt``, ``sketch_rt``, ``scan_camera_rt``
+    and ``view_N_json`` describe them in the new axes. The pattern stays, and so do ``front`` and ``back``. The angle is
+    added to ``meta["yaw"]``: ``Views``, ``Scan`` and ``Sketch``, which find the wearer unturned, raise ``ConfigError``
+    after a ``Yaw``; apply them before it.
+    """
 
     most: float = np.pi
     """Largest angle to either side [rad]."""
@@ -62,7 +74,12 @@ class Yaw:
         angle = rng.uniform(-self.most, self.most)
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = torch.tensor([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]], dtype=torch.float32)
-        return {**item, **{field: _rotated(item[field], rotation) for field in PLACED if field in item}}
+        turned: Item = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
+        turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
+        turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
+        if "meta" in item and turned and angle:
+            turned["meta"] = {**item["meta"], "yaw": item["meta"].get("yaw", 0.0) + float(angle)}
+        return {**item, **turned}
 
 
 @dataclass(frozen=True)
@@ -209,3 +226,17 @@ def _rotated(rows: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """Positions, and normals if present, times the rotation matrix."""
     columns = rows.float().reshape(len(rows), -1, 3)
     return (columns @ rotation).reshape(rows.shape).to(rows.dtype)
+
+
+def _turned_cameras(extrinsics: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """[R | t] of cameras that turn with the figure; positions are rows times the rotation matrix."""
+    axes, position = extrinsics[..., :3].float() @ rotation, extrinsics[..., 3:].float()
+    turned = torch.cat([axes, position], dim=-1)
+    return turned.to(extrinsics.dtype)
+
+
+def _turned_facts(facts: Mapping[str, Any], rotation: torch.Tensor) -> dict[str, Any]:
+    """The facts of a stored view whose camera and lights turn with the figure."""
+    rt = _turned_cameras(torch.tensor(facts["camera"]["rt"]), rotation).tolist()
+    directions = {name: (torch.tensor(facts["light"][name]) @ rotation).tolist() for name in DIRECTIONS}
+    return {**facts, "camera": {**facts["camera"], "rt": rt}, "light": {**facts["light"], **directions}}

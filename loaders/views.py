@@ -78,10 +78,10 @@ class Views:
     The conventions are OpenCV's: camera axes x right, y down, z forward; a point X [cm] is at K (R X + t); the centre
     of the upper left pixel is (0, 0). ``front`` and ``back``, the plain pictures, stay as they are.
 
-    **Randomness.** Pictures are a function of ``seed``, epoch and the garment's number, ``meta["index"]``; not of
-    workers, order or batch. With the seed of the garments, those of epoch 0 are the ones that ``gcd generate --views``
-    stores. All views of a garment share cloth and figure; camera, light and place differ. A CPU and a GPU differ in
-    roundings.
+    **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
+    number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
+    ones that ``gcd generate --views`` stores. All views of a garment share cloth and figure; camera, light and place
+    differ. A CPU and a GPU differ in roundings.
 
     **Epochs.** A ``GarmentLoader`` given ``views`` knows the epoch; for a stream and a ``MixedDataset``, whose epochs
     may repeat garments, it numbers each use. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too.
@@ -187,12 +187,14 @@ class Views:
     def _render_chunk(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         from gcd_dataset.generator.views import views_of
 
-        scenes, views = [], []
+        scenes: list[Scene] = []
+        views: list[View] = []
         for row, (item, use) in enumerate(zip(items, uses, strict=True)):
-            scene, index, fabric = self._scene(item, use)
-            scenes.append(scene)
-            options: dict[str, Any] = {"epoch": use, "row": row, "fabric": fabric, "ranges": self.ranges}
-            views += views_of(self.seed, index, scene, self.n, **options)
+            garment = StoredGarment.of(item, user="Views")
+            seed = garment.picture_seed(self.seed)
+            scenes.append(self._scene(garment, seed, use))
+            options: dict[str, Any] = {"epoch": use, "row": row, "fabric": garment.fabric, "ranges": self.ranges}
+            views += views_of(seed, garment.index, scenes[row], self.n, **options)
         with self._pictures(scenes, views) as pictures:
             return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 
@@ -210,16 +212,13 @@ class Views:
         yield pending.lend()
         pending.release()
 
-    def _scene(self, item: Item, use: int) -> tuple["Scene", int, str | None]:
-        """Scene, number and fabric of a garment."""
+    def _scene(self, garment: StoredGarment, seed: int, use: int) -> "Scene":
         from gcd_dataset.generator.render import draw_hair
         from gcd_dataset.generator.views import stored_scene
 
-        garment = StoredGarment.of(item, user="Views")
-        hair = draw_hair(self.seed, garment.index, epoch=use)
+        hair = draw_hair(seed, garment.index, epoch=use)
         body = wearer_of(garment, self._body_of)
-        scene = stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
-        return scene, garment.index, garment.fabric
+        return stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
 
     def _entries(self, pictures: Sequence["Picture"]) -> Item:
         """The new entries of an item."""

@@ -4,8 +4,9 @@
 
 ``panel_set`` is the trained network; ``nearest`` answers with the training garment of least chamfer distance;
 ``typical`` always answers with the same garment, the one with the least mean distance to the others; ``ceiling`` is the
-ground truth in the network's output format, the best possible answer. Test garments have another seed: other designs and
-bodies from the same design space. ``python -m benchmarks.reconstruction.train`` trains one model, with more options.
+ground truth in the network's output format, the best possible answer. Test garments have another seed: other designs
+and bodies from the same design space. ``python -m benchmarks.reconstruction.train`` trains one model and has more
+options.
 """
 
 import argparse

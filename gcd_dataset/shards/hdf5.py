@@ -7,6 +7,8 @@
 ``/bytes/faces``, …         u1 [n]: size of a number in the shard's member [bytes]; the HDF5 type may be wider
 ``/spec``, ``/meta``, …     a JSON field: one text per sample
 ``/caption``                the captions, if the samples have them: one text per sample
+``/view_0``, …              stored views, if the samples have them: pictures as above, and ``/view_0_json``, …, their
+                            facts as JSON texts
 ``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds the CRC-32 of the sample's other members
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
@@ -46,9 +48,9 @@ from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.layout import (
-    CAPTION,
     FIELDS,
     MEMBERS,
+    MOST_VIEWS,
     SCHEMAS,
     Bytes,
     fields_of,
@@ -70,15 +72,17 @@ SHARD_REMEDY = "copy the shard again, or delete it and run gcd generate again"
 FORMAT = "gcd_dataset garments"
 META, META_CRC = MEMBERS[0], "crc32"
 ARRAYS = tuple(field for field, member in FIELDS.items() if member.endswith(".npy"))
-PICTURES = tuple(field for field, member in FIELDS.items() if member.endswith(".jpg"))
+MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
+"""Field to its member, those of captions and views included, in the order of a shard."""
+PICTURES = tuple(field for field, member in MEMBER_OF.items() if member.endswith(".jpg"))
 RAGGED = ARRAYS + PICTURES
-TEXTS = tuple(field for field in FIELDS if field not in RAGGED)
-CAPTION_FIELD = "caption"
+TEXTS = tuple(field for field in MEMBER_OF if field not in RAGGED)
+OPTIONAL = tuple(field for field, member in MEMBER_OF.items() if is_extra(member))
+"""The fields of captions and views."""
 
 ATTRIBUTES = ("format", "schema", "split", "count")
-NAMES = (*FIELDS, CAPTION_FIELD, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
-"""The HDF5 data sets of a file; files of early versions lack ``crc32``, files without captions ``caption``."""
-MEMBER_NUMBER = {member: number for number, member in enumerate((*MEMBERS, CAPTION))}
+NAMES = (*MEMBER_OF, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
+"""The HDF5 data sets of a file; files of early versions lack ``crc32``, files without captions and views their own."""
 
 PAIR = struct.Struct("<qq")
 PTR, SIZE, CRC = np.dtype("<i8"), np.dtype("u1"), np.dtype("<u4")
@@ -110,12 +114,8 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     """Write all samples of a split to an HDF5 file, yielding the position of each once it is stored.
 
     The file appears under its name when the iterator ends. Every sample is read twice, first for its size. Raises
-    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample. Views are left out, which is
-    logged.
+    ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged sample.
     """
-    extra = {field for field, member in fields_of(reader.layout.members).items() if is_extra(member)}
-    if views := sorted(extra - {CAPTION_FIELD}):
-        logger.warning("%s: without %s: an HDF5 file holds no views", path, ", ".join(views))
     columns = _columns(reader)
     with drafted(user_path(path)) as draft, Sink(draft) as sink, ThreadPoolExecutor(1) as thread:
         # In a thread, where no KeyboardInterrupt is raised: libhdf5 would take it for a failed write.
@@ -159,6 +159,8 @@ class Hdf5Reader:
             known = " and ".join(map(str, SCHEMAS))
             schema = f"of schema {found(attributes.get('schema'))}, but this reader knows {known}"
             raise ShardError(f"{self.path}: {schema}: install the version of gcd_dataset that wrote it")
+        self._fields = tuple(field for field in MEMBER_OF if field not in OPTIONAL or field in self._columns)
+        self._number = {MEMBER_OF[field]: number for number, field in enumerate(self._fields)}
         self._count, self.split = self._counted(attributes.get("count")), str(attributes.get("split"))
         self._has_meta_crc = META_CRC in self._columns
         if not self._has_meta_crc:
@@ -175,7 +177,7 @@ class Hdf5Reader:
     @property
     def members(self) -> tuple[str, ...]:
         """The members of each sample, in the order of a shard."""
-        return garments_layout(caption=CAPTION_FIELD in self._columns).members
+        return tuple(self._number)
 
     def read(self, position: int, members: Iterable[str]) -> dict[str, Bytes]:
         """Members of a sample, byte for byte as in its shard.
@@ -185,7 +187,7 @@ class Hdf5Reader:
         file = self._opened()
         content = {member: self._member(file, position, member) for member in members}
         checked = self._checked[position]
-        unchecked = {member: data for member, data in content.items() if not checked[MEMBER_NUMBER[member]]}
+        unchecked = {member: data for member, data in content.items() if not checked[self._number[member]]}
         if unchecked:
             self._check(file, position, unchecked)
         return content
@@ -238,14 +240,14 @@ class Hdf5Reader:
         """The number of samples. Raises ``ShardError`` unless all columns agree with it."""
         if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= MOST_SAMPLES:
             raise self._broken(f"its count is {found(count)}")
+        ragged = [field for field in self._fields if field in RAGGED]
         expected = {
-            **dict.fromkeys(TEXTS, (TEXT_TYPE, (count,))),
-            **{f"ptr/{field}": (PTR.str, (count + 1,)) for field in RAGGED},
-            **{f"bytes/{field}": (SIZE.str, (count,)) for field in RAGGED},
+            **{field: (TEXT_TYPE, (count,)) for field in self._fields if field in TEXTS},
+            **{f"ptr/{field}": (PTR.str, (count + 1,)) for field in ragged},
+            **{f"bytes/{field}": (SIZE.str, (count,)) for field in ragged},
             **({META_CRC: (CRC.str, (count,))} if META_CRC in self._columns else {}),
-            **({CAPTION_FIELD: (TEXT_TYPE, (count,))} if CAPTION_FIELD in self._columns else {}),
         }
-        for name in (*expected, *RAGGED):
+        for name in (*expected, *ragged):
             if name not in self._columns:
                 raise self._broken(f"{name} is missing")
             column = self._columns[name]
@@ -256,8 +258,8 @@ class Hdf5Reader:
 
     def _member(self, file: "_Descriptor", position: int, member: str) -> Bytes:
         """A member of a sample, byte for byte as in its shard."""
-        field = member.split(".")[0]
-        if field in TEXTS or field == CAPTION_FIELD:
+        field = _field_of(member)
+        if field in TEXTS:
             return self._text(file, field, position)
         first, end = PAIR.unpack(self._rows(file, f"ptr/{field}", position, position + 2))
         if field in PICTURES:
@@ -326,13 +328,13 @@ class Hdf5Reader:
         crc = self._crc_of_members(position, meta)
         for member, data in content.items():
             if member != META:
-                self._require_same(position, member, data, crc.get(member.split(".")[0]))
-            self._checked[position, MEMBER_NUMBER[member]] = True
+                self._require_same(position, member, data, crc.get(_field_of(member)))
+            self._checked[position, self._number[member]] = True
 
     def _crc_of_members(self, position: int, meta: Bytes) -> Mapping[str, object]:
         """Field to the CRC-32 of its member."""
         try:
-            return {member.split(".")[0]: crc for member, crc in read_meta(meta)["crc32"].items()}
+            return {_field_of(member): crc for member, crc in read_meta(meta)["crc32"].items()}
         except (ShardError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise self._broken(f"{META} of sample {position} holds no CRC-32 of its other members") from error
 
@@ -343,7 +345,7 @@ class Hdf5Reader:
             )
 
     def _none_checked(self) -> Bool[np.ndarray, "n m"]:
-        return np.zeros((self._count, len(MEMBER_NUMBER)), bool)
+        return np.zeros((self._count, len(self._number)), bool)
 
     # ---------------------------------------------------------------------------------------------------------- file
 
@@ -438,22 +440,24 @@ class _Column:
 
 def _columns(reader: ShardReader) -> dict[str, _Column]:
     """Row counts and types of each field. Raises ``ShardError`` for samples of different kinds or row shapes."""
-    rows = {field: np.zeros(len(reader) + 1, np.int64) for field in RAGGED}
-    size = {field: np.zeros(len(reader), np.uint8) for field in RAGGED}
+    optional = {_field_of(member) for member in reader.layout.members} & {*OPTIONAL}
+    ragged = [field for field in RAGGED if field not in OPTIONAL or field in optional]
+    rows = {field: np.zeros(len(reader) + 1, np.int64) for field in ragged}
+    size = {field: np.zeros(len(reader), np.uint8) for field in ragged}
     form: dict[str, tuple[str, tuple[int, ...]]] = {}
     for position in range(len(reader)):
-        members = reader.read(position, [FIELDS[field] for field in RAGGED])
-        for field in RAGGED:
+        members = reader.read(position, [MEMBER_OF[field] for field in ragged])
+        for field in ragged:
             with reader.naming(position):
-                array = _array(field, members[FIELDS[field]])
+                array = _array(field, members[MEMBER_OF[field]])
             rows[field][position + 1], size[field][position] = len(array), array.dtype.itemsize
             found = (array.dtype.kind, array.shape[1:])
             if form.setdefault(field, found) != found:
-                member = f"{reader.store.location()}: sample {position}, member {FIELDS[field]}"
+                member = f"{reader.store.location()}: sample {position}, member {MEMBER_OF[field]}"
                 raise ShardError(
                     f"{member}: rows of type and shape {found}, but {form[field]} in earlier samples: {SHARD_REMEDY}"
                 )
-    return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in RAGGED}
+    return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in ragged}
 
 
 def _allocate(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column]) -> None:
@@ -480,7 +484,13 @@ def _allocate(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Colum
 
 def _texts(members: Iterable[str]) -> tuple[str, ...]:
     """The text fields of samples with these members."""
-    return (*TEXTS, CAPTION_FIELD) if CAPTION in members else TEXTS
+    held = {_field_of(member) for member in members}
+    return tuple(field for field in TEXTS if field in held)
+
+
+def _field_of(member: str) -> str:
+    """The field of a member, under its name in any schema."""
+    return fields_of([member]).popitem()[0]
 
 
 def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], columns: Mapping[str, _Column]) -> None:
@@ -489,17 +499,18 @@ def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], colum
         try:
             file[field][position] = bytes(member_content(field, members)).decode()
         except ValueError as error:  # not UTF-8, or with a NUL, which HDF5 texts cannot hold
-            member = FIELDS.get(field, CAPTION)
-            raise ShardError(f"member {member}: not storable as HDF5 text ({error}): {SHARD_REMEDY}") from error
+            raise ShardError(
+                f"member {MEMBER_OF[field]}: not storable as HDF5 text ({error}): {SHARD_REMEDY}"
+            ) from error
     file[META_CRC][position] = zlib.crc32(members[META])
     for field, column in columns.items():
         start, end = column.ptr[position : position + 2].tolist()
         if end > start:
-            file[field][start:end] = _array(field, members[FIELDS[field]])
+            file[field][start:end] = _array(field, members[MEMBER_OF[field]])
 
 
 def _array(field: str, data: Bytes) -> np.ndarray:
     try:
         return np.frombuffer(data, np.uint8) if field in PICTURES else read_npy(data)
     except ShardError as error:
-        raise ShardError(f"member {FIELDS[field]}: {error}: {SHARD_REMEDY}") from error
+        raise ShardError(f"member {MEMBER_OF[field]}: {error}: {SHARD_REMEDY}") from error

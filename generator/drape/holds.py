@@ -98,20 +98,30 @@ def find_keepers(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
 
 
 def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether a garment without keepers has come off the body, though it has not fallen to the floor.
+    """Whether a garment, or a piece that is not sewn to the rest, has come off the body and not fallen to the floor.
 
-    True if its neckline lies below the waist; or, without labels, if it started at hip height or above and its top lies
-    below the knees.
+    True if its neckline lies below the waist; or if a piece without a neckline and without keepers started at hip
+    height or above, as its panels are placed (``box_mesh``), and its top lies below the knees. A piece that is placed
+    lower, such as a sock, is not judged; neither is a body whose waist is unknown. Keepers: see ``find_keepers``.
     """
     mesh, waist = job.box_mesh, job.measurements.waist_level
-    if len(find_keepers(job)[0]) or not np.isfinite(waist):
+    if not np.isfinite(waist):
         return False
+    supported = find_keepers(job)[0]
     if _hangs_from_shoulders(job):
-        neckline = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
-        return bool(vertices[neckline, 1].mean() < waist)
-    start = mesh.vertices[:, 1]
-    top = start >= np.quantile(start, TOP)
-    return bool(start.max() > HIPS * waist and vertices[top, 1].mean() < KNEES * waist)
+        supported = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
+        if vertices[supported, 1].mean() < waist:
+            return True
+    start, now = mesh.vertices[:, 1], vertices[:, 1]
+    if not ((start > HIPS * waist) & (now < KNEES * waist)).any():
+        return False
+    piece = _pieces(mesh)
+    for number in np.setdiff1d(piece, piece[supported]):
+        own = piece == number
+        top = own & (start >= np.quantile(start[own], TOP))
+        if start[own].max() > HIPS * waist and now[top].mean() < KNEES * waist:
+            return True
+    return False
 
 
 def floor_height(job: DrapeJob) -> float:
@@ -124,10 +134,15 @@ def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
     low = vertices[:, 1] <= np.float32(floor_height(job))
     if not low.any():
         return False
-    sides = job.box_mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    graph = coo_array((np.ones(len(sides), bool), sides.T), shape=(len(vertices), len(vertices)))
-    _, component = connected_components(graph, directed=False)
-    return bool((np.bincount(component, ~low) == 0).any())
+    return bool((np.bincount(_pieces(job.box_mesh), ~low) == 0).any())
+
+
+def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+    """The connected component of each vertex."""
+    sides = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    graph = coo_array((np.ones(len(sides), bool), sides.T), shape=(len(mesh.vertices), len(mesh.vertices)))
+    _, piece = connected_components(graph, directed=False)
+    return np.asarray(piece)
 
 
 def _hangs_from_shoulders(job: DrapeJob) -> bool:

@@ -13,6 +13,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.description import CuffGathers
 from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.garments.tags import RUFFLES
@@ -87,23 +88,24 @@ class PantsCuffDesign(Design):
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
 
 
-def cuff_words(design: CuffDesign, kind: Cuff, length: float, *, limb: str) -> tuple[str, ...]:
+def cuff_words(kind: Cuff, length: float, gathers: CuffGathers, *, limb: str) -> tuple[str, ...]:
     """Noun phrases for the two cuffs of a pair of limbs; ``length``: of a cuff [cm]; ``limb``: "sleeve" or "leg"."""
     deep = "deep " if length >= DEEP else ""
     ends = f"at the {limb} ends"
-    frill = "frills" if design.skirt_ruffle >= RUFFLES else "flounces"
+    frill = "frills" if gathers.frill >= RUFFLES else "flounces"
     if kind is Cuff.SKIRT:
-        return (f"{deep}flared cuffs {ends}",) if frill == "flounces" else (f"{deep}gathered frills {ends}",)
-    bands = f"{deep}band cuffs" if kind is Cuff.BAND else f"{deep}band cuffs with {frill}"
-    if design.top_ruffle < RUFFLES:
-        return (f"{bands} {ends}",)
-    return (f"{bands} that gather the {limb} ends", f"{limb} ends gathered into {bands}")
+        cuffs = f"{deep}flared cuffs" if frill == "flounces" else f"{deep}gathered frills"
+    else:
+        cuffs = f"{deep}band cuffs" if kind is Cuff.BAND else f"{deep}band cuffs with {frill}"
+    if gathers.limb < RUFFLES:
+        return (f"{cuffs} {ends}",)
+    return (f"{cuffs} that gather the {limb} ends", f"{limb} ends gathered into {cuffs}")
 
 
-def single_cuff_words(design: CuffDesign, kind: Cuff, length: float) -> str:
+def single_cuff_words(kind: Cuff, length: float, gathers: CuffGathers) -> str:
     """A noun phrase for the cuff of one limb: see ``cuff_words``."""
     deep = "deep " if length >= DEEP else ""
-    frill = "frill" if design.skirt_ruffle >= RUFFLES else "flounce"
+    frill = "frill" if gathers.frill >= RUFFLES else "flounce"
     noun = {Cuff.BAND: "band cuff", Cuff.BAND_SKIRT: f"band cuff with a {frill}", Cuff.SKIRT: "flared cuff"}[kind]
     return f"a {deep}{noun}"
 
@@ -114,7 +116,7 @@ def skirt_share(design: CuffDesign) -> float:
 
 
 def arm_girth_in_end(size: Measurements, design: "CuffedSleeve") -> float:
-    """Largest girth of the arm in a sleeve's end: in the band of its cuff, at the top of a skirt, or its hem [cm]."""
+    """Largest girth of the arm in a sleeve's end: its cuff's band, the top of its skirt, or the hem [cm]."""
     skirt = skirt_share(design.cuff)
     end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
     band = sleeve_cuff_length(size, design) / size.arm_length

@@ -4,8 +4,8 @@ Each garment's record describes it (``Garment.describe``), in the file that draw
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Self
 
@@ -15,6 +15,8 @@ from gcd_dataset.records import Measurements
 __all__ = [
     "ASYMMETRIC",
     "NO_WORDS",
+    "UNGATHERED",
+    "CuffGathers",
     "Description",
     "Detail",
     "Place",
@@ -62,6 +64,19 @@ class Detail:
 
 
 @dataclass(frozen=True, slots=True)
+class CuffGathers:
+    """The gathers of a cuff as drawn: ratios of lengths at its seams."""
+
+    limb: float = 1.0
+    """The sleeve's or leg's end over the cuff's top."""
+    frill: float = 1.0
+    """The top of the cuff's skirt over what it hangs from: the band, or the limb's end."""
+
+
+UNGATHERED = CuffGathers()
+
+
+@dataclass(frozen=True, slots=True)
 class Setting:
     """The wearer, and how a bottom is sewn in its outfit."""
 
@@ -70,6 +85,8 @@ class Setting:
     """Position of its top: 0 at the hips, 1 at the waist."""
     gather: float = 1.0
     """Length of its top over the hem or waistband that it is sewn to; 1 without either."""
+    cuffs: Mapping[str, CuffGathers] = field(default_factory=dict)
+    """The cuffs of the "right" and the "left" limb; none for limbs without."""
 
 
 @dataclass(frozen=True, slots=True)

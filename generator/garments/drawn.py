@@ -1,16 +1,16 @@
 """Facts of a drawn outfit: the gathers between its parts, and whether its sides match."""
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import hypot
 
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.garments.description import Detail
+from gcd_dataset.generator.garments.description import CuffGathers, Detail
 from gcd_dataset.records import Panel, PanelRole, Pattern
 
-__all__ = ["gather", "gather_below", "most_gathered", "part_of", "sides_match"]
+__all__ = ["cuff_gathers", "gather", "gather_below", "most_gathered", "part_of", "sides_match"]
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
 TORSO, BAND = ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"), ("wb_front", "wb_back")
@@ -39,6 +39,19 @@ def gather(pattern: Pattern, above: str, below: str) -> float:
 def gather_below(pattern: Pattern) -> float:
     """Gathers of the bottom: on the waistband, or else on the shirt's hem."""
     return gather(pattern, "band" if any(panel.name in BAND for panel in pattern.panels) else "torso", "bottom")
+
+
+def cuff_gathers(pattern: Pattern, *, legs: bool) -> Mapping[str, CuffGathers]:
+    """Side, "right" or "left", to the gathers of the cuff of its sleeve, or of its trouser leg."""
+    found: dict[str, CuffGathers] = {}
+    parts = {part_of(panel) for panel in pattern.panels}
+    for side in ("right", "left"):
+        limb, cuff = ("bottom", f"pant_{side[0]}_cuff") if legs else (f"{side}_sleeve", f"sl_{side}_cuff")
+        band, skirt = cuff in parts, f"{cuff}_skirt"
+        if band or skirt in parts:
+            top, above = (cuff, cuff) if band else (skirt, limb)
+            found[side] = CuffGathers(gather(pattern, top, limb), gather(pattern, above, skirt))
+    return found
 
 
 def most_gathered(pattern: Pattern) -> float:

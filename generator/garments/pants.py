@@ -14,7 +14,7 @@ import numpy as np
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
@@ -271,7 +271,8 @@ def _describe(setting: Setting, design: PantsDesign) -> Description:
         traits = (("tapered",),) if design.flare < TAPERED_LEG else (("straight-leg",),)
     if design.cuff.type is None:
         return Description(("trousers",), traits, tags=(Tag.TROUSERS,))
-    words = cuff_words(design.cuff, design.cuff.type, _cuff_length(setting.size, design), limb="leg")
+    gathers = setting.cuffs.get("right", UNGATHERED)
+    words = cuff_words(design.cuff.type, _cuff_length(setting.size, design), gathers, limb="leg")
     return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
 
 

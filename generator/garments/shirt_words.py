@@ -4,7 +4,15 @@ from collections.abc import Iterator
 
 from gcd_dataset.generator.garments.collar import collar_words
 from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Words, with_article
+from gcd_dataset.generator.garments.description import (
+    UNGATHERED,
+    Description,
+    Detail,
+    Place,
+    Setting,
+    Words,
+    with_article,
+)
 from gcd_dataset.generator.garments.neckline import (
     NecklineDesign,
     back_neckline_words,
@@ -29,18 +37,19 @@ SLEEVELESS: Words = ("sleeveless",)
 SIDES = ("right", "left")
 
 
-def describe_shirt(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) -> Description:
+def describe_shirt(setting: Setting, halves: tuple[UpperHalf, ...], *, fitted: bool) -> Description:
     """A shirt of one design for both halves, or of two, the right one first."""
+    size = setting.size
     bare = [fitted and shirt.strapless for shirt, _, _ in halves]
     traits: tuple[Words, ...] = ()
     details: tuple[Detail, ...] = ()
     if all(bare):
         traits = (STRAPLESS,)
     elif any(bare):
-        traits, details = (ONE_SHOULDER,), _one_shoulder(size, halves, side=bare.index(False))
+        traits, details = (ONE_SHOULDER,), _one_shoulder(setting, halves, side=bare.index(False))
     else:
         traits = (SLEEVELESS,) if all(arm.sleeveless for _, _, arm in halves) else ()
-        details = (*_necks(size, halves, fitted=fitted), *_sleeves(size, [arm for _, _, arm in halves]))
+        details = (*_necks(size, halves, fitted=fitted), *_sleeves(setting, [arm for _, _, arm in halves]))
     cut = _cut([shirt for shirt, _, _ in halves], fitted=fitted)
     return Description(("top",), cut, details, traits, tuple(_tags(size, halves, fitted=fitted)))
 
@@ -120,54 +129,64 @@ def _neck(
     return neckline_words(worn, front, drop=drops[0]), back_neckline_words(worn, drop=drops[1])
 
 
-def _sleeves(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
+def _sleeves(setting: Setting, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
     """The sleeves and their cuffs; none for a sleeveless shirt, which its trait names."""
-    worn = [arm for arm in arms if not arm.sleeveless]
+    worn = [_Arm(arm, setting, side) for arm, side in zip(arms, SIDES, strict=False) if not arm.sleeveless]
     if not worn:
         return ()
-    pairs, singles = sleeve_words(size, worn[0]), [sleeve_words(size, arm, pair=False)[0] for arm in worn]
+    pairs, singles = worn[0].words(), [arm.words(pair=False)[0] for arm in worn]
     if len(worn) == 1 and len(arms) == 2:
-        side = SIDES[0 if arms[0] is worn[0] else 1]
-        one = (f"one {singles[0]} on the {side} only",)
-        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_single_cuffs(size, worn, [""]))
+        one = (f"one {singles[0]} on the {worn[0].side} only",)
+        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_single_cuffs(worn, [""]))
     if len(worn) == 2 and singles[0] != singles[1]:
         both = f"{with_article(singles[0])} on the right and {with_article(singles[1])} on the left"
-        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(size, worn))
-    return (Detail(Place.SLEEVES, pairs, main=True), *_pair_of_cuffs(size, worn))
+        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(worn))
+    return (Detail(Place.SLEEVES, pairs, main=True), *_pair_of_cuffs(worn))
 
 
-def _pair_of_cuffs(size: Measurements, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
+def _pair_of_cuffs(arms: list["_Arm"]) -> tuple[Detail, ...]:
     """The cuffs of both sleeves, named one by one if they differ; ``arms``: one design if both are alike."""
-    words = {
-        cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm), limb="sleeve") if arm.cuff.type else ()
-        for arm in arms
-    }
+    words = {cuff_words(arm.cuff, arm.cuff_length, arm.gathers, limb="sleeve") if arm.cuff else () for arm in arms}
     if len(words) > 1:
-        return _single_cuffs(size, arms, [f" on the {side} sleeve" for side in SIDES])
+        return _single_cuffs(arms, [f" on the {side} sleeve" for side in SIDES])
     found = words.pop()
     return (Detail(Place.SLEEVES, found),) if found else ()
 
 
-def _single_cuffs(size: Measurements, arms: list[SleeveDesign], where: list[str]) -> tuple[Detail, ...]:
+def _single_cuffs(arms: list["_Arm"], where: list[str]) -> tuple[Detail, ...]:
     """Each cuff by itself; ``where``: words after it."""
     return tuple(
         Detail(
             Place.SLEEVES,
-            (single_cuff_words(arm.cuff, arm.cuff.type, sleeve_cuff_length(size, arm)) + place,),
+            (single_cuff_words(arm.cuff, arm.cuff_length, arm.gathers) + place,),
             sided=bool(place),
         )
         for arm, place in zip(arms, where, strict=True)
-        if arm.cuff.type
+        if arm.cuff
     )
 
 
-def _one_shoulder(size: Measurements, halves: tuple[UpperHalf, ...], *, side: int) -> tuple[Detail, ...]:
+class _Arm:
+    """A sleeve on one side, with its cuff as drawn."""
+
+    def __init__(self, design: SleeveDesign, setting: Setting, side: str) -> None:
+        self._design, self._size, self.side = design, setting.size, side
+        self.cuff, self.cuff_length = design.cuff.type, sleeve_cuff_length(setting.size, design)
+        self.gathers = setting.cuffs.get(side, UNGATHERED)
+
+    def words(self, *, pair: bool = True) -> Words:
+        """Noun phrases for the sleeve, or for a pair of such sleeves."""
+        return sleeve_words(self._size, self._design, self.gathers, pair=pair)
+
+
+def _one_shoulder(setting: Setting, halves: tuple[UpperHalf, ...], *, side: int) -> tuple[Detail, ...]:
     """The half with a shoulder of a shirt that is strapless on the other side."""
     arm, name = halves[side][2], SIDES[side]
     if arm.sleeveless:
         return (Detail(Place.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
-    single = with_article(sleeve_words(size, arm, pair=False)[0])
+    worn = _Arm(arm, setting, name)
+    single = with_article(worn.words(pair=False)[0])
     return (
         Detail(Place.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
-        *_single_cuffs(size, [arm], [""]),
+        *_single_cuffs([worn], [""]),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from gcd_dataset.curves import Point
 from gcd_dataset.generator.garments.armhole import Armhole
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
+from gcd_dataset.generator.garments.description import UNGATHERED, CuffGathers
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.garments.tags import RUFFLES, Tag
@@ -91,11 +92,16 @@ def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
     return (length, Tag.CUFFS) if design.cuff.type else (length,)
 
 
-def sleeve_words(size: Measurements, design: SleeveDesign, *, pair: bool = True) -> tuple[str, ...]:
-    """Noun phrases for a pair of sleeves or for one, without article; a sleeve's length includes its cuff."""
+def sleeve_words(
+    size: Measurements, design: SleeveDesign, gathers: CuffGathers = UNGATHERED, *, pair: bool = True
+) -> tuple[str, ...]:
+    """Noun phrases for a pair of sleeves or for one, without article; a sleeve's length includes its cuff.
+
+    ``gathers``: of its cuff.
+    """
     noun, lengths = "sleeves" if pair else "sleeve", _length_words(design)
     gathered = design.connect_ruffle >= RUFFLES
-    into_cuff = design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT) and design.cuff.top_ruffle >= RUFFLES
+    into_cuff = design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT) and gathers.limb >= RUFFLES
     if gathered and into_cuff and design.length <= ELBOW:
         return (f"puffed cap {noun}",) if lengths[0] == "cap" else tuple(f"{length} puff {noun}" for length in lengths)
     share = design.end_width / design.connect_ruffle

@@ -2,7 +2,7 @@
 
 from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.drawn import gather_below, most_gathered, sides_match
+from gcd_dataset.generator.garments.drawn import cuff_gathers, gather_below, most_gathered, sides_match
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.tags import HEMS, RUFFLES, Tag
 from gcd_dataset.records import Measurements, Pattern
@@ -29,9 +29,10 @@ def described(
 ) -> tuple[Description | None, Description | None]:
     """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
     meta = design.meta
-    setting = Setting(size, bottom_rise(design), gather_below(pattern))
+    above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
+    setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))
     return (
-        meta.upper.garment.describe(Setting(size), design) if meta.upper else None,
+        meta.upper.garment.describe(above, design) if meta.upper else None,
         meta.bottom.garment.describe(setting, design) if meta.bottom else None,
     )
 

@@ -60,7 +60,7 @@ class Shirt(UpperGarment[ShirtDesign]):
         return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
 
     def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
-        return describe_shirt(setting.size, design.halves(), fitted=self.fitted)
+        return describe_shirt(setting, design.halves(), fitted=self.fitted)
 
     def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
         left = design.left_half() is not None

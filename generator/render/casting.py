@@ -118,7 +118,7 @@ class PendingPictures:
         with launch_lock:
             uploaded = upload(staged, profile)
             self._kept = uploaded, self._launch(uploaded, materials, inputs, device)
-            self._rendered = wp.record_event(wp.Event(device)) if wp.get_device(device).is_cuda else None
+            self._rendered = self._staging.event()
         if profile is not None:
             profile.add_bytes("to device", uploaded_bytes)
             profile.add_bytes("to host", self._staging.bytes - uploaded_bytes)

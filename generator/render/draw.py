@@ -1,13 +1,14 @@
 """Drawn views: appearance, camera, light and place as a pure function of (seed, index, epoch)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from jaxtyping import Float
 
-from gcd_dataset.generator.render.appearance import Appearance
-from gcd_dataset.generator.render.cameras import CameraRanges, draw_camera
-from gcd_dataset.generator.render.environment import EnvironmentRanges, draw_environment
-from gcd_dataset.generator.render.lights import LightRanges, draw_lights
+from gcd_dataset.generator.render.appearance import RGB, Appearance
+from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera
+from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, EnvironmentRanges, draw_environment
+from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights, white_balance
 from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
 from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.scene import HairStyle, Scene
@@ -61,9 +62,36 @@ def draw_views(
 def draw_view(
     rng: np.random.Generator, scene: Scene, appearance: Appearance, *, row: int = 0, ranges: Ranges | None = None
 ) -> View:
-    """A view of a scene in a given appearance: camera, light and place are drawn."""
+    """A view of a scene in a given appearance: camera, light and place are drawn.
+
+    Lights have the colours that the camera records after its white balance, see ``LightRanges.cast``.
+    """
     ranges = ranges or Ranges()
     camera = draw_camera(rng, scene, ranges=ranges.camera)
     lights = draw_lights(rng, camera, ranges=ranges.lights)
     environment = draw_environment(rng, ranges=ranges.environment)
+    lights, environment = _balanced(lights, environment, camera, left=float(rng.random()), cast=ranges.lights.cast)
     return View(row, appearance, camera, lights, environment, seed=int(rng.integers(1 << 31)))
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _balanced(
+    lights: Lights, environment: Environment, camera: Camera, *, left: float, cast: float
+) -> tuple[Lights, Environment]:
+    """Lights and surroundings by the camera's white balance for cloth that faces it.
+
+    A user's panorama keeps its colours, and counts as white.
+    """
+    is_panorama = environment.kind is EnvironmentKind.PANORAMA
+    around = (1.0, 1.0, 1.0) if is_panorama else environment.light[1]
+    gains, _ = white_balance(lights.arriving(around, -camera.rotation[2]), left=left, cast=cast)
+    lights = replace(lights, key=_times(lights.key, gains), fill=_times(lights.fill, gains))
+    above, sides, below = (_times(light, gains) for light in environment.light)
+    return lights, environment if is_panorama else replace(environment, light=(above, sides, below))
+
+
+def _times(colour: RGB, gains: Float[np.ndarray, "3"]) -> RGB:
+    red, green, blue = (np.array(colour) * gains).tolist()
+    return red, green, blue

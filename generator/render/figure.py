@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
-from gcd_dataset.generator.render.scene import HairStyle
+from gcd_dataset.generator.render.scene import HairStyle, Scene
 from gcd_dataset.records import Body, BodyPart, Record
 
 __all__ = ["BodyMasks", "Eyes", "Shell", "body_masks", "eyeballs", "hair_shell"]
@@ -15,6 +16,8 @@ BRIEFS_HEIGHT = 0.115  # of the figure's height, from the crotch to the top of t
 TOP_HEIGHTS = (0.655, 0.775)  # of the figure's height: lower and upper end of the top; the bust is at 0.72
 LEG_OPENING = 0.55  # slope of the leg openings
 HAIR_DEPTH = {HairStyle.NONE: 0.0, HairStyle.CROPPED: 0.6, HairStyle.SHORT: 1.6, HairStyle.FULL: 2.4}  # cm
+UNDER_CLOTH = 0.3  # cm; least distance of hair from cloth
+SAMPLES = 0.7  # cm; greatest distance of neighbouring points at which cloth is looked for
 FAR = -10.0  # cm; value of a field far outside
 EYE_RINGS, EYE_SECTORS = 7, 12  # faces of an eyeball
 
@@ -77,11 +80,16 @@ def body_masks(body: Body) -> BodyMasks:
     return _masks_of(body)
 
 
-def hair_shell(body: Body, style: HairStyle) -> Shell:
-    """The scalp moved outwards by the depth of the hair, and into the skin past its edge."""
+def hair_shell(scene: Scene) -> Shell:
+    """The scalp moved outwards by the depth of the hair, and into the skin past its edge.
+
+    Cloth on the head, such as a hood, presses the hair down: hair rises to ``UNDER_CLOTH`` below the next cloth.
+    """
+    body, style = scene.body, scene.hair
     plan = _model_hair(style) if len(body.parts) == _model_vertices() else _hair_plan(body, style)
     points = body.vertices[plan.rows]
-    return Shell(points + plan.rise[:, None] * _vertex_normals(points, plan.faces), plan.faces)
+    rise = np.minimum(plan.rise, _room_under_cloth(points, plan.faces, scene, HAIR_DEPTH[style]))
+    return Shell(points + rise[:, None] * _vertex_normals(points, plan.faces), plan.faces)
 
 
 def eyeballs(body: Body) -> Eyes:
@@ -130,6 +138,36 @@ def _hair_plan(body: Body, style: HairStyle) -> _HairPlan:
     share = np.clip(field[rows] / (1.5 * depth), 0.0, 1.0)
     rise = np.where(field[rows] > 0.0, depth * np.sqrt(1.0 - (1.0 - share) ** 2), np.maximum(field[rows], -1.0))
     return _HairPlan(rows, faces.reshape(-1, 3), rise)
+
+
+def _room_under_cloth(
+    points: Float[np.ndarray, "h 3"], faces: Int[np.ndarray, "g 3"], scene: Scene, depth: float
+) -> Float[np.ndarray, " h"]:
+    """Greatest rise of each point of the scalp below the cloth [cm]; no more than that of its neighbours."""
+    if not len(points):
+        return np.zeros(0)
+    reach = depth + UNDER_CLOTH
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    corners = scene.vertices[scene.faces]
+    near = ((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1)
+    if not near.any():
+        return np.full(len(points), np.inf)
+    distance, _ = KDTree(_spread(corners[near])).query(points, distance_upper_bound=reach)
+    # Between the points the shell is flat: no corner of a face rises above the room of another.
+    room = np.maximum(distance - UNDER_CLOTH, -1.0)
+    least = room.copy()
+    np.minimum.at(least, faces, room[faces].min(axis=1, keepdims=True))
+    return least
+
+
+def _spread(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points on triangles, ``SAMPLES`` apart or less along the edges."""
+    longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    steps = max(1, int(np.ceil(longest / SAMPLES)))
+    i, j = np.mgrid[: steps + 1, : steps + 1]
+    inside = i + j <= steps
+    weights = np.stack([i[inside], j[inside], steps - i[inside] - j[inside]], axis=1) / steps
+    return np.einsum("sk,fkd->sfd", weights, corners).reshape(-1, 3)
 
 
 @cache

@@ -68,7 +68,7 @@ class Solid(Record):
 
 def solid_of(scene: Scene) -> Solid:
     """The scene as one mesh, with the borders of its panels."""
-    body, hair, eyes = scene.body, hair_shell(scene.body, scene.hair), eyeballs(scene.body)
+    body, hair, eyes = scene.body, hair_shell(scene), eyeballs(scene.body)
     return Solid(
         parts=tuple((one.vertices, one.faces) for one in (scene, body, hair, eyes)),
         garment_faces=len(scene.faces),

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.records import Record
 
-__all__ = ["LightRanges", "Lights", "draw_lights"]
+__all__ = ["LightRanges", "Lights", "draw_lights", "white_balance"]
 
 RGB = tuple[float, float, float]
 
@@ -33,6 +33,11 @@ class Lights(Record):
     exposure: float = 1.0
     """Factor of all light."""
 
+    def arriving(self, around: RGB, normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Linear light on a surface with ``normal``, in light of the colour ``around`` from the surroundings."""
+        cosine = max(0.0, float(self.key_direction @ normal))
+        return cosine * np.array(self.key) + 0.5 * np.array(self.fill) + self.sky * np.array(around)
+
 
 @dataclass(frozen=True)
 class LightRanges:
@@ -44,8 +49,10 @@ class LightRanges:
     """Of the key light [degrees]."""
     size: tuple[float, float] = (0.02, 0.30)
     """Angular radius of the key light [rad]."""
-    kelvin: tuple[float, float] = (3600.0, 8000.0)
-    """Colour temperature of the key light [K]; the camera is balanced for ``WHITE``."""
+    kelvin: tuple[float, float] = (4200.0, 7500.0)
+    """Colour temperature of the key light [K]."""
+    cast: float = 0.10
+    """Largest cast that the white balance leaves: of red and of blue over green, as a natural logarithm."""
     contrast: tuple[float, float] = (1.0, 5.0)
     """Key light over the light of the surroundings."""
     fill: tuple[float, float] = (0.0, 0.35)
@@ -87,6 +94,21 @@ def tint(kelvin: float) -> RGB:
     """
     mired = 1e6 / kelvin - 1e6 / WHITE
     return math.exp(RED_PER_MIRED * mired), 1.0, math.exp(BLUE_PER_MIRED * mired)
+
+
+def white_balance(
+    light: Float[np.ndarray, "3"], *, left: float, cast: float
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Factors of red, green and blue with which a camera photographs ``light``, and the light that it records.
+
+    ``left``: share of a slight cast that the camera leaves, 0 to 1. Whatever the light, no cast above ``cast`` is left:
+    the logarithms of red and of blue over green end at ±``cast``.
+    """
+    was = np.log(light / light[1])
+    now = cast * np.tanh(left * was / cast) if cast > 0.0 else np.zeros(3)
+    gains = np.exp(now - was)
+    gains = gains * (light.sum() / (gains * light).sum())  # the brightness stays
+    return gains, gains * light
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

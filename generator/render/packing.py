@@ -8,19 +8,24 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.render.appearance import Appearance, Cloth
+from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.scene import Scene
 
-__all__ = ["Materials", "pack_views"]
+__all__ = ["Materials", "pack_views", "skin_albedo"]
 
 CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
 SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
 SKIN_GAIN, SKIN_GAMMA = np.array([0.75, 0.65, 0.57]), 0.76
+# By eye, in sheets of all tones: real skin is neither chalk nor coal, and warm at both ends of the scale.
+SKIN_FLOOR, SKIN_SPAN = 0.028, 0.80  # luminance of the albedo: floor, and factor of the tone's own
+LEAST_RED, RED_OF_DARK, DARK = 1.32, 0.5, 0.06  # least red over green, and how much more dark skin has
+MOST_BLUE = 0.70  # largest blue over green
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 SHEER = 1e-3  # translucency below this is none
 
 
@@ -94,6 +99,15 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
     return Materials(shots, packed, np.append(own, 0).astype(np.int32), texels.rows(), glow.astype(np.float32))
 
 
+def skin_albedo(colour: RGB) -> Float[np.ndarray, "3"]:
+    """Linear albedo of skin that looks like a swatch (sRGB) in pictures."""
+    albedo = SKIN_GAIN * linear_light(np.array(colour)) ** SKIN_GAMMA
+    luminance = float(LUMINANCE @ albedo)
+    red = max(albedo[0] / albedo[1], LEAST_RED + RED_OF_DARK * float(np.exp(-luminance / DARK)))
+    warm = np.array([red, 1.0, min(albedo[2] / albedo[1], MOST_BLUE)])
+    return warm * ((SKIN_FLOOR + SKIN_SPAN * luminance) / float(LUMINANCE @ warm))
+
+
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
@@ -131,8 +145,7 @@ def _pack_place(shot: np.void, place: Environment, texels: _Texels) -> None:
 
 
 def _pack_figure(shot: np.void, look: Appearance) -> None:
-    swatch = linear_light(np.array(look.skin.colour))
-    shot["skin"], shot["gloss"] = SKIN_GAIN * swatch**SKIN_GAMMA, look.skin.gloss
+    shot["skin"], shot["gloss"] = skin_albedo(look.skin.colour), look.skin.gloss
     shot["hair"], shot["eyes"] = linear_light(np.array([look.hair.colour, look.eyes]))
     shot["bare"] = int(look.underwear is None)
     if look.underwear is not None:

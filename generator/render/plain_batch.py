@@ -78,7 +78,7 @@ class PendingRender:
         pictures = _render(uploaded, wp.array(cameras, dtype=Camera, device=device), len(views), size, device)
         self._pictures = self._staging.array(pictures.shape, np.uint8)
         wp.copy(wrapped(self._pictures, wp.uint8), pictures)
-        self._rendered = wp.record_event(wp.Event(device)) if pictures.device.is_cuda else None
+        self._rendered = self._staging.event()
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""

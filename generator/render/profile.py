@@ -59,7 +59,7 @@ class Profile:
     def _mark(self) -> wp.Event | None:
         if not self._device.is_cuda:
             return None
-        return wp.record_event(wp.Event(self._device, enable_timing=True))
+        return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
 
 
 def in_stage(profile: Profile | None, name: str) -> AbstractContextManager[None]:

@@ -6,6 +6,7 @@ Scans are made of them. Conventions are those of ``pictures``.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import warp as wp
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.kernels import ranging
 from gcd_dataset.generator.render.scene import Scene
@@ -79,7 +80,10 @@ class RangeImage(Record):
 
 
 class Ranger:
-    """A scene on a device, for range images of it. Raises ``ConfigError`` for a garment with NaN positions."""
+    """A scene on a device, for range images of it; a context manager, which frees the scene's memory there.
+
+    Raises ``ConfigError`` for a garment with NaN positions.
+    """
 
     def __init__(self, scene: Scene, *, device: str = "auto") -> None:
         self.scene, self.device = scene, resolve_device(device)
@@ -92,6 +96,13 @@ class Ranger:
             points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=self.device)
             corners = wp.array(faces.astype(np.int32).ravel(), dtype=int, device=self.device)
             self._mesh = wp.Mesh(points=points, indices=corners)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with launch_lock:  # freeing memory would break the capture of a graph in another thread
+            del self._mesh
 
     def images(self, cameras: Sequence[Camera], size: int) -> list[RangeImage]:
         """A range image of ``size`` × ``size`` pixels for each camera."""
@@ -109,7 +120,7 @@ class Ranger:
                 self._array([camera.intrinsics(size) for camera in cameras], wp.mat33),
             ]
             wp.launch(ranging.first_surface, shape, inputs=inputs, outputs=[face, weights, depth], device=self.device)
-            arrays = zip(cameras, face.numpy(), weights.numpy(), depth.numpy(), strict=True)
+            arrays = zip(cameras, to_host(face), to_host(weights), to_host(depth), strict=True)
             return [RangeImage(self.scene, self._normals, *entry) for entry in arrays]
 
     def lit(self, lamp: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
@@ -118,7 +129,7 @@ class Ranger:
             lit = wp.zeros(len(points), dtype=wp.uint8, device=self.device)
             inputs = [self._mesh.id, wp.vec3(*map(float, lamp)), self._array(points, wp.vec3)]
             wp.launch(ranging.lit_points, len(points), inputs=inputs, outputs=[lit], device=self.device)
-            return lit.numpy() == 1
+            return to_host(lit) == 1
 
     def _array(self, values: object, dtype: type) -> wp.array:
         return wp.array(np.asarray(values, np.float32), dtype=dtype, device=self.device)

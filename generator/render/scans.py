@@ -102,9 +102,9 @@ def scan(
     """
     if points < 1 or not cameras:
         raise ConfigError(f"a scan of {points} points by {len(cameras)} cameras: give 1 or more of both")
-    ranger = Ranger(scene, device=device)
-    images = ranger.images(cameras, size)
-    parts = [_measured(ranger, image, k, noise, rng, body=body) for k, image in enumerate(images)]
+    with Ranger(scene, device=device) as ranger:
+        images = ranger.images(cameras, size)
+        parts = [_measured(ranger, image, k, noise, rng, body=body) for k, image in enumerate(images)]
     position, normal, panel, camera = (np.concatenate(column) for column in zip(*parts, strict=True))
     rows = _choice(rng, len(position), points)
     if not len(position):

@@ -287,7 +287,8 @@ def _range_image(scene: Scene, camera: Camera, style: SketchStyle, device: str) 
     scene = scene if style.body else replace(scene, body=NOBODY)
     if not len(scene.faces):
         raise ConfigError("a sketch of a scene without cloth: give a draped garment")
-    [image] = Ranger(scene, device=device).images([camera], PIXELS)
+    with Ranger(scene, device=device) as ranger:
+        [image] = ranger.images([camera], PIXELS)
     return image
 
 

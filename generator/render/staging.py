@@ -43,6 +43,11 @@ class StagingBuffers:
         array: np.ndarray = buffer.numpy()[:needed].view(kind).reshape(shape)
         return array
 
+    def event(self) -> wp.Event | None:
+        """An event after the work launched so far; ``None`` for the CPU, which does not work in the background."""
+        # Not wp.record_event: it takes the stream of the default device, the first GPU.
+        return wp.get_stream(self.device).record_event() if self.locked else None
+
     def release(self) -> None:
         """Return all arrays to the pool."""
         with self._pool:

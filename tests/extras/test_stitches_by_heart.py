@@ -1,4 +1,4 @@
-"""Eight generated patterns, learnt by heart: all stitches are right, up to the symmetries of the panels."""
+"""Eight generated patterns, learnt by heart: all stitches are right, up to the symmetries of the panels (7 minutes)."""
 
 import torch
 
@@ -17,8 +17,9 @@ def test_all_stitches_of_eight_patterns_are_right() -> None:
     garments = GeneratedGarments(8, 0, drape=None, stage="pattern", fields=names, dtype=None)
     items = [garments[k] for k in range(8)]
     arrays = [(item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy()) for item in items]
+    torch.manual_seed(0)
     learner, device = StitchLearner(CONFIG), torch.device("cpu")
-    config = TrainConfig(steps=600, batch=8, lr=1.5e-3, ema=0.98)
+    config = TrainConfig(steps=1600, batch=8, lr=1.5e-3, ema=0.98)
     trained = train(learner, learner.examples(arrays, device=device), config, device=device)
     assert isinstance(trained.learner, StitchLearner)
     for k, pattern in enumerate(sew(trained.learner.net, [pattern_of(entry) for entry in arrays])):

@@ -11,6 +11,7 @@ from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.draper import make_reply
 from gcd_dataset.generator.pipeline import finish, prepare, view_requests
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.layout import garments_layout
@@ -56,3 +57,8 @@ def write(folder: Path, made: Sequence[Sample], config: MakeConfig = CONFIG) -> 
 
 def diverged(request: DrapeRequest) -> Drape:
     return Drape(np.full_like(request.job.box_mesh.vertices, np.nan), Outcome.DIVERGED, 1, 0, 0, np.nan, np.nan)
+
+
+def of_another_data_set(item: Item) -> Item:
+    """The same garment, at the same number of a data set of another seed."""
+    return {**item, "meta": {**item["meta"], "seed": item["meta"]["seed"] + 1}}

@@ -11,7 +11,7 @@ import torch
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.render import NOISELESS, ScanRanges
 from gcd_dataset.loaders import VIEW_FIELDS, Augmented, GarmentDataset, GarmentLoader, Scan
-from tests.loaders.rendered import samples, write
+from tests.loaders.rendered import of_another_data_set, samples, write
 
 COUNT = 2
 
@@ -70,6 +70,11 @@ def test_scans_are_a_function_of_seed_epoch_and_garment(folder: Path) -> None:
     assert not torch.equal(small(seed=1)(item)["scan"], alone[0])
     scan.set_epoch(0)
     assert torch.equal(scan(item)["scan"], alone[0])
+
+
+def test_other_data_sets_have_other_scans_at_the_same_number(folder: Path) -> None:
+    item = dataset(folder)[0]
+    assert not torch.equal(small()(of_another_data_set(item))["scan"], small()(item)["scan"])
 
 
 def test_as_an_augmentation_each_epoch_has_another_scan(folder: Path) -> None:

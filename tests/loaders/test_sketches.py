@@ -11,7 +11,7 @@ import torch
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.render import FLAT, HAND, SketchStyle
 from gcd_dataset.loaders import VIEW_FIELDS, Augmented, GarmentDataset, GarmentLoader, Sketch
-from tests.loaders.rendered import samples, write
+from tests.loaders.rendered import of_another_data_set, samples, write
 
 COUNT = 2
 
@@ -62,6 +62,7 @@ def test_sketches_by_hand_are_a_function_of_seed_epoch_and_garment(folder: Path)
     assert not torch.equal(small(seed=1, **options)(item)["sketch"], alone[0])
     draw.set_epoch(0)
     assert torch.equal(draw(item)["sketch"], alone[0])
+    assert not torch.equal(draw(of_another_data_set(item))["sketch"], alone[0])
 
 
 def test_a_flat_from_a_fixed_side_is_the_same_in_every_epoch(folder: Path) -> None:

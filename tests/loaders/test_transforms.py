@@ -1,5 +1,7 @@
 """Augmentations: geometry, and draws by seed, index and epoch."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -44,6 +46,36 @@ def test_yaw_keeps_heights_and_distances() -> None:
         assert torch.allclose(*radius, atol=0.03)
         assert turned[field].dtype == item[field].dtype
     assert same(item, FakeGarments(1)[0])
+
+
+def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
+    """Every camera sees the turned points where it saw them before; what was not measured stays so."""
+    points = torch.cat([ball()["points"][::40].float(), torch.full((2, 6), torch.nan)])
+    rotation = torch.linalg.qr(torch.randn(2, 3, 3, generator=torch.manual_seed(1)))[0]
+    rt = torch.cat([rotation, torch.ones(2, 3, 1)], dim=2)
+    facts = {
+        "camera": {"rt": rt[0].tolist(), "size": 9},
+        "light": {"key_direction": rotation[0, 2].tolist(), "fill_direction": [0.0, 1.0, 0.0], "sky": 1.0},
+    }
+    item: dict[str, Any] = {
+        "scan": points, "scan_camera_rt": rt, "camera_rt": rt, "sketch_rt": rt.half(), "view_0_json": facts
+    }  # fmt: skip
+    turned = Yaw()(item, rng())
+    assert turned["scan"].isnan().any(dim=1).tolist() == points.isnan().any(dim=1).tolist()
+    assert not torch.allclose(turned["scan"][:-2], points[:-2], atol=1.0)
+    for field in ("scan_camera_rt", "camera_rt", "sketch_rt"):
+        assert turned[field].dtype == item[field].dtype
+        for before, after in zip(item[field].float(), turned[field].float(), strict=True):
+            for columns in (slice(0, 3), slice(3, 6)):  # points, normals
+                seen, now = points[:-2, columns] @ before[:, :3].T, turned["scan"][:-2, columns] @ after[:, :3].T
+                assert torch.allclose(seen, now, atol=0.2 if field == "sketch_rt" else 1e-3)
+            assert torch.equal(before[:, 3], after[:, 3])
+    stored = turned["view_0_json"]
+    assert torch.allclose(torch.tensor(stored["camera"]["rt"]), turned["camera_rt"][0])
+    # the light still shines along the optical axis of the first camera
+    assert stored["light"]["key_direction"] == pytest.approx(turned["camera_rt"][0, 2, :3].tolist(), abs=1e-6)
+    assert (stored["light"]["sky"], stored["camera"]["size"]) == (1.0, 9)
+    assert facts["camera"]["rt"] == rt[0].tolist()
 
 
 def test_yaw_rotates_normals_with_the_surface() -> None:

@@ -1,5 +1,6 @@
 """An HDF5 file holds the members of the shards, byte for byte."""
 
+import json
 import os
 import pickle
 import struct
@@ -18,6 +19,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.views import MISSING_VIEW
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Sample, View
@@ -53,20 +55,50 @@ def test_every_member_equals_the_shards_byte_for_byte(folder: Path, file: Path) 
 
 
 def captioned(folder: Path) -> Path:
-    """A file of two samples with captions and a view."""
-    picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
-    assert picture is not None
+    """A file of two samples with captions and two views, beside its shards."""
+    layout = garments_layout(caption=True, views=2)
     with ShardWriter(folder, seed=0, recipe={}, layout=layout) as writer:
         for index in range(2):
-            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=(View(picture, {}),)))
+            one, other = fake_sample(0, index).front, fake_sample(0, index + 5).front
+            assert one is not None and other is not None
+            views = (View(one, MISSING_VIEW.facts), View(other, {**MISSING_VIEW.facts, "number": index}))
+            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=views))
     list(write_hdf5(ShardReader(folder), folder / "train.h5"))
     return folder / "train.h5"
 
 
-def test_views_left_out_of_a_file_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    file = captioned(tmp_path)
-    assert "train.h5: without view_0, view_0_json: an HDF5 file holds no views" in caplog.text
-    assert set(Hdf5Garments(file)[0]) == {*FIELDS, "caption"}
+def test_a_file_holds_views(tmp_path: Path, file: Path) -> None:
+    folder = tmp_path / "own"
+    own, shards = captioned(folder), ShardReader(folder)
+    reader = Hdf5Reader(own)
+    assert reader.members == shards.layout.members
+    for position in range(2):
+        there, here = shards.read(position, reader.members), reader.read(position, reader.members)
+        assert {member: bytes(data) for member, data in there.items()} == {m: bytes(d) for m, d in here.items()}
+        reader.check(position)
+    views = ("view_0", "view_0_json", "view_1", "view_1_json")
+    ds = Hdf5Garments(own)
+    assert set(ds[0]) == {*FIELDS, "caption", *views}
+    assert [item["view_1_json"]["number"] for item in ds] == [0, 1]
+    joint = ("views", "camera_k", "camera_rt")
+    for one, other in zip(Hdf5Garments(own, joint), GarmentDataset(folder, fields=joint), strict=True):
+        assert all(torch.equal(one[field], other[field]) for field in joint)
+    with h5py.File(own) as data:
+        start, end = data["ptr/view_1"][1:3]
+        assert data["view_1"][start:end].tobytes()[:2] == b"\xff\xd8"  # JPEG
+        assert json.loads(data["view_1_json"].asstr()[1])["number"] == 1
+    with pytest.raises(ConfigError, match="no field views"):
+        Hdf5Garments(file, fields=["views"])
+
+
+def test_a_damaged_view_is_found(tmp_path: Path) -> None:
+    own = captioned(tmp_path)
+    with h5py.File(own, "r+") as data:
+        start = data["ptr/view_1"][1]
+        data["view_1"][start + 9] ^= 1
+    Hdf5Garments(own).verify(0)
+    with pytest.raises(ShardError, match=r"sample 1, member view_1\.jpg"):
+        Hdf5Garments(own).verify(1)
 
 
 def test_a_file_holds_captions(tmp_path: Path, file: Path) -> None:

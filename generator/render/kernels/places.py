@@ -157,12 +157,47 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
             normal[face] = -wp.sign(d[face])
             shade = 0.6 + 0.5 * random2(k, 3, shot.place_seed, 5)
             b.colour = wp.lerp(shot.accent, shot.floor, 0.7 * random2(k, 4, shot.place_seed, 5)) * shade
-            b.colour = b.colour * (1.0 - 0.4 * wp.exp(-p[1] / 12.0))
+            b.colour = cabinet_front(shot, b.colour, p, lower, upper, face, k)
             b.lit = 1.0
             b.floor = 0.0
     b.normal = unturned(shot, normal)
     b.point = unturned(shot, p) + wp.vec3(middle[0], 0.0, middle[2])
     return b
+
+
+@wp.func
+def cabinet_front(shot: Shot, colour: wp.vec3, p: wp.vec3, lower: wp.vec3, upper: wp.vec3, face: int,
+                  k: int) -> wp.vec3:  # fmt: skip
+    """A piece of furniture at a point of its surface: a top that overhangs, a plinth, doors or drawers with handles."""
+    grain = 1.0 + 0.08 * fractal2(wp.vec2(p[1] * 0.06, (p[0] + p[2]) * 0.5), 3, shot.place_seed + k)
+    wood = colour * grain
+    if face == 1:
+        return wood * 1.1
+    under = upper[1] - p[1]
+    if under < 3.0:
+        return wood * 1.08
+    shadow = 1.0 - 0.45 * wp.exp(-(under - 3.0) / 2.5)
+    if p[1] < 7.0:
+        return wood * 0.35
+    along = p[2] - lower[2]
+    length = upper[2] - lower[2]
+    if face == 2:
+        along = p[0] - lower[0]
+        length = upper[0] - lower[0]
+    columns = wp.max(1.0, wp.floor(length / 48.0))
+    rows = 1.0 + wp.floor(3.9 * random2(k, 5, shot.place_seed, 5))
+    wide = length / columns
+    high = (upper[1] - 10.0) / rows
+    x = fraction(along / wide) * wide
+    y = fraction((p[1] - 7.0) / high) * high
+    gap = wp.min(wp.min(x, wide - x), wp.min(y, high - y))
+    wood = wood * (shadow * (0.45 + 0.55 * ramp(0.2, 0.9, gap)))
+    handle = wp.max(wp.abs(x - 0.5 * wide) / 7.0, wp.abs(y - 0.75 * high) / 0.7)
+    if rows < 2.0:  # doors: a knob at the edge
+        handle = wp.length(wp.vec2(x - wide + 5.0, y - 0.6 * high)) / 1.6
+    if handle < 1.0:
+        return wp.vec3(0.25, 0.24, 0.22)
+    return wood
 
 
 @wp.func

@@ -251,7 +251,7 @@ def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weig
     )
     s.colour = body_colour(shot, mask, s.point, width)
     s.roughness = 0.5
-    s.specular = 0.024 * (0.2 + shot.gloss)
+    s.specular = 0.028 * (0.35 + shot.gloss)
     s.sheen = 0.04
     s.scatter = 0.22
     s.warmth = 1.0

@@ -14,8 +14,9 @@ from gcd_dataset.generator.captions.sentences import MOST_SHORT_WORDS
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
 from gcd_dataset.generator.garments.outfit import bottom_rise
+from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
-from gcd_dataset.records import Panel
+from gcd_dataset.records import Panel, Pattern
 from tests.generator.garments.conftest import OUTFITS, WOMAN
 from tests.generator.worn import Worn, drawn, edges, hem_cut_depth, sampled_wardrobe
 
@@ -165,7 +166,7 @@ def test_the_length_of_a_drawn_skirt_agrees_with_its_word(wardrobe: list[Worn]) 
         expected = ABOVE if hem > knee + near else BELOW if hem < knee - near else AT
         assert word in expected, (word, hem, knee, design.meta.bottom)
         words.append(word)
-    assert len(words) > 25
+    assert len(words) > 20
     assert set(words) & ABOVE
     assert set(words) & BELOW
 
@@ -244,3 +245,42 @@ def test_the_member_holds_one_level_a_line() -> None:
     assert read_captions(caption_text(texts)) == texts
     with pytest.raises(ShardError, match="a caption of 1 lines, not 3"):
         read_captions("a skirt")
+
+
+@pytest.mark.parametrize(
+    ("limb", "cuff", "noun"), [("right_sleeve_", "sl_right_cuff_", "sleeve"), ("pant_", "pant_r_cuff_", "leg")]
+)
+def test_words_for_cuffs_follow_the_drawn_gathers(wardrobe: list[Worn], limb: str, cuff: str, noun: str) -> None:
+    """Frills are gathered, and limbs are gathered into cuffs, where a seam of the pattern is, and nowhere else."""
+    gathered, frilled = [], []
+    for number, each in enumerate(wardrobe):
+        parts = {panel.name: panel_part(panel.name, limb, cuff) for panel in each.pattern.panels}
+        if not {"band", "skirt"} & set(parts.values()) or len(each.design.halves()) > 1:
+            continue
+        band = "band" in parts.values()
+        into = length_ratio(each.pattern, parts, "limb", "band" if band else "skirt")
+        frill = length_ratio(each.pattern, parts, "skirt", "band" if band else "limb")
+        full = each.captions(number)["full"]
+        gathered.append(f"gather the {noun} ends" in full or f"{noun} ends gathered" in full)
+        phrases = (f"frills (at|that gather) the {noun}", f"{noun} ends gathered into [a-z ]*frills")
+        frilled.append(mentions(full, *phrases))
+        assert gathered[-1] == (into >= RUFFLES), (full, into)
+        assert frilled[-1] == (frill >= RUFFLES), (full, frill)
+    assert {*gathered} == {*frilled} == {True, False}
+
+
+def panel_part(name: str, limb: str, cuff: str) -> str:
+    """``band`` or ``skirt`` of a cuff, ``limb``, or nothing."""
+    if name.startswith(cuff):
+        return "skirt" if "skirt" in name else "band"
+    return "limb" if name.startswith(limb) and "cuff" not in name else ""
+
+
+def length_ratio(pattern: Pattern, parts: dict[str, str], one: str, other: str) -> float:
+    """Total length of the edges of ``one`` part over those of the ``other`` that they are sewn to; 1 without any."""
+    lengths, total = {panel.name: panel.edge_lengths() for panel in pattern.panels}, np.zeros(2)
+    for seam in pattern.seams:
+        for a, b in ((seam.left, seam.right), (seam.right, seam.left)):
+            if (parts[a.panel], parts[b.panel]) == (one, other):
+                total += [lengths[a.panel][a.edge], lengths[b.panel][b.edge]]
+    return float(total[0] / total[1]) if total[1] else 1.0

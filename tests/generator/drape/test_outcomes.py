@@ -94,6 +94,20 @@ def test_a_neckline_belongs_above_the_waist() -> None:
     assert off_body(job, dress.vertices - [0.0, 40.0, 0.0])
 
 
+@pytest.mark.parametrize("labels", [{}, {"left_collar": np.arange(36)}, {"lower_interface": np.arange(36)}])
+def test_every_piece_of_an_outfit_belongs_on_the_body(labels: dict[str, np.ndarray]) -> None:
+    """A top that stays up, and a skirt that is not sewn to it and has dropped to the ankles."""
+    waist = SIZE.waist_level
+    top = replace(tube(36, 3, radius=15.0, spacing=2.0, height=waist + 10.0), labels=labels)
+    outfit = joined(top, tube(36, 20, radius=15.0, spacing=2.0, height=waist - 42.0))
+    job, of_skirt = DrapeJob(outfit, far_ball(), SIZE), np.arange(len(outfit.vertices)) >= len(top.vertices)
+    dropped = outfit.vertices - np.outer(of_skirt, [0.0, 70.0, 0.0])
+    dropped[of_skirt, 1] = np.maximum(dropped[of_skirt, 1], 1.0)
+    assert not off_body(job, outfit.vertices)
+    assert off_body(job, dropped)
+    assert not fell(job, dropped)
+
+
 def test_edges_of_a_spike_through_cloth_are_counted() -> None:
     """The tip pierces the inside of a face: no cloth edge crosses, but three edges of the body do."""
     spike = trimesh.Trimesh(

@@ -1,5 +1,7 @@
 """Views are a function of (seed, index, epoch), and stay within their ranges."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,13 +18,17 @@ from gcd_dataset.generator.render import (
     draw_camera,
     draw_hair,
     draw_lights,
+    draw_view,
     draw_views,
+    render,
 )
 from gcd_dataset.generator.render.appearance import MONK_TONES
-from gcd_dataset.generator.render.lights import tint
+from gcd_dataset.generator.render.images import linear_light
+from gcd_dataset.generator.render.lights import tint, white_balance
 from gcd_dataset.generator.render.looks import LOOKS, LOOKS_OF_FABRIC
 from gcd_dataset.generator.render.materials import parts_of
-from tests.generator.render.scenes import ball_scene, hung_patch, patch_scene
+from gcd_dataset.generator.render.packing import skin_albedo
+from tests.generator.render.scenes import ahead, ball_scene, cloth_of, hung_patch, look, patch_scene, plain
 from tests.helpers import joined
 
 
@@ -80,6 +86,15 @@ def test_all_ten_tones_are_drawn_and_others_refused() -> None:
         draw_appearance(np.random.default_rng(0), scene, ranges=AppearanceRanges(looks=("tweed",)))
 
 
+def test_skin_is_neither_chalk_nor_coal_and_warm_on_all_tones() -> None:
+    """Luminance of the albedo falls along the scale, from below 0.52 to above 0.045; red over green over blue."""
+    albedos = np.array([skin_albedo(tone) for tone in MONK_TONES])
+    luminance = albedos @ [0.2126, 0.7152, 0.0722]
+    assert luminance.max() < 0.52 and luminance.min() > 0.045
+    assert (np.diff(luminance[3:]) < 0).all()  # the first three tones are as light as each other
+    assert (albedos[:, 0] > 1.3 * albedos[:, 1]).all() and (albedos[:, 1] > 1.3 * albedos[:, 2]).all()
+
+
 def test_nobody_is_drawn_without_underwear() -> None:
     scene = patch_scene()
     assert all(draw_appearance(np.random.default_rng(k), scene).underwear is not None for k in range(40))
@@ -111,6 +126,38 @@ def test_warm_light_is_red_and_cold_light_blue() -> None:
     assert tint(3500.0)[0] > 1.2 > 1.0 > tint(3500.0)[2]
     assert tint(8000.0)[2] > 1.0 > tint(8000.0)[0]
     assert tint(5500.0) == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_grey_cloth_looks_grey_in_every_drawn_view() -> None:
+    """Grey cloth that faces the camera has red and blue within 20 % of green, in any light and place; not always equal.
+
+    The white balance leaves casts of up to 10.5 % (``LightRanges.cast``); creases that turn away from the camera are
+    lit more by the key or more by the surroundings.
+    """
+    scene = patch_scene()
+    cloth = look(scene, cloth_of(plain((0.5, 0.5, 0.5))))
+    casts = []
+    for k in range(60):
+        camera = CameraRanges(yaw=(-30.0, 30.0), crop=1.0)
+        drawn = draw_view(np.random.default_rng(k), scene, cloth, ranges=Ranges(camera=camera))
+        view = replace(drawn, camera=ahead(60.0), lights=replace(drawn.lights, exposure=0.6))
+        middle = render([scene], [view], size=16, device="cpu")[0].rgb[6:10, 6:10]
+        red, green, blue = linear_light(middle.astype(float) / 255).mean(axis=(0, 1))
+        casts.append([np.log(red / green), np.log(blue / green)])
+    assert 0.02 < np.abs(casts).max() < 0.2
+
+
+def test_white_balance_leaves_casts_within_its_bound() -> None:
+    tungsten = np.array([1.8, 1.0, 0.3])
+    for left in (0.0, 0.5, 1.0):
+        gains, recorded = white_balance(tungsten, left=left, cast=0.1)
+        assert np.abs(np.log(recorded / recorded[1])).max() <= 0.1
+        assert recorded.sum() == pytest.approx(tungsten.sum())
+        assert recorded == pytest.approx(gains * tungsten)
+    assert white_balance(tungsten, left=0.0, cast=0.1)[1] == pytest.approx(tungsten.mean())
+    assert white_balance(tungsten, left=0.7, cast=0.0)[1] == pytest.approx(tungsten.mean())
+    slight = np.array([1.01, 1.0, 0.99])
+    assert white_balance(slight, left=1.0, cast=0.1)[1] == pytest.approx(slight, abs=1e-3)
 
 
 def test_ranges_may_be_given_together() -> None:

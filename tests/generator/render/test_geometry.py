@@ -8,10 +8,12 @@ import trimesh
 
 from gcd_dataset.generator.body import build_body, draw_shape, neutral_shape
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.render import HairStyle, scene_of
+from gcd_dataset.generator.render import Camera, HairStyle, Scene, look_at, render, scene_of
 from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
 from gcd_dataset.generator.render.geometry import HEM, solid_of
-from gcd_dataset.records import BodyPart
+from gcd_dataset.generator.render.pictures import HAIR
+from gcd_dataset.records import Body, BodyPart
+from tests.generator.render.scenes import view_of
 from tests.helpers import body_from, far_ball, joined, napkins, patch, tube
 
 
@@ -107,15 +109,51 @@ def test_underwear_covers_hips_and_breasts_of_any_body(seed: int) -> None:
 
 def test_hair_lies_on_the_head_and_leaves_the_face_free() -> None:
     body = build_body(neutral_shape())
-    assert len(hair_shell(body, HairStyle.NONE).faces) == 0
+    assert len(hair_shell(bare_head(body, HairStyle.NONE)).faces) == 0
     depths = []
     for style in (HairStyle.CROPPED, HairStyle.SHORT, HairStyle.FULL):
-        shell = hair_shell(body, style)
+        shell = hair_shell(bare_head(body, style))
         head = body.vertices[body.parts == BodyPart.HEAD.value]
         depths.append(shell.vertices[:, 1].max() - head[:, 1].max())
         nose = head[head[:, 2].argmax()]
         assert np.linalg.norm(shell.vertices - nose, axis=1).min() > 5.0
     assert 0.3 < depths[0] < depths[1] < depths[2] < 3.0
+
+
+@pytest.mark.parametrize("style", [HairStyle.CROPPED, HairStyle.SHORT, HairStyle.FULL])
+def test_hair_stays_under_a_hood(style: HairStyle) -> None:
+    """Of a head in cloth that lies 0.6 cm off its skin, no camera sees hair; without the cloth, all do."""
+    body = build_body(neutral_shape())
+    covered, bare = hooded(body, style), bare_head(body, style)
+    for angle in (0.6, 1.8, 3.1, 4.4, 5.7):
+        camera = look_at(np.array([200 * np.sin(angle), 200.0, 200 * np.cos(angle)]), np.array([0, 155.0, 0]), focal=6)
+        counts = [(part_map(scene, camera) == HAIR).sum() for scene in (covered, bare)]
+        assert counts[0] == 0 and counts[1] > 50
+
+
+def hooded(body: Body, style: HairStyle) -> Scene:
+    """A body whose head and neck are in cloth."""
+    skin = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    chin = body.vertices[body.parts == BodyPart.HEAD.value, 1].min()
+    head = (body.vertices[body.faces, 1] > chin - 5.0).all(axis=1)
+    rows, faces = np.unique(body.faces[head], return_inverse=True)
+    faces, points = faces.reshape(-1, 3), (body.vertices + 0.6 * skin.vertex_normals)[rows]
+    mesh = replace(
+        patch(1, 1), vertices=points, faces=faces, corners=faces, uv=points[:, :2], uv_vertex=np.arange(len(points)),
+        panel_id=np.zeros(len(faces), int),
+    )  # fmt: skip
+    return scene_of(mesh, points, body, hair=style)
+
+
+def bare_head(body: Body, style: HairStyle) -> Scene:
+    """A body and, far from its head, a patch of cloth."""
+    mesh = patch(1, 1)
+    return scene_of(mesh, mesh.vertices, body, hair=style)
+
+
+def part_map(scene: Scene, camera: Camera) -> np.ndarray:
+    view = view_of(scene, camera=camera)
+    return render([scene], [view], size=64, maps=("part",), device="cpu")[0].maps["part"]
 
 
 def test_eyes_lie_in_the_sockets_of_any_body() -> None:
@@ -131,5 +169,5 @@ def test_eyes_lie_in_the_sockets_of_any_body() -> None:
 
 def test_a_body_without_a_head_has_neither_hair_nor_eyes() -> None:
     ball = body_from(trimesh.creation.icosphere())
-    assert len(hair_shell(ball, HairStyle.FULL).faces) == 0
+    assert len(hair_shell(bare_head(ball, HairStyle.FULL)).faces) == 0
     assert len(eyeballs(ball).faces) == 0
