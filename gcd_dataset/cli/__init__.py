@@ -160,7 +160,7 @@ def _require_no_store(options: argparse.Namespace, data: str) -> None:
 
 
 def _drape(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body

@@ -8,6 +8,7 @@ const FIELD_OF_VIEW = 0.5; // rad
 const SHEET_DISTANCE = 34; // cm from the wearer's axis to the sheet with the flat panels
 const SEAM_REACH = 7; // pixels between pointer and seam
 const SEAM_DEPTH = 1.5; // cm by which a seam under the pointer may lie behind the cloth
+const FROM_THE_SIDE = 0.36; // rad: the first view of the placed and the draped garment
 const TURN = 0.0085; // rad per pixel
 const TILT = [-1.45, 1.45]; // rad
 const ZOOM = [0.08, 4];
@@ -394,7 +395,8 @@ class Picture {
     const slope = Math.tan(0.5 * FIELD_OF_VIEW);
     const reach = Math.max(0.5 * size[1], (0.5 * Math.max(size[0], Math.min(size[2], 90))) / aspect);
     const distance = (reach / slope) * 1.12 * state.zoom + 0.4 * size[2];
-    const { yaw, pitch } = state;
+    const yaw = state.yaw + FROM_THE_SIDE * smooth(0, 1, state.stage);
+    const { pitch } = state;
     const back = [Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch)];
     const right = [Math.cos(yaw), 0, -Math.sin(yaw)];
     const up = cross(back, right);
@@ -469,7 +471,7 @@ class Picture {
       gl.disable(gl.BLEND);
     }
     gl.bindVertexArray(this.cloth);
-    use(this.surface, { ...common, lit, inside: 0.62, opacity: 1 });
+    use(this.surface, { ...common, lit, inside: mix(1, 0.62, presence), opacity: 1 });
     this.elements(garment.corners);
 
     gl.bindVertexArray(this.seams);
@@ -613,6 +615,15 @@ const EVEN = [0.93, 0.92, 0.89];
 function stretchColour(stretch) {
   const t = clamp((stretch - 1) / data.stretchRange, -1, 1);
   return mix3(EVEN, t < 0 ? COLD : HOT, Math.sqrt(Math.abs(t)));
+}
+
+function paintRamp() {
+  const stops = [];
+  for (let i = 0; i <= 16; i++) {
+    const colour = stretchColour(1 + data.stretchRange * (i / 8 - 1)).map((part) => Math.round(255 * part));
+    stops.push(`rgb(${colour.join(",")})`);
+  }
+  $("ramp").style.background = `linear-gradient(90deg, ${stops.join(",")})`;
 }
 
 /** RGB bytes of each corner in a mode: panels, strain or crossings. */
@@ -871,6 +882,7 @@ function prepareControls() {
       redraw();
     });
   }
+  paintRamp();
   $("reset").addEventListener("click", resetCamera);
 }
 

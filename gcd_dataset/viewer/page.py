@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
-from gcd_dataset.generator.svg import pattern_svg
-from gcd_dataset.records import BoxMesh, EdgeRef, Pattern
+from gcd_dataset.records import BoxMesh, Pattern
+from gcd_dataset.viewer.markup import inline_svg, table
 
 __all__ = ["page_of"]
 
@@ -30,6 +30,7 @@ LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
 STRETCH_STEP = 0.001
 LARGEST_RANGE, SMALLEST_RANGE = 0.5, 0.05  # of the colours of strain, to both sides of 1
 FACES_OUTSIDE_RANGE = 2.0  # percent of the faces that may be stretched beyond the range of the colours
+LIGHTENING = 0.15  # share of white in the colours of panels
 HINT = "Point at a panel or a seam"
 
 
@@ -43,7 +44,7 @@ def page_of(content: Any) -> str:
         "main_class": "" if mesh is not None else ' class="alone"',
         "hint": HINT,
         "parts": _part_options(content.pattern),
-        "pattern": _inline_svg(content.pattern),
+        "pattern": inline_svg(content.pattern, 'role="group" aria-label="Panels"'),
         "view": "" if mesh is None else _view(content),
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
         "footer": "Drag to turn, right button or two fingers to move, wheel or pinch to zoom. Click keeps a part lit.",
@@ -82,17 +83,13 @@ def _policy_hash(script: str) -> str:
 def _headline(content: Any) -> str:
     caption = f'    <p class="caption">{escape(content.caption)}</p>\n' if content.caption else ""
     outcome = content.outcome
-    badge = "" if outcome is None else f'<li class="{"good" if outcome.name == "SETTLED" else "warn"}">{outcome.name}</li>'
+    badge = (
+        ""
+        if outcome is None
+        else f'<li class="{"good" if outcome.name == "SETTLED" else "warn"}">{outcome.name.lower().replace("_", " ")}</li>'
+    )
     tags = badge + "".join(f"<li>{escape(tag)}</li>" for tag in content.tags)
     return caption + (f'    <ul class="tags">{tags}</ul>\n' if tags else "")
-
-
-def _inline_svg(pattern: Pattern) -> str:
-    """The drawing of the pattern, scaled by the page."""
-    text = pattern_svg(pattern).decode()
-    head, _, rest = text[text.index("<svg") :].partition(">")
-    box = head[head.index("viewBox=") :]
-    return f'<svg role="group" aria-label="Panels" {box}>{rest}'
 
 
 def _part_options(pattern: Pattern) -> str:
@@ -125,10 +122,9 @@ def _view(content: Any) -> str:
 
 
 def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
-    lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
     return (
         f'<section class="card"><div class="strip"><h2>{escape(title)}</h2></div>'
-        f'<div class="scroll" tabindex="0"><table>{lines}</table></div></section>\n'
+        f'<div class="scroll" tabindex="0">{table(rows)}</div></section>\n'
     )
 
 
@@ -150,13 +146,13 @@ def _data(content: Any) -> dict[str, Any]:
 
 
 def _panel_data(piece: SheetPanel) -> dict[str, Any]:
-    red, green, blue = PALETTE[piece.number % len(PALETTE)]
+    colour = [round(255 * (part + LIGHTENING * (1.0 - part))) for part in PALETTE[piece.number % len(PALETTE)]]
     x, y = piece.outline.T
     area = 0.5 * abs(float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()))
     label = f" · {piece.panel.label}" if piece.panel.label else ""
     return {
         "text": f"{piece.panel.name}{label} · {area:.0f} cm²",
-        "colour": [round(255 * red), round(255 * green), round(255 * blue)],
+        "colour": colour,
         "shift": piece.shift.round(4).tolist(),
         "turn": Rotation.from_matrix(piece.panel.placement.matrix).as_rotvec().round(6).tolist(),
     }
