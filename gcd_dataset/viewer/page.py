@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
-from gcd_dataset.records import BoxMesh, Pattern
+from gcd_dataset.records import BoxMesh, Outcome, Pattern
+from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.markup import inline_svg, table
 
 __all__ = ["page_of"]
@@ -34,7 +35,7 @@ LIGHTENING = 0.15  # share of white in the colours of panels
 HINT = "Point at a panel or a seam"
 
 
-def page_of(content: Any) -> str:
+def page_of(content: Content) -> str:
     """The page as HTML text, to write as UTF-8."""
     mesh = content.mesh
     script = _asset("page.js")
@@ -80,14 +81,12 @@ def _policy_hash(script: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
 
 
-def _headline(content: Any) -> str:
+def _headline(content: Content) -> str:
     caption = f'    <p class="caption">{escape(content.caption)}</p>\n' if content.caption else ""
-    outcome = content.outcome
-    badge = (
-        ""
-        if outcome is None
-        else f'<li class="{"good" if outcome.name == "SETTLED" else "warn"}">{outcome.name.lower().replace("_", " ")}</li>'
-    )
+    badge = ""
+    if content.outcome is not None:
+        style = "good" if content.outcome is Outcome.SETTLED else "warn"
+        badge = f'<li class="{style}">{content.outcome.name.lower().replace("_", " ")}</li>'
     tags = badge + "".join(f"<li>{escape(tag)}</li>" for tag in content.tags)
     return caption + (f'    <ul class="tags">{tags}</ul>\n' if tags else "")
 
@@ -104,7 +103,7 @@ def _option(value: str, text: str) -> str:
     return f'<option value="{value}">{escape(text)}</option>'
 
 
-def _view(content: Any) -> str:
+def _view(content: Content) -> str:
     stages = ("Flat", "Placed", "Draped")[: 2 if content.draped is None else 3]
     limit = _stretch_range(content)
     parts = {
@@ -131,7 +130,7 @@ def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
 # ----------------------------------------------------------------------------------------------------------------- data
 
 
-def _data(content: Any) -> dict[str, Any]:
+def _data(content: Content) -> dict[str, Any]:
     plan = lay_out(content.pattern)
     return {
         "panels": [_panel_data(piece) for piece in plan.panels],
@@ -171,7 +170,7 @@ def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
         }
 
 
-def _mesh_data(content: Any, plan: LayPlan) -> dict[str, Any]:
+def _mesh_data(content: Content, plan: LayPlan) -> dict[str, Any]:
     mesh: BoxMesh = content.mesh
     number = {panel.name: i for i, panel in enumerate(content.pattern.panels)}
     panel_of_face = np.array([number[name] for name in mesh.panel_names])[mesh.panel_id]
@@ -236,7 +235,7 @@ def _stretch_of_corners(mesh: BoxMesh, stretch: Float[np.ndarray, " f"]) -> dict
     return {**_packed(steps.astype(int)[:, None]), "low": [0.0], "step": STRETCH_STEP}
 
 
-def _stretch_range(content: Any) -> float:
+def _stretch_range(content: Content) -> float:
     """Stretch minus 1 at the ends of the colours."""
     if content.stretch is None:
         return SMALLEST_RANGE
