@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from gcd_dataset.errors import GcdError
+from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
 
 __all__ = ["Content", "Rows", "content_of", "crossing_vertices"]
@@ -46,8 +46,8 @@ class Content(Record):
 def content_of(subject: Sample | Pattern, body: Body | None = None) -> Content:
     """The content of a sample, or of a pattern alone, which is placed round the neutral body and meshed at 2 cm.
 
-    ``body``: the wearer of a sample without shape weights, as of published garments. A pattern that cannot be meshed
-    has no mesh.
+    ``body``: the wearer; by default the body of the sample's shape weights, if they are of this package's body model.
+    A pattern that cannot be meshed has no mesh.
     """
     return _of_pattern(subject) if isinstance(subject, Pattern) else _of_sample(subject, body)
 
@@ -67,11 +67,8 @@ def crossing_vertices(
 
 
 def _of_sample(sample: Sample, body: Body | None) -> Content:
-    from gcd_dataset.generator.body import build_body
-
     mesh, drape = sample.box_mesh, sample.drape
-    if sample.shape is not None:
-        body = build_body(sample.shape, name=sample.provenance.body_name)
+    body = body or _body_of(sample)
     is_finite = drape is not None and bool(np.isfinite(drape.vertices).all())
     return Content(
         title=sample.key,
@@ -92,6 +89,15 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
             "Recipe": tuple(_recipe_rows(sample)),
         },
     )
+
+
+def _body_of(sample: Sample) -> Body | None:
+    from gcd_dataset.generator.body import build_body
+
+    try:
+        return None if sample.shape is None else build_body(sample.shape, name=sample.provenance.body_name)
+    except BodyError:  # weights of another body model
+        return None
 
 
 def _of_pattern(pattern: Pattern) -> Content:

@@ -6,6 +6,7 @@ const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
 const FIELD_OF_VIEW = 0.5; // rad
 const SHEET_DISTANCE = 34; // cm from the wearer's axis to the sheet with the flat panels
+const LEAST_FRAME = 64; // cm that the camera shows at least
 const SEAM_REACH = 7; // pixels between pointer and seam
 const SEAM_DEPTH = 1.5; // cm by which a seam under the pointer may lie behind the cloth
 const FROM_THE_SIDE = 0.36; // rad: the first view of the placed and the draped garment
@@ -230,7 +231,7 @@ const SURFACE = [
     vec3 m = normalize(n) * (gl_FrontFacing ? 1.0 : -1.0);
     if (dot(m, toEye) < -0.2) m = -m;
     float sky = 0.5 + 0.5 * m.y;
-    float light = 0.44 + 0.20 * sky + 0.44 * max(dot(m, key), 0.0) + 0.10 * max(dot(m, toEye), 0.0);
+    float light = 0.45 + 0.20 * sky + 0.44 * max(dot(m, key), 0.0) + 0.10 * max(dot(m, toEye), 0.0);
     float rim = pow(1.0 - max(dot(m, toEye), 0.0), 3.0);
     vec3 base = pow(shade, vec3(2.2));
     if (!gl_FrontFacing) base *= inside;
@@ -389,14 +390,15 @@ class Picture {
 
   /** Eye, axes and projection of the camera for the present state. */
   camera() {
-    const { width, height } = this.canvas;
     const { centre, size } = this.garment.frame(state.stage);
-    const aspect = width / height;
+    const aspect = this.canvas.width / this.canvas.height;
     const slope = Math.tan(0.5 * FIELD_OF_VIEW);
-    const reach = Math.max(0.5 * size[1], (0.5 * Math.max(size[0], Math.min(size[2], 90))) / aspect);
-    const distance = (reach / slope) * 1.12 * state.zoom + 0.4 * size[2];
-    const yaw = state.yaw + FROM_THE_SIDE * smooth(0, 1, state.stage);
+    const solid = smooth(0, 1, state.stage);
+    const yaw = state.yaw + FROM_THE_SIDE * solid;
     const { pitch } = state;
+    const width = mix(size[0], Math.max(size[0], size[2]), solid);
+    const reach = 0.5 * Math.max(size[1], width / aspect, LEAST_FRAME);
+    const distance = (reach / slope) * mix(1.1, 1.2, solid) * state.zoom + 0.5 * size[2];
     const back = [Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch)];
     const right = [Math.cos(yaw), 0, -Math.sin(yaw)];
     const up = cross(back, right);

@@ -1,7 +1,6 @@
 """Displays in notebooks: well-formed, with the garments' own pictures, and with every text of the data escaped."""
 
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -12,39 +11,9 @@ from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_packed, co
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Panel, Pattern, Sample
 from tests.shards.folders import fill
+from tests.viewer.elements import Elements
 
 HOSTILE = '</script><b onclick="x">&amp;'
-VOID = {"img", "br", "meta", "link", "input"}
-
-
-class Elements(HTMLParser):
-    """The elements of a piece of HTML, each with its attributes; and whether they nest."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.found: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open, self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.append(data)
-
-    def count(self, tag: str) -> int:
-        return sum(found == tag for found, _ in self.found)
 
 
 def displayed(value: Any) -> Elements:
