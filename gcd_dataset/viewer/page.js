@@ -13,6 +13,8 @@ const FROM_THE_SIDE = 0.36; // rad: the first view of the placed and the draped 
 const TURN = 0.0085; // rad per pixel
 const TILT = [-1.45, 1.45]; // rad
 const ZOOM = [0.08, 4];
+const SHEET_ZOOM = 16; // largest magnification of the drawing
+const PIXELS_FOR_NUMBERS = 9; // pixels per cm from which seam numbers are legible
 
 const state = { stage: 0, body: true, colours: "panels", lit: null, pinned: null, yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] };
 
@@ -735,6 +737,55 @@ function preparePattern() {
   });
   svg.addEventListener("pointerleave", () => light(null));
   svg.addEventListener("click", (event) => event.target === svg && state.pinned && pin(null));
+  prepareSheet(svg);
+}
+
+/** Wheel and pinch zoom the drawing, dragging moves it, a double click shows all of it. */
+function prepareSheet(svg) {
+  const whole = svg.getAttribute("viewBox").split(" ").map(Number);
+  let box = [...whole];
+  const show = (next) => {
+    box = next;
+    svg.setAttribute("viewBox", box.join(" "));
+    svg.classList.toggle("close", svg.getScreenCTM().a > PIXELS_FOR_NUMBERS);
+  };
+  const zoomAt = (event, factor) => {
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+    const size = clamp(box[2] * factor, whole[2] / SHEET_ZOOM, whole[2]);
+    if (size === whole[2]) return show([...whole]);
+    const share = size / box[2];
+    return show([mix(at.x, box[0], share), mix(at.y, box[1], share), size, box[3] * share]);
+  };
+  svg.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoomAt(event, wheelFactor(event));
+  }, { passive: false });
+  svg.addEventListener("dblclick", () => show([...whole]));
+  const pointers = new Map();
+  svg.addEventListener("pointerdown", (event) => pointers.set(event.pointerId, [event.clientX, event.clientY]));
+  svg.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before || !event.buttons || box[2] >= whole[2] && pointers.size < 2) return;
+    const now = [event.clientX, event.clientY];
+    const other = [...pointers].find(([id]) => id !== event.pointerId);
+    pointers.set(event.pointerId, now);
+    if (other) {
+      const spread = (at) => Math.hypot(at[0] - other[1][0], at[1] - other[1][1]);
+      zoomAt(event, spread(before) / Math.max(spread(now), 1));
+    } else {
+      const scale = svg.getScreenCTM().a;
+      show([box[0] - (now[0] - before[0]) / scale, box[1] - (now[1] - before[1]) / scale, box[2], box[3]]);
+    }
+  });
+  for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
+    svg.addEventListener(end, (event) => pointers.delete(event.pointerId));
+  }
+  new ResizeObserver(() => show(box)).observe(svg);
+}
+
+/** The zoom of one turn of the wheel, whatever its unit. */
+function wheelFactor(event) {
+  return Math.exp(clamp(event.deltaY * (event.deltaMode ? 30 : 1), -240, 240) * 0.0014);
 }
 
 // ------------------------------------------------------------------------------------------------------------- controls
@@ -852,7 +903,7 @@ function prepareCanvas(canvas) {
   canvas.addEventListener("dblclick", resetCamera);
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    zoom(Math.exp(clamp(event.deltaY * (event.deltaMode ? 30 : 1), -240, 240) * 0.0014));
+    zoom(wheelFactor(event));
   }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
     const keys = {

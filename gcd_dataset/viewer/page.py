@@ -32,6 +32,10 @@ STRETCH_STEP = 0.001
 LARGEST_RANGE, SMALLEST_RANGE = 0.5, 0.05  # of the colours of strain, to both sides of 1
 FACES_OUTSIDE_RANGE = 2.0  # percent of the faces that may be stretched beyond the range of the colours
 LIGHTENING = 0.15  # share of white in the colours of panels
+FOOTER = (
+    "Drag to turn the garment, right button or two fingers to move it, wheel or pinch to zoom either view. A click "
+    "keeps a part lit, Escape lets it go."
+)
 HINT = "Point at a panel or a seam"
 
 
@@ -48,7 +52,7 @@ def page_of(content: Content) -> str:
         "pattern": inline_svg(content.pattern, 'role="group" aria-label="Panels"'),
         "view": "" if mesh is None else _view(content),
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
-        "footer": "Drag to turn, right button or two fingers to move, wheel or pinch to zoom. Click keeps a part lit.",
+        "footer": FOOTER,
         "style": _asset("page.css"),
         "data": _script_safe(json.dumps(_data(content), separators=(",", ":"), allow_nan=False)),
         "script": script,
@@ -137,7 +141,7 @@ def _data(content: Content) -> dict[str, Any]:
         "seams": list(_seam_data(content.pattern)),
         "plainEdge": PLAIN_EDGE,
         "stretchRange": _stretch_range(content),
-        "mesh": None if content.mesh is None else _mesh_data(content, plan),
+        "mesh": None if content.mesh is None else _mesh_data(content, content.mesh, plan),
         "body": None
         if content.body is None
         else {"vertices": _coordinates(content.body.vertices), "faces": _packed(content.body.faces)},
@@ -170,8 +174,7 @@ def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
         }
 
 
-def _mesh_data(content: Content, plan: LayPlan) -> dict[str, Any]:
-    mesh: BoxMesh = content.mesh
+def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]:
     number = {panel.name: i for i, panel in enumerate(content.pattern.panels)}
     panel_of_face = np.array([number[name] for name in mesh.panel_names])[mesh.panel_id]
     panel_of = np.zeros(len(mesh.uv), int)

@@ -226,6 +226,21 @@ def test_drag_turns_shift_moves_wheel_zooms_and_reset_undoes_it(opened: Opened) 
     assert np.abs(opened.view() - first).max() < 8
 
 
+def test_the_drawing_zooms_to_the_pointer_and_back(opened: Opened) -> None:
+    corner = opened.page.locator("[data-panel=front] .cloth").bounding_box()
+    pointer = {axis: round(corner[axis] + 5) for axis in ("x", "y")}
+    opened.page.mouse.move(*pointer.values())
+    for _ in range(5):
+        opened.page.mouse.wheel(0, -240)
+    opened.page.wait_for_selector("#pattern svg.close")  # seam numbers are legible
+    near = opened.page.locator("[data-panel=front] .cloth").bounding_box()
+    zoom = near["width"] / corner["width"]
+    for axis, place in pointer.items():
+        assert near[axis] + zoom * (place - corner[axis]) == pytest.approx(place, abs=1)  # stays under the pointer
+    opened.page.locator("#pattern svg").dblclick()
+    assert opened.page.locator("[data-panel=front] .cloth").bounding_box() == corner
+
+
 def test_keys_reach_every_part(opened: Opened) -> None:
     page = opened.page
     page.locator("[data-panel=front]").focus()

@@ -106,10 +106,11 @@ def test_the_policy_allows_the_page_s_own_script_alone(content: Content) -> None
 
 def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
     first, *rest = sample.pattern.panels
-    seams = [
-        replace(seam, **{side: replace(ref, panel=HOSTILE) for side, ref in sides.items() if ref.panel == first.name})
-        for seam, sides in ((seam, {"left": seam.left, "right": seam.right}) for seam in sample.pattern.seams)
-    ]
+
+    def renamed(ref: EdgeRef) -> EdgeRef:
+        return replace(ref, panel=HOSTILE) if ref.panel == first.name else ref
+
+    seams = [replace(seam, left=renamed(seam.left), right=renamed(seam.right)) for seam in sample.pattern.seams]
     pattern = Pattern(HOSTILE, (replace(first, name=HOSTILE, label=HOSTILE), *rest), tuple(seams))
     assert sample.box_mesh is not None
     mesh = replace(sample.box_mesh, panel_names=(HOSTILE, *sample.box_mesh.panel_names[1:]))
