@@ -27,6 +27,7 @@ from gcd_dataset.viewer.markup import inline_svg, table
 
 __all__ = ["page_of"]
 
+SCRIPTS = ("geometry.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
 STRETCH_STEP = 0.001
 LARGEST_RANGE, SMALLEST_RANGE = 0.5, 0.05  # of the colours of strain, to both sides of 1
@@ -42,7 +43,7 @@ HINT = "Point at a panel or a seam"
 def page_of(content: Content) -> str:
     """The page as HTML text, to write as UTF-8."""
     mesh = content.mesh
-    script = _asset("page.js")
+    script = "".join(map(_asset, SCRIPTS))
     parts = {
         "title": escape(content.title),
         "headline": _headline(content),
@@ -118,10 +119,16 @@ def _view(content: Content) -> str:
         else '      <label class="check"><input type="checkbox" id="body" checked>Body</label>\n',
         "strain_low": f"−{limit:.0%}",
         "strain_high": f"+{limit:.0%}",
-        "crossings": "cloth that crosses itself or the body",
+        "crossings": _crossings_legend(content),
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
     }
     return _filled(_asset("view.html"), parts)
+
+
+def _crossings_legend(content: Content) -> str:
+    if content.crossed is None or not len(content.crossed):
+        return "the cloth crosses neither itself nor the body"
+    return '<i class="dot"></i>cloth that crosses itself or the body'
 
 
 def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
