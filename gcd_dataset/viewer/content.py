@@ -18,6 +18,7 @@ Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
 SPEC_SPACING = 2.0  # cm, of the mesh of a specification file
 WEARER = "neutral"  # the body beside a pattern without one
+TINY = 0.01  # cm: least radius that has a size class of its own
 PARALLEL = 1e-12  # cm³: least volume of edge and face for a crossing
 
 
@@ -220,22 +221,44 @@ def _crossing_edges(
 ) -> np.ndarray:
     """Whether each edge crosses a face; ``sharing``: faces that share a vertex with the edge do not count.
 
-    The broad phase compares bounding spheres.
+    The broad phase compares bounding spheres, by classes of similar size: a few long edges must not widen the search
+    for all others.
     """
     start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
     triangles = corners[faces]
     centres = triangles.mean(axis=1)
-    reach = np.linalg.norm(triangles - centres[:, None], axis=2).max(initial=0.0)
-    middles, half = 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=1).max(initial=0.0)
-    near = cKDTree(middles).sparse_distance_matrix(cKDTree(centres), reach + half, output_type="ndarray")
-    edge, face = near["i"], near["j"]
-    if sharing:
-        apart = (edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
-        edge, face = edge[apart], face[apart]
-    crosses = _cross(start[edge], end[edge], triangles[face])
+    reach = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
+    middles, half = 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=1)
     hit = np.zeros(len(edges), bool)
-    hit[edge[crosses]] = True
+    for edge, face in _near_pairs(middles, half, centres, reach):
+        if sharing:
+            apart = (edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+            edge, face = edge[apart], face[apart]
+        hit[edge[_cross(start[edge], end[edge], triangles[face])]] = True
     return hit
+
+
+def _near_pairs(
+    one: Float[np.ndarray, "n 3"],
+    one_radius: Float[np.ndarray, " n"],
+    other: Float[np.ndarray, "m 3"],
+    other_radius: Float[np.ndarray, " m"],
+) -> Iterator[tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]]:
+    """Pairs of spheres that touch, by classes of radii within a factor of 2."""
+    others = [(own, cKDTree(other[own]), other_radius[own].max()) for own in _size_classes(other_radius)]
+    for rows in _size_classes(one_radius):
+        tree, radius = cKDTree(one[rows]), one_radius[rows].max()
+        for columns, other_tree, largest in others:
+            near = tree.sparse_distance_matrix(other_tree, radius + largest, output_type="ndarray")
+            i, j = rows[near["i"]], columns[near["j"]]
+            touch = near["v"] <= one_radius[i] + other_radius[j]
+            yield i[touch], j[touch]
+
+
+def _size_classes(radius: Float[np.ndarray, " n"]) -> list[Int[np.ndarray, " k"]]:
+    """Rows of similar radius; radii below 0.1 mm are one class."""
+    classes = np.ceil(np.log2(np.maximum(radius, TINY))).astype(int)
+    return [np.flatnonzero(classes == number) for number in np.unique(classes)]
 
 
 def _cross(
