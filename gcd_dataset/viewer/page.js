@@ -149,6 +149,7 @@ function preparePattern() {
     });
   });
   svg.addEventListener("pointerleave", () => light(null));
+  svg.addEventListener("pointermove", (event) => event.target === svg && light(null));
   svg.addEventListener("click", (event) => event.target === svg && state.pinned && pin(null));
   prepareSheet(svg);
 }

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
-from gcd_dataset.records import BoxMesh, Outcome, Pattern
+from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.markup import inline_svg, table
 
@@ -172,13 +172,18 @@ def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
     number = {panel.name: i for i, panel in enumerate(pattern.panels)}
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
     for i, (seam, ratio) in enumerate(zip(pattern.seams, pattern.gather_ratios(), strict=True)):
-        sides = [f"{ref.panel} {lengths[ref.panel][ref.edge]:.1f} cm" for ref in (seam.left, seam.right)]
+        sides = [_side(ref, lengths.get(ref.panel, [])) for ref in (seam.left, seam.right)]
         gathers = "" if 0.98 < ratio < 1.02 else f" · gathered {max(ratio, 1 / ratio):.2f} : 1"
         yield {
             "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}",
             "colour": seam_colour(i),
-            "panels": [number[seam.left.panel], number[seam.right.panel]],
+            "panels": [number.get(ref.panel, -1) for ref in (seam.left, seam.right)],
         }
+
+
+def _side(ref: EdgeRef, lengths: Sequence[float]) -> str:
+    """One side of a seam in words; an unchecked pattern may name an edge that it lacks."""
+    return f"{ref.panel} {lengths[ref.edge]:.1f} cm" if 0 <= ref.edge < len(lengths) else f"{ref.panel}, no such edge"
 
 
 def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]:

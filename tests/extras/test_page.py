@@ -126,6 +126,13 @@ def test_hovering_a_panel_of_the_drawing_lights_it_in_both_views(opened: Opened)
     assert np.abs(opened.view() - before).max() < 8
 
 
+def test_the_paper_between_the_panels_lights_nothing(opened: Opened) -> None:
+    opened.page.locator("[data-panel=back] .cloth").hover()
+    box = opened.page.locator("#pattern svg").bounding_box()
+    opened.page.mouse.move(box["x"] + 2, box["y"] + 2)
+    assert (opened.lit, opened.lit_panels) == ("", [])
+
+
 def test_hovering_a_panel_of_the_mesh_lights_it_in_the_drawing(opened: Opened) -> None:
     opened.page.mouse.move(*opened.middle())
     assert (opened.lit, opened.lit_panels) == ("panel:0", ["front"])

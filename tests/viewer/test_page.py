@@ -13,7 +13,7 @@ import pytest
 
 from gcd_dataset.generator.lay_plan import lay_out
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import EdgeRef, Pattern, Sample
+from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
 from tests.helpers import far_ball
@@ -130,6 +130,14 @@ def test_a_pattern_without_mesh_has_a_page_without_the_view(sample: Sample) -> N
     page = page_of(content)
     assert Elements(page).count("canvas") == 0
     assert data_of(page)["mesh"] is None
+
+
+def test_a_seam_to_a_missing_edge_is_told_as_such(sample: Sample) -> None:
+    first = sample.pattern.panels[0].name
+    odd = Seam(EdgeRef(first, 77), EdgeRef("sleeve", 0))
+    seams = data_of(page_of(Content("odd", replace(sample.pattern, seams=(odd,)))))["seams"]
+    assert seams[0]["text"] == f"seam 0 · {first}, no such edge to sleeve, no such edge"
+    assert seams[0]["panels"] == [0, -1]
 
 
 def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:
