@@ -266,14 +266,14 @@ class _Started:
 
 def _start(share: Share, what: Input, garments: Sequence[Garment], epoch: int) -> _Started:
     positions = np.array([garment.position for garment in garments])
-    options = {"size": share.size, "device": share.device}
     plain = None
     if what is Input.PLAIN:
         coloured = [_coloured(garment.scene, garment.scene.body) for garment in garments]
-        plain = start_render(coloured, ["front", "back"], **options)
+        plain = start_render(coloured, ["front", "back"], size=share.size, device=share.device)
     pairs = [views_of(what, share.seed, garment, row, epoch) for row, garment in enumerate(garments)]
     scenes, views = [scene for scene, _ in pairs], [view for _, both in pairs for view in both]
-    return _Started(what, positions, scenes, start_pictures(scenes, views, maps=MAPS, **options), plain)
+    pending = start_pictures(scenes, views, maps=MAPS, size=share.size, device=share.device)
+    return _Started(what, positions, scenes, pending, plain)
 
 
 def _finished(started: _Started) -> Rendered:
