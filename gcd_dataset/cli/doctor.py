@@ -27,7 +27,7 @@ def add_verbs(verbs: Any) -> None:
         "--cache-dir",
         type=Path,
         metavar="DIR",
-        help="folder for the indices of published archives (default: beside them)",
+        help="folder for data from a server, and for the indices of published archives",
     )
     add_quiet(doctor)
     add_server(doctor)

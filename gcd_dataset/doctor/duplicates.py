@@ -2,7 +2,9 @@
 
 Two patterns are compared if they have the same structure: panels, edges, kinds of curves, stitches. The coordinates of
 a structure of ``d`` numbers are projected to 16 dimensions by a random Gaussian matrix, which keeps distances up to a
-factor of about 1.5 (Johnson and Lindenstrauss, 1984), and a k-d tree over these finds each pattern's nearest ones.
+factor of about 1.5 (Johnson and Lindenstrauss, 1984), and a k-d tree over these finds each pattern's nearest ones. The
+root mean square of the differences, which the projection keeps, is at most the largest difference: so nearby patterns
+are among these candidates.
 """
 
 import hashlib
@@ -16,7 +18,7 @@ from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 
 __all__ = ["NEAR", "Fingerprint", "difference", "fingerprint", "near_pairs"]
 
-NEAR = 0.2  # cm: root mean square of the differences of two patterns that count as one
+NEAR = 0.2  # cm: largest difference of a coordinate of two patterns that count as one
 DIMENSIONS = 16
 NEAREST = 4  # neighbours of each pattern that are looked at
 SPREAD = 1.6  # factor by which the projection may enlarge a distance of two patterns
@@ -39,9 +41,9 @@ def fingerprint(tensor: PatternTensor) -> Fingerprint:
 
 
 def difference(one: PatternTensor, other: PatternTensor) -> float:
-    """Root mean square of the differences of two patterns of one structure [cm]; infinite for different sizes."""
+    """Largest difference of a coordinate of two patterns of one structure [cm]; infinite for different sizes."""
     a, b = _numbers(one), _numbers(other)
-    return float(np.sqrt(np.mean((a - b) ** 2))) if len(a) == len(b) else np.inf
+    return float(np.abs(a - b).max(initial=0.0)) if len(a) == len(b) else np.inf
 
 
 def near_pairs(

@@ -195,7 +195,7 @@ def _likely_unit(scale: float) -> str:
     """The unit in which a length is ``scale`` times what it is in cm."""
     units = {"metres": 0.01, "inches": 0.39, "millimetres": 10.0}
     unit = min(units, key=lambda name: abs(np.log(max(scale, 1e-9) / units[name])))
-    return unit if abs(np.log10(max(scale, 1e-9) / units[unit])) < 0.4 else "an unknown unit"
+    return unit if abs(np.log10(max(scale, 1e-9) / units[unit])) < 0.8 else "an unknown unit"
 
 
 def _same_unit(garment: Garment, placed: np.ndarray) -> bool:

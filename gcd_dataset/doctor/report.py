@@ -21,7 +21,7 @@ class Finding:
 
     check: Check
     split: str
-    """Empty for a fault of the whole data set."""
+    """``files`` for a fault outside of the splits."""
     count: int
     """Garments, or files, with the fault."""
     total: int
@@ -49,11 +49,10 @@ class Finding:
 
     def lines(self) -> Iterator[str]:
         """The finding for a terminal."""
-        number = (
-            f"{self.count} of {self.total} garments" if self.check.counts_garments and self.total else f"{self.count}"
-        )
-        where = f"{self.split}: " if self.split else ""
-        yield f"{self.harm.upper():<{WIDTH}}{where}{number} {self.check.fault} ({self.check.name})"
+        number = f"{self.count}"
+        if self.check.counts_garments:
+            number = f"{self.count} of {self.total} garments" if self.total else "garments"
+        yield f"{self.harm.upper():<{WIDTH}}{self.split}: {number} {self.check.fault} ({self.check.name})"
         for text, count in self.details.items():
             yield f"{'':<{WIDTH}}  {text}" + (f" ({count})" if count > 1 else "")
         if self.examples:

@@ -35,6 +35,7 @@ FEW_FAILED = 0.02  # share of failed drapes that a training bears
 FEW_REPEATED = 0.05  # share of repeated patterns above which an epoch is visibly smaller
 HDF5 = (".h5", ".hdf5")
 FILES = "files"
+SPLITS = ("train", "validation", "test")
 
 
 def doctor(
@@ -49,8 +50,8 @@ def doctor(
 
     Garments are read one after another; 250 bytes of each are kept, to find designs, bodies and patterns that occur
     twice. ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are
-    examined in full. ``endpoint``: server of the Hub. ``cache_dir``: folder for the indices of published archives, by
-    default beside them.
+    examined in full. ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default
+    ``~/.cache/gcd_dataset``, and for the indices of published archives, by default beside them.
 
     >>> from gcd_dataset.verbs import doctor
     >>> [finding.check.name for finding in doctor("shards").harmful]  # doctest: +SKIP
@@ -105,7 +106,7 @@ def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | No
         return _Source(str(path), (_hdf5_split(path),))
     if path is not None and path.is_dir() and is_published(path):
         return _published(path, cache_dir)
-    return _shards(str(source), endpoint)
+    return _shards(str(source), endpoint, cache_dir)
 
 
 def _hdf5_split(path: Path) -> _Split:
@@ -113,11 +114,16 @@ def _hdf5_split(path: Path) -> _Split:
     return _Split(Hdf5Garments(path, ("meta",)).split, Hdf5Garments(path, _examined(known), dtype=None))
 
 
-def _shards(source: str, endpoint: str | None) -> _Source:
+def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
     from gcd_dataset.hub.opening import open_store
     from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.source import Folder, Repo, parse_source
 
-    store = open_store(source, Remote(endpoint=endpoint))
+    parsed = parse_source(source)
+    options: dict[str, Any] = {} if isinstance(parsed, Folder) else {"cache_dir": cache_dir}
+    if isinstance(parsed, Repo):
+        options["endpoint"] = endpoint
+    store = open_store(source, Remote(**options))
     folder = store.folder if isinstance(store, FolderStore) else None
     manifest = store.manifest()
     names = tuple(manifest.splits) if manifest is not None else ("train",)
@@ -125,16 +131,21 @@ def _shards(source: str, endpoint: str | None) -> _Source:
         names = require_splits(folder)
         if any(layout_in(folder, split) == BODIES for split in names):
             raise ConfigError(f"{folder}: a data set of bodies: gcd doctor examines garments; gcd verify checks bodies")
-    splits = tuple(_shard_split(source, name, endpoint) for name in names)
+    splits = tuple(_shard_split(source, name, options) for name in sorted(names, key=_split_order))
     return _Source(store.location(), splits, folder)
 
 
-def _shard_split(source: str, split: str, endpoint: str | None) -> _Split:
+def _split_order(name: str) -> tuple[int, str]:
+    """Sort key: train, validation, test, then the others; garments of later splits are compared with earlier ones."""
+    return (SPLITS.index(name) if name in SPLITS else len(SPLITS), name)
+
+
+def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
     try:
-        known = GarmentDataset(source, split, endpoint=endpoint)
+        known = GarmentDataset(source, split, **options)
         if getattr(known, "layout", GARMENTS).kind == FOREIGN or "meta" not in known.fields:
             raise ConfigError(f"{source}: tars of another program: gcd doctor knows garments of this package only")
-        return _Split(split, GarmentDataset(source, split, _examined(known.fields), endpoint=endpoint, dtype=None))
+        return _Split(split, GarmentDataset(source, split, _examined(known.fields), dtype=None, **options))
     except RemoteError:
         raise
     except ShardError as error:
@@ -143,7 +154,7 @@ def _shard_split(source: str, split: str, endpoint: str | None) -> _Split:
 
 def _published(path: Path, cache_dir: str | Path | None) -> _Source:
     batches = PublishedBatches(path, cache_dir=cache_dir)
-    names = ("train", "validation", "test") if batches.split_file is not None else ("all",)
+    names = SPLITS if batches.split_file is not None else ("all",)
     lists = tuple(PublishedGarments(batches, name) for name in names)
     splits = []
     for garments in lists:
