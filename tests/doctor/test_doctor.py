@@ -533,3 +533,8 @@ def test_the_verb_exits_0_for_a_good_data_set(shards: Path, capsys: pytest.Captu
 def test_every_check_says_what_it_does_to_a_training_and_the_remedy() -> None:
     assert len({check.name for check in CHECKS}) == len(CHECKS)
     assert all(check.effect and check.remedy and check.fault for check in CHECKS)
+
+
+def test_the_guide_names_every_check() -> None:
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "doctor.md").read_text()
+    assert [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")] == [c.name for c in CHECKS]
