@@ -30,9 +30,11 @@ ARRAYS = tuple(field for field in FIELDS_READ if field not in ("meta", "spec", "
 FLOATS = ("panels", "edges", "body", "uv", "box", "verts", "points")
 PLACED = ("verts", "box")  # in this order: the drape, or the mesh before sewing
 
-SMALLEST, LARGEST = 10.0, 400.0  # cm: extent of garments, belts and trains included
+SMALLEST, LARGEST = 10.0, 400.0  # cm: extent of a draped garment, belts and trains included
+WIDEST = 5000.0  # cm: extent before sewing; a ruffle is many metres long
 SHORTEST, TALLEST = 40.0, 250.0  # cm: height of a wearer
 STRETCH = 3.0  # median ratio of a mesh edge to its flat length, beyond which units differ; cloth stretches by 1.1
+SIZES = (Rule.UNLIKELY_SIZE, Rule.TOO_LARGE)
 LOW, HIGH, ASIDE = 10.0, 230.0, 80.0  # cm: centre of a garment above the soles, and beside the body's axis
 
 
@@ -166,7 +168,10 @@ def _pattern_faults(garment: Garment, pattern: Pattern) -> Iterator[Fault]:
     faults = check_pattern(pattern)
     if any(fault.rule is Rule.SEWN_CROSSWISE for fault in faults):
         yield checks.LOOPS, "seams that join the far ends of their edges"
-    yield from ((checks.UNSEWABLE, f.rule.value) for f in faults if f.severity is Severity.ERROR)
+    if any(fault.rule in SIZES for fault in faults):
+        yield checks.UNITS, "pattern of a size unlikely for a person"
+    others = (fault for fault in faults if fault.rule not in SIZES)
+    yield from ((checks.UNSEWABLE, fault.rule.value) for fault in others if fault.severity is Severity.ERROR)
 
 
 # ------------------------------------------------------------------------------------------------------ units and axes
@@ -175,19 +180,17 @@ def _pattern_faults(garment: Garment, pattern: Pattern) -> Iterator[Fault]:
 def _unit_faults(garment: Garment) -> Iterator[str]:
     placed = garment.placed
     if placed is not None:
-        yield from _extent_faults("vertices", float(np.ptp(placed, axis=0).max()))
+        largest = LARGEST if garment.has("verts") else WIDEST
+        yield from _extent_faults("vertices", float(np.ptp(placed, axis=0).max()), largest)
         if garment.has("uv", "corners", "faces") and not _same_unit(garment, placed):
             yield "uv and vertices have different units"
-    elif garment.has("edges"):
-        starts = garment.arrays["edges"][:, 2:4]
-        yield from _extent_faults("panels", float(np.ptp(starts, axis=0).max()))
     height = (garment.measures or {}).get("height")
     if height is not None and not SHORTEST < height < TALLEST:
         yield f"measures in {_likely_unit(height / 170.0)}"
 
 
-def _extent_faults(name: str, extent: float) -> Iterator[str]:
-    if not SMALLEST < extent < LARGEST:
+def _extent_faults(name: str, extent: float, largest: float) -> Iterator[str]:
+    if not SMALLEST < extent < largest:
         yield f"{name} in {_likely_unit(extent / 80.0)}"
 
 

@@ -32,6 +32,7 @@ QUICK = 200  # garments of each split that are read with ``quick``
 BATCH = 16  # garments in one read, in parallel from a server
 MOST_COMPARED = 5000  # candidates for near duplicates that are read again
 FEW_FAILED = 0.02  # share of failed drapes that a training bears
+FEW_LEAKED = 0.01  # share of patterns known from another split that moves a score less than its confidence interval
 FEW_REPEATED = 0.05  # share of repeated patterns above which an epoch is visibly smaller
 HDF5 = (".h5", ".hdf5")
 FILES = "files"
@@ -271,6 +272,8 @@ class _Examination:
                 same = f"{self._key(second, int(row[two]))} as {self._key(first, int(row[one]))}"
                 self.tally.add(check, second, same, [] if first == second else [f"also in {first}"])
         for number, name in enumerate(names):
+            if self.tally.count(checks.LEAKED_PATTERN, name) <= FEW_LEAKED * len(parts[number]):
+                self.harms[checks.LEAKED_PATTERN, name] = Harm.WARNING
             if self.tally.count(checks.DUPLICATES, name) > FEW_REPEATED * len(parts[number]):
                 self.harms[checks.DUPLICATES, name] = Harm.HARMFUL
 

@@ -14,6 +14,8 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.doctor.checks import CHECKS, Harm
 from gcd_dataset.doctor.report import Report
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Outcome, Pattern, Sample
 from gcd_dataset.release.body_folder import FOLDER, KINDS
@@ -101,6 +103,21 @@ def uv_in_metres(sample: Sample) -> Sample:
 
 def measured_in_metres(sample: Sample) -> Sample:
     return replace(sample, measurements=replace(sample.measurements, height=1.7))
+
+
+def drawn_in_metres(sample: Sample) -> Sample:
+    """The pattern, its placement included."""
+
+    def smaller(pattern: Pattern) -> Pattern:
+        panels = [
+            replace(
+                p, vertices=p.vertices / 100, placement=replace(p.placement, translation=p.placement.translation / 100)
+            )
+            for p in pattern.panels
+        ]
+        return replace(pattern, panels=tuple(panels))
+
+    return with_pattern(sample, smaller)
 
 
 def lying(sample: Sample) -> Sample:
@@ -284,6 +301,36 @@ def test_splits_that_share_garments_are_found(
     found = report.finding(name)
     assert found is not None
     assert (found.count, found.split, found.examples, found.details) == (1, "test", (example,), {"also in train": 1})
+
+
+def test_a_small_share_of_known_patterns_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.verbs.examining.FEW_LEAKED", 0.1)
+    report = edited(tmp_path, same_pattern)
+    assert (names(report), names(report, Harm.WARNING)) == (set(), {"leaked-pattern"})
+
+
+def test_a_pattern_drawn_in_metres_is_found(tmp_path: Path) -> None:
+    def one(train: Samples, test: Samples) -> None:
+        train[4] = drawn_in_metres(train[4])
+
+    report = edited(tmp_path, one)
+    assert names(report) == {"units"}
+    assert report.findings[0].details == {"pattern of a size unlikely for a person": 1}
+
+
+def test_a_ruffle_of_eight_metres_is_no_wrong_unit(tmp_path: Path) -> None:
+    """Its edges are long, but most edges of the garment are not."""
+    pattern = generated_ruffle()
+    assert max(np.ptp(panel.vertices, axis=0).max() for panel in pattern.panels) > 400
+    flat = replace(good()[0], pattern=pattern, box_mesh=None, drape=None, points=None, gathers=())
+    assert "units" not in names(doctor(written(tmp_path, [flat])))
+
+
+def generated_ruffle() -> Pattern:
+    """A skirt of five levels, gathered at each."""
+    levels = {"level_ruffle": 1.7, "num_levels": 5, "base": "PencilSkirt", "level": "Skirt2"}
+    design = {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": levels}
+    return outfit(measure(build_body(neutral_shape())), design_from_dict(design))
 
 
 def test_a_pattern_that_differs_by_centimetres_is_no_duplicate(tmp_path: Path) -> None:
