@@ -49,7 +49,7 @@ def doctor(
 ) -> Report:
     """Examine a data set: shards in a folder, at a URL or on the Hub, an HDF5 file, or GarmentCodeData as published.
 
-    Garments are read one after another; 250 bytes of each are kept, to find designs, bodies and patterns that occur
+    Garments are read one after another; 130 bytes of each are kept, to find designs, bodies and patterns that occur
     twice. ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are
     examined in full. ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default
     ``~/.cache/gcd_dataset``, and for the indices of published archives, by default beside them.
