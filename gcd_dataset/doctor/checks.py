@@ -48,7 +48,7 @@ LEAKED_DESIGN = Check(
     "leaked-design",
     "have a design that is in another split too",
     "a model recalls the design instead of reconstructing it: test scores are too good",
-    "split by design: gcd publish divides a data set so that splits share neither designs nor bodies",
+    "split by design: gcd publish divides a data set so that splits share no design, body or pattern",
 )
 LEAKED_PATTERN = Check(
     "leaked-pattern",
@@ -60,7 +60,7 @@ LEAKED_BODY = Check(
     "leaked-body",
     "are worn by a body that is in another split too",
     "scores do not show how the model does on new people",
-    "split by body: gcd publish divides a data set so that splits share neither designs nor bodies",
+    "split by body: gcd publish divides a data set so that splits share no design, body or pattern",
 )
 NOT_FINITE = Check(
     "nan",

@@ -96,11 +96,12 @@ def split_file_faults(folder: Path, splits: Sequence[str]) -> Iterator[FileFault
 
 
 def published_faults(
-    batches: PublishedBatches, splits: Sequence[PublishedGarments], wearers: set[str]
+    batches: PublishedBatches, splits: Sequence[PublishedGarments], wearers: set[str] | None
 ) -> Iterator[FileFault]:
     """Faults of the files of a published data set.
 
-    ``splits``: the splits that are examined; ``wearers``: names of the bodies of their garments.
+    ``splits``: the splits that are examined; ``wearers``: names of the bodies of their garments; ``None``
+    where not all garments were read: people are not examined.
     """
     listed = {str(entry) for split in splits for entry in split.entries}
     for (batch, folder), files in batches.files.items():
@@ -115,7 +116,8 @@ def published_faults(
         yield from (
             (checks.INCOMPLETE, place, "listed in the split, but neither on disk nor failed") for place in split.missing
         )
-    yield from _people_faults(batches.root, wearers)
+    if wearers is not None:
+        yield from _people_faults(batches.root, wearers)
 
 
 def _people_faults(root: Path, wearers: set[str]) -> Iterator[FileFault]:

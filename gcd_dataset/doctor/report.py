@@ -150,6 +150,10 @@ class Tally:
         if key and len(examples) < EXAMPLES:
             examples.append(key)
 
+    def wants_example(self, check: Check, split: str) -> bool:
+        """Whether the key of one more garment would be listed."""
+        return len(self._examples.get((check, split), ())) < EXAMPLES
+
     def count(self, check: Check, split: str) -> int:
         """Number of garments or files with a fault."""
         return self._count[check, split]

@@ -222,12 +222,11 @@ class _Examination:
         found: dict[Check, list[str]] = {}
         for check, text in faults:
             found.setdefault(check, []).append(text)
-        if not found:
-            return
-        name = split.key(position)
+        if split.name == FAILED:  # its garments are not trained on, and may have any shape
+            found = {check: texts for check, texts in found.items() if check is checks.REFERENCES}
         for check, texts in found.items():
-            if check is not checks.FAILED_DRAPE or split.name != FAILED:
-                self.tally.add(check, split.name, name, list(dict.fromkeys(texts)))
+            key = split.key(position) if self.tally.wants_example(check, split.name) else ""
+            self.tally.add(check, split.name, key, list(dict.fromkeys(texts)))
 
     # -------------------------------------------------------------------------------------------------- whole splits
 
@@ -236,7 +235,8 @@ class _Examination:
         for name, check in (("design", checks.LEAKED_DESIGN), ("body", checks.LEAKED_BODY)):
             for first, second, rows in self.census.shared(name):
                 for row in rows.tolist():
-                    self.tally.add(check, second, self._key(second, row), [f"also in {first}"])
+                    key = self._key(second, row) if self.tally.wants_example(check, second) else ""
+                    self.tally.add(check, second, key, [f"also in {first}"])
                 if name == "body" and self.source.published is not None:
                     # The official split is by design; its random bodies are drawn from the same 5,000 people.
                     self.harms[check, second] = Harm.WARNING
@@ -269,8 +269,10 @@ class _Examination:
             check = checks.DUPLICATES if first == second else checks.LEAKED_PATTERN
             if (check, two) not in seen:
                 seen.add((check, two))
-                same = f"{self._key(second, int(row[two]))} as {self._key(first, int(row[one]))}"
-                self.tally.add(check, second, same, [] if first == second else [f"also in {first}"])
+                key = ""
+                if self.tally.wants_example(check, second):
+                    key = f"{self._key(second, int(row[two]))} as {self._key(first, int(row[one]))}"
+                self.tally.add(check, second, key, [] if first == second else [f"also in {first}"])
         for number, name in enumerate(names):
             if self.tally.count(checks.LEAKED_PATTERN, name) <= FEW_LEAKED * len(parts[number]):
                 self.harms[checks.LEAKED_PATTERN, name] = Harm.WARNING
@@ -302,7 +304,7 @@ class _Examination:
             for check, name, text in split_file_faults(self.source.folder, names):
                 self.tally.add(check, FILES, name, [text])
         if self.source.published is not None:
-            wearers = set() if self.quick else self.wearers
+            wearers = None if self.quick else self.wearers
             for check, name, text in published_faults(self.source.published, self.source.garment_lists, wearers):
                 self.tally.add(check, FILES, name, [text])
 
