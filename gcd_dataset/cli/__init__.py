@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange, merge
+from gcd_dataset.cli import datasets, doctor, exchange, merge
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
@@ -361,6 +361,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     add_server(show)
 
     datasets.add_verbs(verbs)
+    doctor.add_verbs(verbs)
     exchange.add_verbs(verbs)
     return parser, verbs.choices
 
