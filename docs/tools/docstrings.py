@@ -21,24 +21,17 @@ class AsMarkdown(griffe.Extension):
 
 
 def as_markdown(text: str) -> str:
-    """The docstring with fences round doctests, tables and trees, and without the indentation of quoted parts.
+    """The docstring with fences round doctests, tables and trees.
 
-    >>> print(as_markdown("Add.\\n\\n>>> 1 + 1\\n2\\n\\nDone."))
-    Add.
-    <BLANKLINE>
-    ```pycon
-    >>> 1 + 1
-    2
-    ```
-    <BLANKLINE>
-    Done.
+    >>> as_markdown("One.\\n\\n>>> 1\\n1").splitlines()
+    ['One.', '', '```pycon', '>>> 1', '1', '```']
     """
     parts = [_fenced(part) for part in _paragraphs(text)]
     return "\n\n".join(parts)
 
 
 def _paragraphs(text: str) -> list[str]:
-    """Paragraphs; a table is one, and so are neighbouring quoted paragraphs."""
+    """The paragraphs; a table is one, blank lines included."""
     found: list[str] = []
     lines: list[str] = []
     rules = 0

@@ -31,7 +31,7 @@ SMALLER = {
         "PREDICTIONS TRUTH --drape --bodies BODIES --inputs INPUTS": "PREDICTIONS TRUTH --bodies neutral --workers 1",
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
     },
-    "guides/train": {"--count 1000": "--count 40", "EPOCHS = 20": "EPOCHS = 1"},
+    "guides/train": {"--count 1000": "--count 40", "EPOCHS = 25": "EPOCHS = 2"},
     "guides/generate": {
         "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 6 --resolution 4 --device cpu --picture 64",
     },
