@@ -121,7 +121,10 @@ FIGURES = (
     Figure(
         "time of a drape, sampled garments in batches of 128",
         "drape_sampled",
-        lambda r: f"{r.value('drape.s_per_garment'):.4f} s, and {r.value('drape.coarse_mesh_s_per_garment'):.3f} CPU-s",
+        lambda r: (
+            f"{r.value('drape.s_per_garment'):.4f} s, and {r.value('drape.coarse_mesh_s_per_garment'):.3f} CPU-s for the "
+            "coarse mesh"
+        ),
         short=True,
     ),
     Figure(
@@ -260,18 +263,23 @@ def _table(figures: tuple[Figure, ...] | list[Figure], folder: str) -> str:
 
 
 def _shortened(command: str) -> str:
-    """The command without the prefix that all share, and without options that name files."""
-    words = command.split()
-    kept = []
-    skip = False
+    """The command without options for its report, and with ``…`` in place of the files of a body.
+
+    >>> _shortened("python -m benchmarks.run parity ../shared/examples/patterns --keep")
+    'python -m benchmarks.run parity EXAMPLES/patterns'
+    >>> _shortened("run drape --body mean.obj --measurements mean.yaml --seed 1 --report out.md")
+    'run drape --body … --seed 1'
+    """
+    words, kept = iter(command.split()), []
     for word in words:
-        if skip:
-            skip = False
-        elif word in ("--report", "--plot", "--sheet"):
-            skip = True
+        if word in ("--report", "--plot", "--sheet", "--body-apart", "--measurements", "--segmentation"):
+            next(words)
+        elif word == "--body":
+            next(words)
+            kept += [word, "…"]
         elif word != "--keep":
-            kept.append(word)
-    return " ".join(kept).replace("../shared/examples", "EXAMPLES").replace("shared/examples", "EXAMPLES")
+            kept.append(re.sub(r"^(\.\./)?shared/examples", "EXAMPLES", word))
+    return " ".join(kept)
 
 
 def report_list() -> str:

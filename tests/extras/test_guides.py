@@ -66,8 +66,8 @@ OWN_TEST = {"training"}
 @pytest.mark.parametrize("name", GUIDES)
 def test_the_guide_runs(name: str, tmp_path: Path) -> None:
     (tmp_path / "specifications.py").write_text(SPECIFICATIONS)
-    for command in BEFORE.get(name, []):
-        run(tmp_path, *command.split())
+    for line in BEFORE.get(name, []):
+        run(tmp_path, *line.split())
     ran = 0
     for block in smaller(name):
         if block.language == "sh" and not block.title:
