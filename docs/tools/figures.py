@@ -122,8 +122,8 @@ FIGURES = (
         "time of a drape, sampled garments in batches of 128",
         "drape_sampled",
         lambda r: (
-            f"{r.value('drape.s_per_garment'):.4f} s, and {r.value('drape.coarse_mesh_s_per_garment'):.3f} CPU-s for the "
-            "coarse mesh"
+            f"{r.value('drape.s_per_garment'):.4f} s, and "
+            f"{r.value('drape.coarse_mesh_s_per_garment'):.3f} CPU-s for the coarse mesh"
         ),
         short=True,
     ),
