@@ -142,7 +142,7 @@ FIGURES = (
         "drape_reference_designs",
         lambda r: (
             f"{100 * r.value('drape.clean'):.1f} % of {r.value('drape.garments'):.0f} settle without a crossing edge; "
-            f"{r.value('drape.slid_off'):.0f} slide off"
+            f"{r.value('drape.slid_off'):.0f} slid off"
         ),
         short=True,
     ),
