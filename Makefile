@@ -2,6 +2,7 @@
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
 #                   make garments on a Ray cluster of several nodes, and check a Croissant description
+# make docs         write the documentation into site/
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
 
@@ -11,10 +12,11 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 EXTRAS := .venv-extras/bin
 EXTRAS_INSTALLED := .venv-extras/.installed
+DOCS_INSTALLED := .venv/.installed-docs
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test test-extras fuzz lint
+.PHONY: demo test test-extras docs fuzz lint
 
 demo: $(INSTALLED)
 	$(BIN)/python -m benchmarks.demo --out demo
@@ -27,6 +29,9 @@ test: $(INSTALLED)
 
 test-extras: $(EXTRAS_INSTALLED)
 	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest tests/extras
+
+docs: $(DOCS_INSTALLED)
+	$(BIN)/mkdocs build --strict
 
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.campaign --examples $(N)
@@ -45,4 +50,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-extras
 	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser,notebooks]'
+	touch $@
+
+$(DOCS_INSTALLED): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	touch $@
