@@ -35,7 +35,7 @@ MM = 10.0  # millimetres in a centimetre
 DECIMALS = 2  # of a millimetre
 STANDARD = "ASTM/D13Proposal 1 Version:D6673-10"
 TEXT, NUMBER, SYSTEM = 5.0, 3.5, 2.5  # mm, heights of texts
-NAME_SHARE = 0.45  # share of the room that texts may take; the grain line needs the rest
+NAME_SHARE = 0.8  # share of the room that texts may take
 LINE = 1.6  # distance of lines of text, in heights
 LETTER = 0.7  # mean width of a letter, in heights
 GAP = 2.0  # cm between pieces on the sheet
@@ -145,7 +145,7 @@ def _draw_piece(block: Any, piece: CutPiece, pattern: Pattern, facts: Iterable[s
 def _write_texts(block: Any, piece: CutPiece, facts: Iterable[str]) -> None:
     """The name and system texts of a piece, in the middle of its room for the name."""
     name = ascii_text(piece.name)
-    notes = [name, "cut 1" if piece.right_side_up else "cut 1, wrong side up"]
+    notes = [name, "cut 1"]
     system = [f"Piece Name:{name}", "Quantity:1,0", *facts]
     room = MM * NAME_SHARE * piece.name_room
     heights = [min(largest, room / (LETTER * max(map(len, lines)))) for largest, lines in ((TEXT, notes), (SYSTEM, system))]

@@ -1,13 +1,14 @@
 """Cut pieces: a panel with sew line, cut line, notches, drill holes, grain line and labels, for cutters and printers.
 
-The sew line is the panel's outline. The cut line lies ``seam_allowance`` outside of it, with mitred corners; it crosses
+All pieces lie with the right side of the cloth up: panels drawn with the wrong side up are mirrored. The sew line is the
+panel's outline. The cut line lies ``seam_allowance`` outside of it, with mitred corners; it crosses
 the mouth of a dart with a cap, so that the folded dart ends in the seam, and does not leave an edge labelled ``fold``.
 Both are polylines within ``TOLERANCE`` of their curves. Notches are match points: where seams meet along an edge, at
 equal shares of the length of both edges of a long seam, and at the mouths of darts.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.polygon import orient
 
-from gcd_dataset.curves import LINE, Curve, Point, curve_tangents, sample_curve
+from gcd_dataset.curves import LINE, Curve, Point, curve_tangents, mirrored, sample_curve
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern, Record, Seam
@@ -38,6 +39,7 @@ DRILL = 1.0  # cm from the tip of a dart to its drill hole
 WIDEST_DART = 1.2  # mouth of a dart over its legs
 CAP = 1.5  # reach of a dart's cap from the tip, over the length of its legs
 MEASURED = 257  # points of an edge at which its length is measured
+NAME_HEIGHT = 1.0  # cm that a name may take above and below its centre
 GRAIN = 0.6  # length of the grain line, as a share of the room
 
 
@@ -68,12 +70,12 @@ class EdgeText(Record):
 
 @dataclass(frozen=True, eq=False)
 class CutPiece(Record):
-    """A panel as it is cut, in the panel's plane [cm]; the grain runs along y."""
+    """A panel as it is cut, right side up, in the panel's plane or its mirror image [cm]; the grain runs along y."""
 
     panel: Panel
-    right_side_up: bool
+    """The panel, mirrored at the y axis if it was drawn with the wrong side up."""
     sew: Float[np.ndarray, "n 2"]
-    """The sew line, closed, each point once, counter-clockwise if ``right_side_up``."""
+    """The sew line, closed, each point once, counter-clockwise."""
     sew_corner: Bool[np.ndarray, " n"]
     """Whether a point of the sew line is a corner of the panel."""
     cut: Float[np.ndarray, "m 2"]
@@ -113,7 +115,11 @@ def cut_pieces(pattern: Pattern, *, seam_allowance: float = 1.0) -> tuple[CutPie
     if not 0.0 <= seam_allowance <= LARGEST_ALLOWANCE:
         raise ConfigError(f"a seam allowance of {seam_allowance:g} cm: give one from 0 to {LARGEST_ALLOWANCE:g} cm")
     require_valid(pattern, source=pattern.name)
-    return tuple(_piece(sheet, pattern, seam_allowance) for sheet in lay_out(pattern).panels)
+    turned = tuple(
+        _mirrored(sheet.panel) if sheet.orientation < 0 else sheet.panel for sheet in lay_out(pattern).panels
+    )
+    shown = replace(pattern, panels=turned)
+    return tuple(_piece(sheet, shown, seam_allowance) for sheet in lay_out(shown).panels)
 
 
 def polygon_area(points: Float[np.ndarray, "n 2"]) -> float:
@@ -122,8 +128,13 @@ def polygon_area(points: Float[np.ndarray, "n 2"]) -> float:
     return float(abs(0.5 * (x * next_y - next_x * y).sum()))
 
 
+def _mirrored(panel: Panel) -> Panel:
+    edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
+    return replace(panel, vertices=panel.vertices * [-1.0, 1.0], edges=edges)
+
+
 def _piece(sheet: SheetPanel, pattern: Pattern, allowance: float) -> CutPiece:
-    panel, side = sheet.panel, sheet.orientation
+    panel = sheet.panel
     edges = [edge_polyline(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)]
     sew = np.concatenate([points[:-1] for points in edges])
     corner = np.concatenate([np.arange(len(points) - 1) == 0 for points in edges])
@@ -131,15 +142,14 @@ def _piece(sheet: SheetPanel, pattern: Pattern, allowance: float) -> CutPiece:
     cut = _cut_line(panel, sew, edges, darts, allowance)
     (x, y), room = sheet.grain_position()
     half = 0.5 * GRAIN * room
-    name_at, name_room = sheet.name_position()
+    name_at, name_room = _beside_grain(*sheet.name_position(), x, (y - half, y + half))
     return CutPiece(
         panel=panel,
-        right_side_up=side > 0,
         sew=sew,
         sew_corner=corner,
         cut=cut,
         cut_corner=_turns(cut) > TURN,
-        notches=_notches(panel, pattern, darts, cut, side, allowance),
+        notches=_notches(panel, pattern, darts, cut, allowance),
         drills=np.array([dart.drill for dart in darts]).reshape(-1, 2),
         folds=tuple(np.array(panel.edge_ends(i)) for i, edge in enumerate(panel.edges) if edge.label == FOLD),
         grain=np.array([[x, y - half], [x, y + half]]),
@@ -147,6 +157,18 @@ def _piece(sheet: SheetPanel, pattern: Pattern, allowance: float) -> CutPiece:
         name_room=name_room,
         numbers=tuple(_numbers(sheet)),
     )
+
+
+def _beside_grain(
+    centre: Float[np.ndarray, "2"], room: float, grain: float, span: tuple[float, float]
+) -> tuple[Float[np.ndarray, "2"], float]:
+    """Centre and width of the larger part of the room for the name beside the grain line."""
+    low, high = span
+    left, right = centre[0] - 0.5 * room, centre[0] + 0.5 * room
+    if not (left < grain < right and low - NAME_HEIGHT < centre[1] < high + NAME_HEIGHT):
+        return centre, room
+    left, right = (left, grain) if grain - left > right - grain else (grain, right)
+    return np.array([0.5 * (left + right), centre[1]]), float(right - left)
 
 
 def edge_polyline(start: Point, end: Point, curve: Curve) -> Float[np.ndarray, "n 2"]:
@@ -261,22 +283,29 @@ def _cut_line(
         cut = cloth.buffer(allowance, join_style="mitre", mitre_limit=MITRE)
         for edge, points in zip(panel.edges, edges, strict=True):
             if edge.label == FOLD:
-                cut = cut.difference(_beyond(points, allowance, shapely.Polygon(sew).exterior.is_ccw))
-        cloth = shapely.union(cut, cloth)
+                cut = cut.difference(_beyond(points, allowance))
+        cloth = shapely.union_all([cut, cloth, *_narrow_gaps(cut, 0.5 * allowance)])
     if not isinstance(cloth, shapely.Polygon):
         raise PatternError(f"panel {panel.name}: its cut line falls into parts: change the seam allowance")
     ring = orient(shapely.Polygon(cloth.exterior).simplify(0.1 * TOLERANCE)).exterior
     return np.array(ring.coords)[:-1]
 
 
-def _beyond(fold: Float[np.ndarray, "n 2"], allowance: float, is_ccw: bool) -> shapely.Polygon:
+def _beyond(fold: Float[np.ndarray, "n 2"], allowance: float) -> shapely.Polygon:
     """The cloth beyond a fold, to the reach of its corners."""
     start, end = fold[0], fold[-1]
     along = (end - start) / np.linalg.norm(end - start)
-    outward = np.array([along[1], -along[0]]) * (1 if is_ccw else -1)
     reach = 1.01 * MITRE * allowance
     inner = [start - reach * along, *fold, end + reach * along]
-    return shapely.Polygon([*inner, inner[-1] + reach * outward, inner[0] + reach * outward])
+    outward = reach * _outward(along)
+    return shapely.Polygon([*inner, inner[-1] + outward, inner[0] + outward])
+
+
+def _narrow_gaps(cut: shapely.Geometry, width: float) -> list[shapely.Geometry]:
+    """Gaps of a cut line under twice ``width`` wide, such as the rest of a slit between two allowances."""
+    closed = cut.buffer(width, join_style="mitre", mitre_limit=MITRE).buffer(-width, join_style="mitre")
+    parts = shapely.get_parts(closed.difference(cut))
+    return [part for part in parts.tolist() if not part.buffer(-2 * TOLERANCE).is_empty]
 
 
 def _turns(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
@@ -294,14 +323,13 @@ def _notches(
     pattern: Pattern,
     darts: tuple[_Dart, ...],
     cut: Float[np.ndarray, "m 2"],
-    side: float,
     allowance: float,
 ) -> tuple[Notch, ...]:
     """The notches of a panel, without those that have no way out to the cut line."""
     ring = shapely.LinearRing(cut)
     depth = min(SLIT, 0.5 * allowance) if allowance else BARE_SLIT
     found: list[Notch] = []
-    for point, outward, is_single in _match_points(panel, pattern, darts, side):
+    for point, outward, is_single in _match_points(panel, pattern, darts):
         reached = _way_out(point, outward, ring, allowance)
         if reached is None:
             continue
@@ -312,7 +340,7 @@ def _notches(
 
 
 def _match_points(
-    panel: Panel, pattern: Pattern, darts: tuple[_Dart, ...], side: float
+    panel: Panel, pattern: Pattern, darts: tuple[_Dart, ...]
 ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], bool]]:
     """Points of the sew line with their outward unit normals, and whether the point is not part of a double notch."""
     in_dart = {edge for dart in darts for edge in dart.edges}
@@ -325,11 +353,11 @@ def _match_points(
         arriving, leaving = _tangent(panel, before, 1.0), _tangent(panel, after, 0.0)
         turn = np.arccos(np.clip(arriving @ leaving, -1.0, 1.0))
         if turn < SMOOTH and {before, after} & sewn and not {before, after} & in_dart:
-            yield np.array(panel.edge_ends(after)[0]), _outward(arriving + leaving, side), True
+            yield np.array(panel.edge_ends(after)[0]), _outward(arriving + leaving), True
     for seam in pattern.seams:
         for ref, flips in ((seam.left, False), (seam.right, not seam.right_wrong)):
             if ref.panel == panel.name and ref.edge not in in_dart:
-                yield from _balance_marks(panel, ref.edge, _shares(seam, pattern), flips, side)
+                yield from _balance_marks(panel, ref.edge, _shares(seam, pattern), flips)
 
 
 def _shares(seam: Seam, pattern: Pattern) -> tuple[float, ...]:
@@ -343,7 +371,7 @@ def _shares(seam: Seam, pattern: Pattern) -> tuple[float, ...]:
 
 
 def _balance_marks(
-    panel: Panel, edge: int, shares: tuple[float, ...], flips: bool, side: float
+    panel: Panel, edge: int, shares: tuple[float, ...], flips: bool
 ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], bool]]:
     points = sample_curve(*panel.edge_ends(edge), panel.edges[edge].curve, MEASURED)
     reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -352,7 +380,7 @@ def _balance_marks(
         at = (1 - share if flips else share) * reached[-1]
         for offset in (-PAIR, PAIR) if is_double else (0.0,):
             here, ahead, behind = (_along(points, reached, at + offset + step) for step in (0.0, 0.05, -0.05))
-            yield here, _outward(ahead - behind, side), not is_double
+            yield here, _outward(ahead - behind), not is_double
 
 
 def _along(
@@ -362,9 +390,9 @@ def _along(
     return np.array([np.interp(distance, reached, points[:, 0]), np.interp(distance, reached, points[:, 1])])
 
 
-def _outward(direction: Float[np.ndarray, "2"], side: float) -> Float[np.ndarray, "2"]:
-    """Unit normal to the right of a direction; to the left for an outline drawn clockwise (``side`` -1)."""
-    return side * np.array([direction[1], -direction[0]]) / np.linalg.norm(direction)
+def _outward(direction: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    """Unit normal to the right of a direction."""
+    return np.array([direction[1], -direction[0]]) / np.linalg.norm(direction)
 
 
 def _way_out(
@@ -387,4 +415,4 @@ def _numbers(sheet: SheetPanel) -> Iterator[EdgeText]:
         if seam is None:
             continue
         before, middle, after = sample_curve(*panel.edge_ends(edge), panel.edges[edge].curve, 3)
-        yield EdgeText(str(seam), middle, -_outward(after - before, sheet.orientation), room)
+        yield EdgeText(str(seam), middle, -_outward(after - before), room)
