@@ -30,7 +30,7 @@ GREY, PALE = 0.45, 0.85
 ARC_STEP = np.radians(30.0)  # an arc of 30° differs from its Bézier curve by 4e-7 of the radius
 NAME, SMALL, TINY = 0.8, 0.42, 0.32  # cm, sizes of letters
 LETTER = 0.55  # mean width of a letter, in its size
-NAME_SHARE = 0.8  # share of its room that a name may take
+NAME_SHARE, NAME_HEIGHT = 0.8, 0.12  # size of a name, at most: share of its room, of the height of the piece
 ARROW = (0.5, 0.18)  # cm, length and half width of an arrow head
 DRILL = 0.25  # cm, radius of a drill hole's circle
 MARK = 0.5  # cm, half the diagonal of a registration mark
@@ -233,7 +233,7 @@ def _write_name(canvas: Any, piece: CutPiece) -> None:
     name, notes = _latin(piece.name), "cut 1, right side up"
     room = NAME_SHARE * piece.name_room
     x, y = piece.name_at.tolist()
-    size = min(NAME, room / (LETTER * len(name)))
+    size = min(NAME, NAME_HEIGHT * float(np.ptp(piece.cut[:, 1])), room / (LETTER * len(name)))
     _text(canvas, name, x, y, size, font=BOLD)
     small = min(SMALL, 0.7 * size, room / (LETTER * len(notes)))
     _text(canvas, notes, x, y - 1.4 * small, small)
