@@ -55,7 +55,8 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "export": (
         "gcd export shards --hdf5 train.h5",
-        "gcd export shards --layout published GarmentCodeData",
+        "gcd export shards --index 3 --usd garment.usd",
+        "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
     ),
 }
 """Verb to two commands."""

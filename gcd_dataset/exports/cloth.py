@@ -17,7 +17,7 @@ CURVE_POINTS = 129  # of an edge, to order the vertices of a seam along it
 
 
 def texture_coordinates(mesh: BoxMesh, tile: float = TILE) -> Float[np.ndarray, "c 2"]:
-    """Texture coordinates of the seam-split vertices: 1 is ``tile`` cm of cloth, for all panels; v runs along the grain.
+    """Texture coordinates of the seam-split vertices: 1 is ``tile`` cm of cloth in all panels; v runs along the grain.
 
     Panels drawn from the inside are mirrored, so that a print reads from the outside. Raises ``ConfigError`` unless
     ``tile`` is positive.

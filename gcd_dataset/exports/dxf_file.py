@@ -2,8 +2,8 @@
 
 The layers and the ``Identifier:value`` texts are those of ASTM D6673-10, *Standard Practice for Sewn Products Pattern
 Data Interchange—Data Format*, §4.3 (withdrawn in 2019 without a replacement; ANSI/AAMA-292 numbers them the same).
-The encoding of a notch, a point with its depth in group 30, its width in 39 and its angle in 50, is that of the ePattern
-guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
+The encoding of a notch, a point with its depth in group 30, its width in 39 and its angle in 50, is that of the
+ePattern guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
 
 The file is DXF R12 without tables and without layouts, which the readers of pattern CAD expect: see ``ezdxf``'s
 ``gerber_D6673``. Each piece is a block, inserted once on one sheet.
@@ -66,9 +66,9 @@ def dxf(
 ) -> None:
     """Write the pattern as DXF.
 
-    ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises ``ConfigError``
-    for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a pattern that cannot be
-    sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
+    ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
+    ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a pattern
+    that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
     """
     path = require_suffix(path, ".dxf")
     write_whole(path, dxf_bytes(garment, seam_allowance=seam_allowance, created=created))
@@ -138,7 +138,9 @@ def _draw_piece(block: Any, piece: CutPiece, pattern: Pattern, facts: Iterable[s
     block.add_line(_mm(piece.grain[0]), _mm(piece.grain[1]), dxfattribs={"layer": DxfLayer.GRAIN.value})
     for number in piece.numbers:
         height = min(NUMBER, 0.3 * MM * number.room)
-        at = MM * number.point + 1.3 * height * number.inward - 0.5 * height * np.array([LETTER * len(number.text), 1.0])
+        at = (
+            MM * number.point + 1.3 * height * number.inward - 0.5 * height * np.array([LETTER * len(number.text), 1.0])
+        )
         _write_lines(block, [number.text], at, height, DxfLayer.ANNOTATION)
 
 
@@ -148,7 +150,9 @@ def _write_texts(block: Any, piece: CutPiece, facts: Iterable[str]) -> None:
     notes = [name, "cut 1"]
     system = [f"Piece Name:{name}", "Quantity:1,0", *facts]
     room = MM * NAME_SHARE * piece.name_room
-    heights = [min(largest, room / (LETTER * max(map(len, lines)))) for largest, lines in ((TEXT, notes), (SYSTEM, system))]
+    heights = [
+        min(largest, room / (LETTER * max(map(len, lines)))) for largest, lines in ((TEXT, notes), (SYSTEM, system))
+    ]
     width = LETTER * max(height * max(map(len, lines)) for height, lines in zip(heights, (notes, system), strict=True))
     tall = LINE * (heights[0] * len(notes) + heights[1] * len(system))
     at = MM * piece.name_at + [-0.5 * width, 0.5 * tall - heights[0]]
@@ -163,9 +167,7 @@ def _draw_points(block: Any, points: Float[np.ndarray, "n 2"], corner: Bool[np.n
         block.add_point(_mm(point), dxfattribs={"layer": layer.value})
 
 
-def _write_lines(
-    space: Any, lines: Iterable[str], at: Float[np.ndarray, "2"], height: float, layer: DxfLayer
-) -> None:
+def _write_lines(space: Any, lines: Iterable[str], at: Float[np.ndarray, "2"], height: float, layer: DxfLayer) -> None:
     """Lines of text, the first at ``at`` [mm]."""
     x, y = np.round(at, DECIMALS).tolist()
     for number, line in enumerate(lines):

@@ -48,7 +48,9 @@ def draped_mesh(sample: Sample) -> tuple[BoxMesh, Drape]:
             "DXF or PDF"
         )
     if not np.isfinite(sample.drape.vertices).all():
-        raise ShardError(f"sample {sample.key}: its drape diverged ({sample.drape.outcome.name}): choose another sample")
+        raise ShardError(
+            f"sample {sample.key}: its drape diverged ({sample.drape.outcome.name}): choose another sample"
+        )
     return sample.box_mesh, sample.drape
 
 

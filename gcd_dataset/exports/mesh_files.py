@@ -11,9 +11,7 @@ from gcd_dataset.files import open_whole, write_whole
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Sample
 
-__all__ = ["BODY",
-    "GLB_FACTS",
-    "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
+__all__ = ["BODY", "GLB_FACTS", "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
 
 METRE = 0.01  # of a centimetre: glTF is in metres
 ROUGHNESS = 0.9  # of cloth
@@ -28,8 +26,9 @@ def glb(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
     """Write the draped garment, on its body, as binary glTF [m].
 
     A node and a material for each panel, named after it. ``tile``: centimetres of cloth that a texture covers, in both
-    directions of every panel. ``body``: whether to include the body, if the sample holds its shape. Raises ``ShardError``
-    for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``, ``OutputError``.
+    directions of every panel. ``body``: whether to include the body, if the sample holds its shape. Raises
+    ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
+    ``OutputError``.
     """
     path = require_suffix(path, ".glb")
     write_whole(path, glb_bytes(sample, tile=tile, body=body))
@@ -38,7 +37,7 @@ def glb(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
 def obj(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
 
-    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Otherwise as ``glb``.
+    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
     """
     path = require_suffix(path, ".obj")
     materials = path.with_suffix(".mtl")
@@ -49,8 +48,9 @@ def obj(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
 
 
 def ply(sample: Sample, path: Path | str) -> None:
-    """Write the draped garment as binary PLY [cm]: vertices in the order of the sample's ``verts``, faces in the colours
-    of their panels. Otherwise as ``glb``.
+    """Write the draped garment as binary PLY [cm], faces in the colours of their panels.
+
+    The vertices have the order of the sample's ``verts``. Raises errors as ``glb`` does.
     """
     path = require_suffix(path, ".ply")
     write_whole(path, ply_bytes(sample))
@@ -112,7 +112,9 @@ def obj_text(sample: Sample, *, materials: str, tile: float = TILE, body: bool =
         lines += ["o body", *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in worn.vertices.tolist()), "usemtl body"]
         lines += ["f {} {} {}".format(*row) for row in (worn.faces + 1 + len(drape.vertices)).tolist()]
         colours.append(("body", SKIN))
-    library = [line for name, (r, g, b) in colours for line in (f"newmtl {name}", f"Kd {r:.4g} {g:.4g} {b:.4g}", "illum 1")]
+    library = [
+        line for name, (r, g, b) in colours for line in (f"newmtl {name}", f"Kd {r:.4g} {g:.4g} {b:.4g}", "illum 1")
+    ]
     return "\n".join(lines) + "\n", "\n".join(library) + "\n"
 
 
@@ -143,9 +145,7 @@ def _skin(body: Body) -> Any:
     visual = trimesh.visual.TextureVisuals(
         uv=np.zeros((len(body.vertices), 2)), material=_material("body", SKIN, two=False)
     )
-    return trimesh.Trimesh(
-        METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False
-    )
+    return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
 
 
 def _material_names(mesh: BoxMesh) -> list[str]:

@@ -11,8 +11,8 @@ ROUNDING = 1e-9  # cm
 def pack(sizes: Float[np.ndarray, "p 2"], *, width: float, gap: float) -> tuple[Float[np.ndarray, "p 2"], float]:
     """Lower left corners of rectangles on a sheet of ``width``, ``gap`` apart [cm], and the height of the sheet.
 
-    y points up from the lower left corner of the sheet. Each rectangle takes the first shelf with room for it; one wider
-    than the sheet takes a shelf of its own.
+    y points up from the lower left corner of the sheet. Each rectangle takes the first shelf with room for it; one
+    wider than the sheet takes a shelf of its own.
     """
     shelves: list[tuple[float, float, float]] = []  # top, height, used width
     corners = np.zeros_like(sizes)

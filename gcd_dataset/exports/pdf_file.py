@@ -1,7 +1,7 @@
 """Patterns as PDF at true scale, tiled on pages with marks: print, trim, glue, cut.
 
 Sew lines are drawn as Bézier curves; cut lines are polylines within 0.1 mm. The first page, or on large paper a block
-on the sheet, is the legend: a square of 10 cm to check the scale, the map of the pages, the pieces, the meaning of lines.
+on the sheet, is the legend: a square of 10 cm to check the scale, the map of the pages, the pieces, the kinds of lines.
 """
 
 import io
@@ -296,7 +296,9 @@ def bezier_pieces(start: Point, end: Point, curve: Curve) -> list[tuple[Point, P
     match curve:
         case Quadratic(control):
             (x, y), (x0, y0), (x1, y1) = from_frame(start, end, control), start, end
-            return [((x0 + 2 * (x - x0) / 3, y0 + 2 * (y - y0) / 3), (x1 + 2 * (x - x1) / 3, y1 + 2 * (y - y1) / 3), end)]
+            return [
+                ((x0 + 2 * (x - x0) / 3, y0 + 2 * (y - y0) / 3), (x1 + 2 * (x - x1) / 3, y1 + 2 * (y - y1) / 3), end)
+            ]
         case Cubic(control0, control1):
             return [(from_frame(start, end, control0), from_frame(start, end, control1), end)]
         case Arc():
@@ -441,9 +443,7 @@ def _draw_map(canvas: Any, sheet: _Sheet, top: float) -> None:
 # --------------------------------------------------------------------------------------------------------------- texts
 
 
-def _text(
-    canvas: Any, text: str, x: float, y: float, size: float, *, font: str = FONT, centred: bool = True
-) -> None:
+def _text(canvas: Any, text: str, x: float, y: float, size: float, *, font: str = FONT, centred: bool = True) -> None:
     """A line of text with its base line at ``y``; ``size`` [cm]."""
     canvas.setFont(font, size)
     (canvas.drawCentredString if centred else canvas.drawString)(x, y, text)

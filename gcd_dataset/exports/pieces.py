@@ -1,9 +1,8 @@
 """Cut pieces: a panel with sew line, cut line, notches, drill holes, grain line and labels, for cutters and printers.
 
-All pieces lie with the right side of the cloth up: panels drawn with the wrong side up are mirrored. The sew line is the
-panel's outline. The cut line lies ``seam_allowance`` outside of it, with mitred corners; it crosses
-the mouth of a dart with a cap, so that the folded dart ends in the seam, and does not leave an edge labelled ``fold``.
-Both are polylines within ``TOLERANCE`` of their curves. Notches are match points: where seams meet along an edge, at
+All pieces lie with the right side of the cloth up: panels drawn with the wrong side up are mirrored. The sew line is
+the panel's outline. The cut line lies ``seam_allowance`` outside of it, with mitred corners. It crosses the mouth of a
+dart with a cap, so that the folded dart ends in the seam, and keeps to an edge labelled ``fold``. Both are polylines within ``TOLERANCE`` of their curves. Notches are match points: where seams meet along an edge, at
 equal shares of the length of both edges of a long seam, and at the mouths of darts.
 """
 
@@ -109,8 +108,8 @@ class CutPiece(Record):
 def cut_pieces(pattern: Pattern, *, seam_allowance: float = 1.0) -> tuple[CutPiece, ...]:
     """The cut pieces of a pattern, in the order of its panels.
 
-    ``seam_allowance``: width of cloth beyond the sew line [cm]. Raises ``ConfigError`` for an allowance that is negative
-    or over 10 cm, ``PatternError`` for a pattern that cannot be sewn.
+    ``seam_allowance``: width of cloth beyond the sew line [cm]. Raises ``ConfigError`` for an allowance that is
+    negative or over 10 cm, ``PatternError`` for a pattern that cannot be sewn.
     """
     if not 0.0 <= seam_allowance <= LARGEST_ALLOWANCE:
         raise ConfigError(f"a seam allowance of {seam_allowance:g} cm: give one from 0 to {LARGEST_ALLOWANCE:g} cm")

@@ -101,9 +101,7 @@ class Tiling:
         return page.column * across, self.height - page.row * down
 
 
-def tile(
-    sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper
-) -> Tiling:
+def tile(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper) -> Tiling:
     """The tiling with the fewest pages.
 
     ``sizes``: bounding boxes of the pieces [cm]; ``shapes``: their cloth, relative to the lower left corners of the
@@ -119,14 +117,14 @@ def _columns(width: float, paper: Paper) -> int:
     return max(1, int(np.ceil((width - OVERLAP) / paper.cell[0] - 1e-9)))
 
 
-def _tiling(
-    sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper, columns: int
-) -> Tiling:
+def _tiling(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper, columns: int) -> Tiling:
     across, down = paper.cell
     width = columns * across + OVERLAP
     corners, height = pack(sizes, width=width, gap=GAP)
     rows = max(1, int(np.ceil((height - OVERLAP) / down - 1e-9)))
-    placed = [shapely.affinity.translate(shape, *corner) for shape, corner in zip(shapes, corners.tolist(), strict=True)]
+    placed = [
+        shapely.affinity.translate(shape, *corner) for shape, corner in zip(shapes, corners.tolist(), strict=True)
+    ]
     tree = shapely.STRtree(placed)
     pages = []
     for row in range(rows):
