@@ -55,7 +55,6 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "export": (
         "gcd export shards --hdf5 train.h5",
-        "gcd export shards --index 3 --usd garment.usd",
         "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
     ),
 }

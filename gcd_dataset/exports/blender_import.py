@@ -200,7 +200,7 @@ def _operator() -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Import a garment; save and render it if asked to. ``arguments``: by default those after ``--``, as from Blender."""
+    """Import a garment, save and render it. ``arguments``: by default those after ``--``, as Blender passes them."""
     parser = argparse.ArgumentParser(prog="blender_import.py", description="Import a garment of gcd export --glb.")
     parser.add_argument("glb", type=Path, help="file of gcd export --glb")
     parser.add_argument("--texture", type=Path, help="picture that covers the texture tile of the file, on all panels")

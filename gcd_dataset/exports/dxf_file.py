@@ -67,8 +67,8 @@ def dxf(
     """Write the pattern as DXF.
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
-    ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a pattern
-    that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
+    ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a
+    pattern that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
     """
     path = require_suffix(path, ".dxf")
     write_whole(path, dxf_bytes(garment, seam_allowance=seam_allowance, created=created))

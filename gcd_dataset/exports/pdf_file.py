@@ -309,7 +309,7 @@ def bezier_pieces(start: Point, end: Point, curve: Curve) -> list[tuple[Point, P
 
 def _arc_pieces(start: Point, end: Point, arc: Arc) -> list[tuple[Point, Point, Point]]:
     centre, first, sweep = arc_centre(start, end, arc)
-    count = max(1, int(np.ceil(abs(sweep) / ARC_STEP)))
+    count = max(1, int(np.ceil(abs(sweep) / ARC_STEP - 1e-9)))
     angles = first + sweep * np.arange(count + 1) / count
     reach = 4 / 3 * np.tan(sweep / count / 4)  # of the control points, in radii
     radial = np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -2,8 +2,9 @@
 
 All pieces lie with the right side of the cloth up: panels drawn with the wrong side up are mirrored. The sew line is
 the panel's outline. The cut line lies ``seam_allowance`` outside of it, with mitred corners. It crosses the mouth of a
-dart with a cap, so that the folded dart ends in the seam, and keeps to an edge labelled ``fold``. Both are polylines within ``TOLERANCE`` of their curves. Notches are match points: where seams meet along an edge, at
-equal shares of the length of both edges of a long seam, and at the mouths of darts.
+dart with a cap, so that the folded dart ends in the seam, and keeps to an edge labelled ``fold``. Both lines are
+polylines within ``TOLERANCE`` of their curves. Notches are match points: where seams meet along an edge, at equal
+shares of the length of both edges of a long seam, and at the mouths of darts.
 """
 
 from collections.abc import Iterator
