@@ -126,7 +126,7 @@ def _simulate(garment: Any, body: Any | None) -> None:
         body.collision.thickness_outer = THICKNESS
 
 
-def render(garment: Any, path: Path | str, *, size: int = 800, samples: int = 32) -> None:
+def render(garment: Any, path: Path | str, *, size: int = 800, samples: int = 16) -> None:
     """Render the open scene from the garment's front to a PNG file, by Cycles on the CPU."""
     import bpy
     from mathutils import Vector
