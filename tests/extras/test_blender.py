@@ -1,4 +1,4 @@
-"""The import script, run in Blender's Python module, ``bpy``: in ``.venv-blender``, which ``make test-extras`` makes."""
+"""The import script in Blender's Python module, ``bpy``, of ``.venv-blender``, which ``make test-extras`` makes."""
 
 import subprocess
 import sys
