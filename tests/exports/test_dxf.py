@@ -4,8 +4,9 @@ import sys
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
-import ezdxf
+import ezdxf.filemanagement
 import numpy as np
 import pytest
 import shapely
@@ -14,7 +15,7 @@ from gcd_dataset.errors import ConfigError, ExtraMissing
 from gcd_dataset.exports import dxf
 from gcd_dataset.exports.dxf_file import dxf_bytes
 from gcd_dataset.records import Pattern, Sample
-from tests.exports.dxf_reader import layers_of, read_dxf
+from tests.exports.dxf_reader import Block, layers_of, read_dxf
 from tests.exports.patterns import SIDE, darted, exact_area, panel_of, square, squares
 
 ALLOWED = {
@@ -60,8 +61,8 @@ def test_every_vertex_is_a_turn_or_a_curve_point(patterns: tuple[Pattern, ...], 
     assert not square_block.of("3", "POINT")
 
 
-def read_of(pattern: Pattern | Sample, folder: Path, **options: float) -> dict:
-    dxf(pattern, folder / "read.dxf", **options)
+def read_of(pattern: Pattern | Sample, folder: Path) -> dict[str, Block]:
+    dxf(pattern, folder / "read.dxf")
     return read_dxf(folder / "read.dxf")
 
 
@@ -109,11 +110,12 @@ def test_style_and_size_are_those_of_the_sample(worn: Sample, tmp_path: Path) ->
 
 def test_ezdxf_finds_no_fault_and_the_pieces_lie_apart(worn: Sample, tmp_path: Path) -> None:
     dxf(worn, tmp_path / "a.dxf")
-    document = ezdxf.readfile(tmp_path / "a.dxf")
+    document = ezdxf.filemanagement.readfile(tmp_path / "a.dxf")
     assert document.dxfversion == "AC1009"
     assert not document.audit().errors
     cloth = []
-    for insert in document.modelspace().query("INSERT"):
+    inserted: list[Any] = list(document.modelspace().query("INSERT"))
+    for insert in inserted:
         [cut] = [e for e in insert.virtual_entities() if e.dxftype() == "POLYLINE" and e.dxf.layer == "1"]
         cloth.append(shapely.Polygon([(p.x, p.y) for p in cut.points()]))
     assert len(cloth) == len(worn.pattern.panels)

@@ -28,7 +28,7 @@ def worn() -> Sample:
 
 def in_blender(program: str, *arguments: object) -> str:
     """Output of a program in a process of its own: Blender's module ends with its process."""
-    command = [PYTHON, "-c", program, *map(str, arguments)]
+    command = [str(PYTHON), "-c", program, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
