@@ -46,7 +46,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 # Apart from .venv: what frameworks pull in is not to change what the other tests run with.
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-extras
-	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser]'
+	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser,notebooks]'
 	touch $@
 
 # Blender's module wants a NumPy and one version of Python of its own; its tests are skipped where it does not install.

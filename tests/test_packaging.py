@@ -38,6 +38,13 @@ def test_data_files_are_packed() -> None:
     assert sum(path.stat().st_size for path in data) < 2_500_000
 
 
+def test_files_of_the_page_are_packed() -> None:
+    packed = project()["tool"]["setuptools"]["package-data"]["gcd_dataset.viewer"]
+    files = [path for path in (ROOT / "gcd_dataset" / "viewer").iterdir() if path.suffix in (".css", ".html", ".js")]
+    assert {path.suffix for path in files} == {".css", ".html", ".js"}
+    assert all(any(path.match(pattern) for pattern in packed) for path in files)
+
+
 def test_recipes_are_packed() -> None:
     packed = project()["tool"]["setuptools"]["package-data"]["gcd_dataset.generator.recipes"]
     names = {path.name for path in (ROOT / "generator" / "recipes").glob("*.toml")}

@@ -18,7 +18,7 @@ The rules that move a parameter by more than 5 %, and why:
   ``godet-skirt.insert_depth``, ``pencil-skirt.low_angle`` and ``levels-skirt.level_ruffle``: cuts meet each other or
   the hips, the hem meets the side, the last level is over five metres wide (``unsewable``);
 - ``cannot_be_drawn`` of ``godet-skirt.insert_depth``: the godet is deeper than the skirt is long;
-- ``tight_cuff``: a leg or an arm does not fit through its cuff;
+- ``tight_cuff``: a leg or an arm does not fit through its cuff, or an arm through the end of a sleeve without cuff;
 - ``too_heavy`` of ``flare-skirt.length``, ``flare-skirt.suns`` and ``levels-skirt.length``: a long or wide flared skirt
   alone needs a firm waistband, as in GarmentCode;
 - ``overloaded_hips`` and ``overloaded_straps`` of the same parameters: friction on the hips holds no more cloth, or

@@ -37,19 +37,24 @@ from gcd_dataset.generator.render import (
     draw_camera,
     draw_hair,
     draw_view,
+    fixed_camera,
     start_pictures,
 )
+from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, MapName, Picture
 from gcd_dataset.generator.render.plain import SKIN, ColouredMesh
 from gcd_dataset.generator.render.plain_batch import PendingRender, start_render
 from gcd_dataset.generator.views import stored_body, stored_scene
 from gcd_dataset.prefetch import prefetch
-from gcd_dataset.records import Body
+from gcd_dataset.records import Body, BodyPart
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import ShardReader
+from gcd_dataset.tensors import PANEL_LABELS
 from gcd_dataset.workers import streams
 
 __all__ = [
+    "FIRST_PANEL",
     "HELD_OUT",
+    "SHOWN_CLASSES",
     "SIDES",
     "TRAINING",
     "Garment",
@@ -63,6 +68,13 @@ __all__ = [
 ]
 
 SIDES = 2  # pictures of a garment: front, back
+MAPS: tuple[MapName, ...] = ("part", "panel_id")
+_HAIR, _BACKGROUND = len(BodyPart), len(BodyPart) + 1
+FIRST_PANEL = len(BodyPart) + 2
+"""Label of a pixel of the first panel with ``PANEL_LABELS[0]``; below: body parts, hair, background."""
+SHOWN_CLASSES = FIRST_PANEL + len(PANEL_LABELS)
+"""What a pixel may show: parts of the body, hair, background, and panels by their label."""
+MOST_PANELS = (256 - FIRST_PANEL) // len(PANEL_LABELS)
 
 
 class Input(StrEnum):
@@ -152,6 +164,8 @@ class Rendered:
     what: Input
     positions: Int[np.ndarray, " b"]
     pictures: UInt8[np.ndarray, "b n h w 3"]
+    labels: UInt8[np.ndarray, "b n h w"]
+    """What each pixel shows: ``FIRST_PANEL`` + number of labels × panel + row of ``PANEL_LABELS``, or less."""
 
 
 def load_garment(reader: ShardReader, position: int) -> Garment:
@@ -216,11 +230,16 @@ def rendered(share: Share) -> Generator[Rendered]:
 
 
 def views_of(what: Input, seed: int, garment: Garment, row: int, epoch: int) -> tuple[Scene, list[View]]:
-    """The scene of a garment and its front and back view, a function of input, seed, garment and epoch."""
+    """The scene of a garment and its front and back view, a function of input, seed, garment and epoch.
+
+    Of ``Input.PLAIN`` only the cameras are those of its pictures.
+    """
     ranges = HELD_OUT if what is Input.HELD_OUT else TRAINING
     streams = [rng(seed, garment.index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + side) for side in range(SIDES)]
     of_sides = [replace(ranges, camera=_turned(ranges.camera, 180.0 * side)) for side in range(SIDES)]
     scene = garment.scene
+    if what is Input.PLAIN:
+        return scene, [_grey_view(scene, fixed_camera(scene, side), row) for side in ("front", "back")]
     if what is Input.GREY:
         cameras = [draw_camera(stream, scene, ranges=r.camera) for stream, r in zip(streams, of_sides, strict=True)]
         return scene, [_grey_view(scene, camera, row) for camera in cameras]
@@ -239,28 +258,47 @@ class _Started:
 
     what: Input
     positions: Int[np.ndarray, " b"]
-    pending: PendingRender | PendingPictures
+    scenes: list[Scene]
+    maps: PendingPictures
+    """The maps, and the pictures unless they are plain."""
+    plain: PendingRender | None
 
 
 def _start(share: Share, what: Input, garments: Sequence[Garment], epoch: int) -> _Started:
     positions = np.array([garment.position for garment in garments])
+    plain = None
     if what is Input.PLAIN:
         coloured = [_coloured(garment.scene, garment.scene.body) for garment in garments]
-        return _Started(
-            what, positions, start_render(coloured, ["front", "back"], size=share.size, device=share.device)
-        )
+        plain = start_render(coloured, ["front", "back"], size=share.size, device=share.device)
     pairs = [views_of(what, share.seed, garment, row, epoch) for row, garment in enumerate(garments)]
     scenes, views = [scene for scene, _ in pairs], [view for _, both in pairs for view in both]
-    return _Started(what, positions, start_pictures(scenes, views, size=share.size, device=share.device))
+    pending = start_pictures(scenes, views, maps=MAPS, size=share.size, device=share.device)
+    return _Started(what, positions, scenes, pending, plain)
 
 
 def _finished(started: _Started) -> Rendered:
-    if isinstance(started.pending, PendingRender):
-        pictures = [side for both in started.pending.pictures() for side in both]
-    else:
-        pictures = [picture.rgb for picture in started.pending.pictures()]
-    shape = (len(started.positions), SIDES, *pictures[0].shape)
-    return Rendered(started.what, started.positions, np.stack(pictures).reshape(shape))
+    found = started.maps.pictures()
+    scenes = [scene for scene in started.scenes for _ in range(SIDES)]
+    labels = [_labels(picture, scene) for picture, scene in zip(found, scenes, strict=True)]
+    pictures = [picture.rgb for picture in found]
+    if started.plain is not None:
+        pictures = [side for both in started.plain.pictures() for side in both]
+    shape = (len(started.positions), SIDES)
+    return Rendered(
+        started.what,
+        started.positions,
+        np.stack(pictures).reshape(*shape, *pictures[0].shape),
+        np.stack(labels).reshape(*shape, *labels[0].shape),
+    )
+
+
+def _labels(picture: Picture, scene: Scene) -> UInt8[np.ndarray, "h w"]:
+    """What each pixel shows, as ``Rendered.labels``; panels beyond ``MOST_PANELS`` share their labels."""
+    rows = np.array([PANEL_LABELS.index(name) if name in PANEL_LABELS else 0 for name in scene.panel_labels])
+    part, panel = picture.maps["part"], np.maximum(picture.maps["panel_id"], 0)
+    of_panels = FIRST_PANEL + len(PANEL_LABELS) * (panel % MOST_PANELS) + rows[panel]
+    others = np.where(part == HAIR, _HAIR, np.where(part == BACKGROUND, _BACKGROUND, part))
+    return np.where(part == GARMENT, of_panels, others).astype(np.uint8)
 
 
 def _coloured(scene: Scene, body: Body) -> tuple[ColouredMesh, ColouredMesh]:

@@ -252,6 +252,7 @@ class Pool:
         self._batches = batches
         self._positions = torch.zeros(room, dtype=torch.int64)
         self._pictures = torch.zeros(room, SIDES, size, size, 3, dtype=torch.uint8, device=device)
+        self._labels = torch.zeros(room, SIDES, size, size, dtype=torch.uint8, device=device)
         self._due = 0
         self.added = 0
         """Readings received so far."""
@@ -267,14 +268,18 @@ class Pool:
             self.waited += time.perf_counter() - begun
             slots = torch.arange(self.added, self.added + len(batch.positions)) % len(self._positions)
             self._positions[slots] = torch.from_numpy(batch.positions)
-            pictures = torch.from_numpy(batch.pictures).to(self._pictures.device)
-            self._pictures[slots.to(self._pictures.device)] = pictures
+            here = slots.to(self._pictures.device)
+            self._pictures[here] = torch.from_numpy(batch.pictures).to(here.device)
+            self._labels[here] = torch.from_numpy(batch.labels).to(here.device)
             self.added += len(batch.positions)
 
-    def draw(self, count: int, chance: torch.Generator) -> tuple[Int[Tensor, " b"], UInt8[Tensor, "b n h w 3"]]:
-        """``count`` of the readings, with repetition: positions of the garments, and pictures."""
+    def draw(
+        self, count: int, chance: torch.Generator
+    ) -> tuple[Int[Tensor, " b"], UInt8[Tensor, "b n h w 3"], UInt8[Tensor, "b n h w"]]:
+        """``count`` of the readings, with repetition: positions of the garments, pictures, labels of their pixels."""
         slots = torch.randint(min(self.added, len(self._positions)), (count,), generator=chance)
-        return self._positions[slots], self._pictures[slots.to(self._pictures.device)]
+        here = slots.to(self._pictures.device)
+        return self._positions[slots], self._pictures[here], self._labels[here]
 
 
 @contextmanager
@@ -392,8 +397,8 @@ def train(
         net.train()
         if what is not Input.PLAIN:
             pool.advance(args.fresh)
-        positions, pictures = pool.draw(args.batch, chance)
-        parts = losses_of(net, pictures, targets[positions.to(device)])
+        positions, pictures, labels = pool.draw(args.batch, chance)
+        parts = losses_of(net, pictures, targets[positions.to(device)], labels)
         loss = torch.stack(list(parts.values())).sum()
         optimizer.zero_grad()
         torch.autograd.backward(loss)
@@ -406,10 +411,12 @@ def train(
     return net, losses
 
 
-def losses_of(net: PictureNet, pictures: Tensor, true: PanelTargets) -> dict[str, Tensor]:
-    """The weighted loss terms; in bfloat16 on a GPU."""
+def losses_of(net: PictureNet, pictures: Tensor, true: PanelTargets, labels: Tensor | None = None) -> dict[str, Tensor]:
+    """The weighted loss terms of panels and seams, and with ``labels`` of pixels too; in bfloat16 on a GPU."""
     with torch.autocast(pictures.device.type, torch.bfloat16, enabled=pictures.is_cuda):
-        return set_loss(net.decoder, net(pictures), true)
+        tokens = net(pictures)
+        of_pixels = {} if labels is None else net.pixel_losses(tokens, labels)
+        return {**set_loss(net.decoder, tokens, true), **of_pixels}
 
 
 def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argparse.Namespace) -> list[Pattern]:

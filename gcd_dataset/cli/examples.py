@@ -26,7 +26,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd validate *_specification.json --errors",
     ),
     "show": (
-        "gcd show shards --index 3 --png garment.png",
+        "gcd show shards --index 3 --html garment.html",
         "gcd show shirt_specification.json --svg pattern.svg",
     ),
     "info": (

@@ -92,6 +92,7 @@ def build_model(
         _add_garment(world, config, float(step), length, int(start), int(end - start))
     for world, body, offset, each in zip(worlds, bodies, offsets, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
+        world.holds = int(each.hold_normal.any(axis=1).sum()) if config.holds else 0
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)

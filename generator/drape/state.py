@@ -29,8 +29,8 @@ class ClothState:
     x_seen: wp.array
     """(v) positions at the end of the last frame [cm]."""
     push: wp.array
-    """(v, 4) fixed-point sums over the contacts of a vertex: displacement x, y, z and contact weight, see
-    ``kernels.push``."""
+    """(v, 5) fixed-point sums over the contacts of a vertex: displacement x, y, z, contact weight, and displacement off
+    the skin by long edges, see ``kernels.push``."""
     contact_weight: wp.array
     """(v) sum of the weights of a vertex's contacts, from the last substep."""
     beside: wp.array
@@ -83,7 +83,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         ahead=wp.clone(start),
         ahead_next=wp.clone(start),
         x_seen=wp.clone(start),
-        push=wp.zeros((n, 4), dtype=int, device=model.device),
+        push=wp.zeros((n, 5), dtype=int, device=model.device),
         contact_weight=wp.ones(n, dtype=float, device=model.device),
         beside=wp.ones(n, dtype=int, device=model.device),
         tangled=zeros(n, int),

@@ -100,7 +100,7 @@ def end_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf)
 
     The end is the narrowest ring of the cuff, or the hem of a sleeve without cuff: ``end_width`` may be a fifth of the
     width at the armhole, while the arm at the elbow has three quarters of its girth there. Between armhole and end a
-    sleeve is straight, and no narrower for the arm than at its end: of 84 sampled sleeves, none.
+    sleeve is straight, and no narrower for the arm than at its end: of 42 sampled sleeves, each on two wearers, none.
     Raises ``PatternError`` for a half that cannot be drawn.
     """
     if half[-1].sleeveless or (_is_fitted(design) and half[0].strapless):

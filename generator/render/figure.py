@@ -148,7 +148,9 @@ def _room_under_cloth(
         return np.zeros(0)
     reach = depth + UNDER_CLOTH
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    corners = scene.vertices[scene.faces]
+    above = scene.vertices[:, 1] > low[1]  # few faces are, so that the others need no further test
+    faces_above = np.flatnonzero(above.take(scene.faces.T).any(axis=0))
+    corners = scene.vertices[scene.faces[faces_above]]
     near = ((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1)
     if not near.any():
         return np.full(len(points), np.inf)

@@ -14,7 +14,9 @@ import torch
 from benchmarks.reconstruction.models.panel_set import NetConfig
 from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
+    FIRST_PANEL,
     HELD_OUT,
+    SHOWN_CLASSES,
     SIDES,
     TRAINING,
     Input,
@@ -36,6 +38,7 @@ from gcd_dataset.generator.render.looks import LOOKS
 from gcd_dataset.metrics import PatternScore, score_pattern
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.tensors import PANEL_LABELS
 
 SIZE, SEED = 32, 5
 
@@ -137,6 +140,41 @@ def test_every_reading_of_drawn_pictures_differs_and_plain_ones_are_the_same(fol
         assert (one == other).all() == (what is Input.PLAIN)
 
 
+@pytest.mark.parametrize("what", Input)
+def test_labels_tell_the_garment_in_a_picture(what: Input, folder: Path) -> None:
+    batch = next(rendered(share(folder, what)))
+    sample = ShardReader(folder, settled_only=True).sample(int(batch.positions[0]))
+    is_cloth = batch.labels[0] >= FIRST_PANEL
+    seen = {((label - FIRST_PANEL) // len(PANEL_LABELS)) for label in batch.labels[0][is_cloth].tolist()}
+    assert len(seen) > 1
+    assert seen <= set(range(len(sample.pattern.panels)))
+    if what is Input.PLAIN:  # skin has one hue in the plain pictures, each panel its own
+        is_skin = batch.labels[0] < FIRST_PANEL - 2
+        rgb = batch.pictures[0].astype(float)
+        hue = rgb / rgb.sum(axis=-1, keepdims=True)
+        assert np.median(np.abs(hue[is_skin] - np.median(hue[is_skin], axis=0))) < 0.01
+        assert 0.02 < np.mean(is_cloth) < 0.9
+
+
+def test_pixel_losses_are_least_for_the_truth() -> None:
+    net = PictureNet(NetConfig(width=32, heads=2, layers=1), views=1, size=8)
+    labels = torch.full((1, 1, 8, 8), FIRST_PANEL, dtype=torch.uint8)
+    labels[..., :4] = 0  # the trunk; neither it nor one panel alone has a border
+    found = []
+    for shown in (0, FIRST_PANEL):
+        with torch.no_grad():
+            net.shown.weight.zero_()
+            net.shown.bias.copy_(torch.full_like(net.shown.bias, -4.0))
+            of_parts = net.shown.bias.view(SHOWN_CLASSES + 1, 2, 2)
+            of_parts[0, :, 0] = of_parts[shown, :, 1] = 4.0
+            found.append(net.pixel_losses(torch.zeros(1, 1, 32), labels))
+    assert found[1]["shown"] < 0.1 < 1.0 < found[0]["shown"]
+    assert found[1]["borders"] < 0.1
+    other = labels.clone()
+    other[..., 4:, :] += len(PANEL_LABELS) * (other[..., 4:, :] > 0)  # the lower half of the cloth is another panel
+    assert net.pixel_losses(torch.zeros(1, 1, 32), other)["borders"] > 2 * found[1]["borders"]
+
+
 def test_processes_render_the_same_pictures_as_a_thread(folder: Path) -> None:
     by_count = []
     for processes in (1, 2):
@@ -156,7 +194,7 @@ def test_a_pool_holds_the_latest_readings() -> None:
         for k in range(0, 100, 2):
             pictures = np.zeros((2, SIDES, 8, 8, 3), np.uint8)
             pictures[:] = np.array([k, k + 1])[:, None, None, None, None]
-            yield Rendered(Input.DRAWN, np.array([k, k + 1]), pictures)
+            yield Rendered(Input.DRAWN, np.array([k, k + 1]), pictures, pictures[..., 0])
 
     pool = Pool(batches(), 4, 8, torch.device("cpu"))
     chance = torch.Generator().manual_seed(0)
@@ -165,9 +203,10 @@ def test_a_pool_holds_the_latest_readings() -> None:
     pool.advance(1)
     assert pool.added == 4
     pool.advance(2)
-    positions, pictures = pool.draw(64, chance)
+    positions, pictures, labels = pool.draw(64, chance)
     assert set(positions.tolist()) == {2, 3, 4, 5}
     assert torch.equal(pictures[:, 1, 0, 0, 2].long(), positions)
+    assert torch.equal(labels[:, 1, 0, 0].long(), positions)
 
 
 def test_the_network_tells_the_pictures_apart() -> None:

@@ -57,6 +57,7 @@ LEAST_EDGES = 3
 FIRST_EXTENT = 0.3  # UNIT, of panels before training
 LEAST_EXTENT = 1e-3  # UNIT
 TINY = 1e-12  # keeps the slope of square roots finite
+NO_PANEL = 1e6  # cost of a query for a place without a true panel
 NEVER = -1e4  # score of an edge as its own partner
 CHUNK = 64  # garments that a process encodes at once
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
@@ -65,7 +66,7 @@ SMOKE: Mapping[str, Any] = {
     "steps": 300, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
-    "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "neighbours": 16, "width": 64, "heads": 4, "layers": 1,
+    "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "width": 64, "heads": 4, "layers": 1,
     "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256, "stored_points": 1024,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
@@ -81,7 +82,6 @@ class NetConfig:
     edges: int = 320
     """Most edges of a garment."""
     tokens: int = 384
-    neighbours: int = 32
     width: int = 384
     heads: int = 6
     layers: int = 6
@@ -243,15 +243,19 @@ class PointTokens(nn.Module):
         self.encoder = encoder(config)
 
     def forward(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
-        """Tokens of the regions around the first points of each garment; points are in random order."""
+        """Tokens of the regions around the first points of each garment; points are in random order.
+
+        A region holds the points that are nearest to its centre: a choice of so many neighbours would take longer than
+        all of the network.
+        """
         points = points.float()
         centres = points[:, : self.config.tokens]
         with torch.no_grad():
-            distances = torch.cdist(centres[..., :3], points[..., :3])
-            nearest = distances.topk(min(self.config.neighbours, points.shape[1]), largest=False).indices
-        region = points[torch.arange(len(points), device=points.device)[:, None, None], nearest]
-        offsets = (region[..., :3] - centres[:, :, None, :3]) * REGION_SCALE
-        features = self.region(torch.cat([offsets, region[..., 3:]], dim=-1)).amax(dim=2)
+            region = torch.cdist(points[..., :3], centres[..., :3]).argmin(dim=2)
+        own = centres[..., :3].gather(1, region[..., None].expand(-1, -1, 3))
+        offsets = (points[..., :3] - own) * REGION_SCALE
+        features = self.region(torch.cat([offsets, points[..., 3:]], dim=-1))
+        features = _largest_of_groups(features, region, centres.shape[1])
         place = self.position(torch.cat([waves(centres[..., :3]), centres], dim=-1))
         tokens: Tensor = self.encoder(self.merge(features + place))
         return tokens
@@ -414,6 +418,14 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
     return 0.5 * (scores + scores.transpose(1, 2))
 
 
+def _largest_of_groups(
+    values: Float[Tensor, "b n w"], group: Int[Tensor, "b n"], groups: int
+) -> Float[Tensor, "b g w"]:
+    """The largest value of each feature in each group; 0 for an empty group."""
+    found = values.new_zeros(len(values), groups, values.shape[-1])
+    return found.scatter_reduce(1, group[..., None].expand_as(values), values, "amax", include_self=False)
+
+
 def encoder(config: NetConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
     layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
@@ -478,11 +490,12 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
         )
+        table = cost.masked_fill(~true.exists[:, None], NO_PANEL).cpu().numpy()  # one copy to the host
     pairs = []
-    for garment, (costs, exists) in enumerate(zip(cost.cpu().numpy(), true.exists.cpu().numpy(), strict=True)):
-        panels = np.flatnonzero(exists)
-        queries, chosen = linear_sum_assignment(costs[:, panels])
-        pairs.append(np.stack([np.full(len(panels), garment), queries, panels[chosen]]))
+    for garment, costs in enumerate(table):
+        known = np.flatnonzero(costs[0] < NO_PANEL)
+        queries, chosen = linear_sum_assignment(costs[:, known])
+        pairs.append(np.stack([np.full(len(known), garment), queries, known[chosen]]))
     return Matched(*torch.from_numpy(np.concatenate(pairs, axis=1)).to(cost.device))
 
 

@@ -2,11 +2,14 @@
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
+from gcd_dataset.generator.drape.kernels.push import add_pressure, add_push, add_weight
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
+# The slope from hips to waist, (hips - waist) / (2 pi hips_line), is 0.15 on the neutral body, and 0.3 times the usual
+# friction is as large: rings that fit do not ride up, and stretched bodices lift tight skirts.
+SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
@@ -71,20 +74,27 @@ def is_ignored(parts: int, part: int) -> bool:
 
 
 @wp.func
-def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, max_leave: float) -> wp.vec3:
-    """Displacement that keeps a vertex off the skin [cm].
+def skin_friction(world: World, held: int, keeps: bool) -> float:
+    """Coulomb coefficient of cloth on skin; ``keeps``: of the edge that keeps the garment up.
 
-    Undoes this substep's approach in full and older penetration by at most ``max_leave``. Coulomb friction undoes
-    sliding up to ``friction`` times that displacement.
+    Little friction while waist or collar are held: a dress that is put on is smoothed into place. Patterns place a
+    skirt lower than it is worn; with full friction, a skirt tight on the hips stayed there and stretched the bodice.
     """
-    approach = wp.max(-wp.dot(step, normal), 0.0)
-    out = wp.min(depth, approach + max_leave)
-    sliding = step - wp.dot(step, normal) * normal
-    slid = wp.length(sliding)
-    back = wp.vec3(0.0)
-    if slid > 0.0:
-        back = -wp.min(friction * out / slid, 1.0) * sliding
-    return out * normal + back
+    friction = world.friction
+    if held != 0 and world.holds > 0:
+        friction *= SMOOTHED
+    if keeps:
+        friction *= GRIP
+    return friction
+
+
+@wp.func
+def leave_body(depth: float, approach: float, world: World) -> float:
+    """Displacement along the normal that keeps a point off the skin [cm].
+
+    Undoes this substep's ``approach`` in full and older penetration at ``World.leaving_speed`` at most.
+    """
+    return wp.min(wp.max(depth, 0.0), wp.max(approach, 0.0) + world.leaving_speed * world.dt)
 
 
 @wp.func
@@ -97,7 +107,15 @@ def push_long_edge(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Push a long edge off the body at three points of its inside."""
+    """Push a long edge off the body at three points of its inside.
+
+    All points within ``body_gap`` share the push, pushed in this substep or not: weights count one substep later. If
+    pushed points alone had weights, tight coarse cloth rattled, since the few points that touched it anew pushed it
+    with all the weight, and friction did not act on it between two impacts.
+
+    Friction acts at the vertices, in ``keep_off_body``, on velocities that include the forces of this substep; without
+    these, cloth would creep by one substep's acceleration in each substep.
+    """
     i = edge[0]
     j = edge[1]
     for quarter in range(1, 4):
@@ -105,20 +123,23 @@ def push_long_edge(
         before = wp.lerp(x[i], x[j], t)
         here = before + world.dt * wp.lerp(v[i], v[j], t)
         near = sample_field(world, cloth.field, here)
-        depth = MIDDLE_SHARE * world.body_gap - near[3]
-        if depth <= 0.0:
+        if near[3] >= world.body_gap:
             continue
         part = nearest_part(world, cloth.field_parts, here)
         if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
             continue
         add_weight(push, i, 1.0 - t)
         add_weight(push, j, t)
+        depth = MIDDLE_SHARE * world.body_gap - near[3]
+        if depth <= 0.0:
+            continue
         normal = wp.vec3(near[0], near[1], near[2])
-        step = here - before
-        out = leave_body(depth, normal, step, world.friction, world.leaving_speed * world.dt)
-        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(contact_weight[i], contact_weight[j]))
-        add_push(push, i, ((1.0 - t) * share) * out)
-        add_push(push, j, (t * share) * out)
+        out = leave_body(depth, wp.dot(before - here, normal), world)
+        share = out / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(contact_weight[i], contact_weight[j]))
+        add_push(push, i, ((1.0 - t) * share) * normal)
+        add_push(push, j, (t * share) * normal)
+        add_pressure(push, i, (1.0 - t) * share)
+        add_pressure(push, j, t * share)
 
 
 @wp.func
@@ -136,17 +157,26 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: Cloth) -> wp.vec4:
 
 @wp.func
 def keep_off_body(
-    i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth, skin: wp.vec4, searched_at: wp.vec3
+    here: wp.vec3,
+    before: wp.vec3,
+    pressure: float,
+    friction: float,
+    world: World,
+    skin: wp.vec4,
+    searched_at: wp.vec3,
 ) -> wp.vec3:
-    """Displacement of vertex ``i`` by body contact and friction [cm].
+    """Displacement of a vertex by body contact and friction [cm].
 
-    ``skin``: from ``find_skin`` at ``searched_at``.
+    Coulomb friction undoes sliding up to ``friction`` times the displacement off the skin: of the vertex, and
+    ``pressure`` of its long edges. ``skin``: from ``find_skin`` at ``searched_at``.
     """
     normal = wp.vec3(skin[0], skin[1], skin[2])
-    distance = skin[3] + wp.dot(normal, here - searched_at)
-    if distance >= world.body_gap:
-        return wp.vec3(0.0)
-    friction = world.friction
-    if cloth.keeper[i] != wp.uint8(0):
-        friction *= GRIP
-    return leave_body(world.body_gap - distance, normal, here - before, friction, world.leaving_speed * world.dt)
+    step = here - before
+    inward = wp.dot(step, normal)
+    out = leave_body(world.body_gap - skin[3] - wp.dot(normal, here - searched_at), -inward, world)
+    sliding = step - inward * normal
+    slid = wp.length(sliding)
+    moved = out * normal
+    if slid > 0.0:
+        moved -= wp.min(friction * (out + pressure) / slid, 1.0) * sliding
+    return moved

@@ -40,6 +40,20 @@ def add_push(push: wp.array2d(dtype=int), i: int, displacement: wp.vec3):
 
 
 @wp.func
+def add_pressure(push: wp.array2d(dtype=int), i: int, displacement: float):
+    """Add to the displacement of vertex ``i`` off the skin by long edges, the measure of their friction [cm]."""
+    wp.atomic_add(push, i, 4, int(wp.round(displacement * PUSH_SCALE)))
+
+
+@wp.func
+def take_pressure(push: wp.array2d(dtype=int), i: int) -> float:
+    """The sum of displacements of vertex ``i`` off the skin by long edges [cm]; resets the sum."""
+    total = float(push[i, 4]) / PUSH_SCALE
+    push[i, 4] = 0
+    return total
+
+
+@wp.func
 def take_push(push: wp.array2d(dtype=int), i: int) -> wp.vec3:
     """The sum of displacements of vertex ``i`` [cm]; resets the sum."""
     total = wp.vec3(float(push[i, 0]), float(push[i, 1]), float(push[i, 2])) / PUSH_SCALE

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import keep_off_body
+from gcd_dataset.generator.drape.kernels.body_contact import keep_off_body, skin_friction
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows, elastic_force
-from gcd_dataset.generator.drape.kernels.push import take_contact_weight, take_push
+from gcd_dataset.generator.drape.kernels.push import take_contact_weight, take_pressure, take_push
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, SearchState, World, sewn_share
 
 wp.set_module_options({"enable_backward": False})
@@ -80,15 +80,18 @@ def step(
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
     velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
+    pressure = float(0.0)
     if search.listed[i] != 0:
         moved = take_push(push, i)
+        pressure = take_pressure(push, i)
         contact_weight[i] = take_contact_weight(push, i)
     here = before + world.dt * velocity
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
     skin = search.skin[i]
     if skin[3] < world.clear:
-        moved += keep_off_body(i, here + moved, before, world, cloth, skin, search.x[i])
+        friction = skin_friction(world, held[w], cloth.keeper[i] != wp.uint8(0))
+        moved += keep_off_body(here + moved, before, pressure, friction, world, skin, search.x[i])
     here += moved
     velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here

@@ -47,6 +47,7 @@ class World:
     lowest: float  # cm, mean height of the keepers below which the garment has slid off
     floor: float  # cm, height below which a garment has fallen
     keepers: int  # number of vertices that keep the garment up
+    holds: int  # number of vertices with a hold
     field_offset: wp.int64  # first voxel of the body's distance field
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel

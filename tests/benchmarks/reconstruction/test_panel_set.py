@@ -129,7 +129,7 @@ def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
 
 
 def test_the_loss_falls(six: GarmentSet) -> None:
-    network = learner(tokens=16, neighbours=8)
+    network = learner(tokens=16)
     config = TrainConfig(steps=60, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
     curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
     assert curve[-1]["loss"] < curve[0]["loss"] / 2

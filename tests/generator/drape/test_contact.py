@@ -22,11 +22,12 @@ from gcd_dataset.generator.drape.body_field import HostField, body_field, body_f
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.records import Body, BodyPart
+from gcd_dataset.records import Body, BodyPart, EdgeRole
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
-from tests.helpers import SIZE, body_from, far_ball, joined, patch
+from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
+SLOPE = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
 INTERNAL = BodyPart.INTERNAL.value
 QUICK = DrapeConfig(
     sewing_time=0.002, held_time=10.0, max_frames=10_000, braking=0.0
@@ -196,19 +197,56 @@ def test_eyes_and_mouth_of_the_published_bodies_are_closed_to_cloth(name: str, e
 @pytest.mark.parametrize(("friction", "stays"), [(0.7, True), (0.52, True), (0.42, False), (0.1, False)])
 def test_cloth_on_a_slope_slides_where_friction_is_too_small(friction: float, stays: bool) -> None:
     """On a slope of 25° cloth stays for friction above tan 25° = 0.47."""
-    slope = trimesh.creation.box(extents=[60.0, 10.0, 60.0])
-    turn = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
-    slope.apply_transform(turn)
-    slope.apply_translation([0.0, 50.0, 0.0])
-    along = turn[:3, :3]
-    origin = along @ np.array([-4.0, 5.4, 4.0]) + [0.0, 50.0, 0.0]
-    mesh = patch(8, 8, place=along @ LYING, origin=tuple(origin))
-    job = DrapeJob(mesh, body_from(slope), SIZE, Fabric(friction=friction))
-    solver = Solver(build_model([job], QUICK, "cpu"), QUICK)
-    solver.run_for(0.4)
-    travel = float((mesh.vertices.mean(axis=0) - solver.state.x.numpy().mean(axis=0)) @ along[:, 0])
     acceleration = 981.0 * (np.sin(np.radians(25.0)) - friction * np.cos(np.radians(25.0)))
+    travel = slid_down(on_a_slope(friction), QUICK)
     assert (travel < 0.5) if stays else (travel > 0.15 * acceleration * 0.4**2)
+
+
+def test_held_cloth_has_little_friction_until_it_is_released() -> None:
+    """On a slope that holds it later, cloth with a collar slides while the collar is held, which limits it nowhere."""
+    job = on_a_slope(0.7)
+    upper = np.flatnonzero(job.box_mesh.vertices[:, 0] > 0.0)
+    held = replace(job, box_mesh=replace(job.box_mesh, labels={EdgeRole.RIGHT_COLLAR: upper}))
+    assert slid_down(held, QUICK) > 3.0
+    released = replace(QUICK, held_time=0.02, longest_hold=0.02, moving_share=-1.0)  # nor does it come to rest
+    assert slid_down(held, released) < 0.5
+
+
+def on_a_slope(friction: float) -> DrapeJob:
+    """A cloth on a slope of 25° that falls towards the wearer's right."""
+    slope = trimesh.creation.box(extents=[60.0, 10.0, 60.0])
+    slope.apply_transform(SLOPE)
+    slope.apply_translation([0.0, 50.0, 0.0])
+    origin = SLOPE[:3, :3] @ np.array([-4.0, 5.4, 4.0]) + [0.0, 50.0, 0.0]
+    mesh = patch(8, 8, place=SLOPE[:3, :3] @ LYING, origin=tuple(origin))
+    return DrapeJob(mesh, body_from(slope), SIZE, Fabric(friction=friction))
+
+
+def slid_down(job: DrapeJob, config: DrapeConfig) -> float:
+    """Distance by which cloth slides down ``on_a_slope`` in 0.4 s [cm]."""
+    solver = Solver(build_model([job], config, "cpu"), config)
+    solver.run_for(0.4)
+    return float((job.box_mesh.vertices.mean(axis=0) - solver.state.x.numpy().mean(axis=0)) @ SLOPE[:3, 0])
+
+
+@pytest.mark.parametrize("spacing", [1.0, 2.0, 4.0, 5.7])
+@pytest.mark.parametrize("friction", [0.5, 0.1])
+def test_a_tight_band_holds_on_a_pillar_at_any_spacing(spacing: float, friction: float) -> None:
+    """A band stretched by e = 5 % round a radius r presses on the pillar with k e / r.
+
+    Friction holds it above density · g · r / (k e) = 0.05. The sides of a coarse band touch the pillar in their middle.
+    """
+    radius = 12.0
+    pillar = trimesh.creation.cylinder(radius=radius, height=120.0, sections=96)
+    pillar.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    pillar.apply_translation([0.0, 60.0, 0.0])
+    body = body_from(pillar.subdivide().subdivide())
+    girth = 2 * np.pi * (radius + QUICK.body_gap) / 1.05
+    columns = round(girth / spacing)
+    band = tube(columns, round(12.0 / spacing), radius=radius + 0.5, spacing=girth / columns, height=60.0)
+    solver = Solver(build_model([DrapeJob(band, body, SIZE, Fabric(friction=friction))], QUICK, "cpu"), QUICK)
+    solver.run_for(0.4)
+    assert abs(float((solver.state.x.numpy() - band.vertices)[:, 1].mean())) < 0.3
 
 
 def test_cloth_keeps_its_gap_from_the_skin() -> None:
