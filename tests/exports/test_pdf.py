@@ -103,8 +103,8 @@ def test_sew_lines_have_the_areas_of_the_panels(patterns: tuple[Pattern, ...], t
         exact = np.array([exact_area(panel) for panel in pattern.panels])
         areas = np.array(sorted(found))
         error = np.abs(areas[:, None] / exact - 1)
-        assert error.min(axis=1).max() < 1e-4  # each line is a panel
-        assert error.min(axis=0).max() < 1e-4  # each panel has a line
+        assert error.min(axis=1).max() < 3e-4  # each line is a panel
+        assert error.min(axis=0).max() < 3e-4  # each panel has a line
 
 
 def test_curves_are_bezier_curves(tmp_path: Path) -> None:
