@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange, merge
+from gcd_dataset.cli import datasets, doctor, exchange, merge
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.subject import names_a_file as _names_a_file
 from gcd_dataset.cli.subject import pattern_of as _pattern
@@ -360,6 +360,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     add_server(show)
 
     datasets.add_verbs(verbs)
+    doctor.add_verbs(verbs)
     exchange.add_verbs(verbs)
     return parser, verbs.choices
 

@@ -37,6 +37,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd verify shards --full",
         "gcd verify smoke --recipe smoke-64",
     ),
+    "doctor": (
+        "gcd doctor shards",
+        "gcd doctor GarmentCodeData_v2 --quick --json",
+    ),
     "index": (
         "gcd index shards",
         "gcd index shards --split test",
