@@ -2,8 +2,8 @@
 
 The layers and the ``Identifier:value`` texts are those of ASTM D6673-10, *Standard Practice for Sewn Products Pattern
 Data Interchange—Data Format*, §4.3, which was withdrawn in 2019 without a replacement; ANSI/AAMA-292 has the same
-layers 1 to 14. The encoding of a notch, a point with its depth in group 30, its width in 39 and its angle in 50, is that of the
-ePattern guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
+layers 1 to 14. The encoding of a notch, a point with its depth in group 30, its width in 39 and its angle in 50, is
+that of the ePattern guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
 
 The file is DXF R12 without tables and without layouts, which the readers of pattern CAD expect: see ``ezdxf``'s
 ``gerber_D6673``. Each piece is a block, inserted once on one sheet.
