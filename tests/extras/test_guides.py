@@ -28,12 +28,16 @@ SMALLER = {
     "scans": {"points=4096": "points=512"},
     "sketches": {"size=512": "size=64"},
     "evaluate": {
-        "PREDICTIONS TRUTH --drape --bodies BODIES --inputs INPUTS": "PREDICTIONS TRUTH --bodies neutral --workers 1",
+        "--drape --bodies BODIES --inputs INPUTS": "--by-kind --workers 1",
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
     },
     "guides/train": {"--count 1000": "--count 40", "EPOCHS = 25": "EPOCHS = 2"},
+    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 12 --bodies both --resolution 6"},
     "guides/generate": {
-        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 6 --resolution 4 --device cpu --picture 64",
+        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 5 --device cpu --picture 64",
+        'GeneratedGarments(6, cache_dir="kept", fields=fields, resolution=4.0)': (
+            'GeneratedGarments(4, cache_dir="kept", fields=fields, resolution=6.0)'
+        ),
     },
 }
 """Document to the texts of its blocks that a test replaces: fewer garments, coarser meshes, no GPU."""
