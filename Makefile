@@ -49,7 +49,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 # Apart from .venv: what frameworks pull in is not to change what the other tests run with.
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-extras
-	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser]'
+	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser,notebooks]'
 	touch $@
 
 $(DOCS_INSTALLED): $(INSTALLED)

@@ -281,6 +281,11 @@ class Pattern(Record):
         pairs = ((length(seam.left), length(seam.right)) for seam in self.seams)
         return tuple(round(left / right, 4) if left and right else 1.0 for left, right in pairs)
 
+    def _repr_html_(self) -> str:
+        from gcd_dataset.viewer.notebook import pattern_html
+
+        return pattern_html(self)
+
     def panel(self, name: str) -> Panel:
         """The panel of that name. Raises ``PatternError`` with the known names."""
         for panel in self.panels:
@@ -488,3 +493,8 @@ class Sample(Record):
     """The garment in English, see ``gcd_dataset.captions``; either all samples of a data set have one, or none."""
     views: tuple[View, ...] = ()
     """Further pictures; the same number for every sample of a data set."""
+
+    def _repr_html_(self) -> str:
+        from gcd_dataset.viewer.notebook import sample_html
+
+        return sample_html(self)

@@ -57,6 +57,11 @@ class GarmentItem(dict[str, Any]):
             f"the garment has no {field!r:.99}: it holds {', '.join(self)}; fields= of its data set chooses"
         )
 
+    def _repr_html_(self) -> str:
+        from gcd_dataset.viewer.notebook import item_html
+
+        return item_html(self)
+
 
 class Garments(Dataset[Item], ABC):
     """Garments by index or key; ``fields`` selects the fields of an item, ``transform`` is called with each item.
@@ -147,6 +152,11 @@ class Garments(Dataset[Item], ABC):
     def __repr__(self) -> str:
         description = ", ".join([*self._description(), f"{len(self)} garments"])
         return f"{type(self).__name__}({description}: {', '.join(self.fields)})"
+
+    def _repr_html_(self) -> str:
+        from gcd_dataset.viewer.notebook import dataset_html
+
+        return dataset_html(self)
 
     def tell_wait(self) -> None:
         """Log once how long a garment takes to make, if it takes seconds."""

@@ -101,6 +101,11 @@ class _Batch(dict[str, Any]):
         entries = [f"{name} {_form(value)}" for name, value in self.items() if not name.endswith(("_ptr", "_size"))]
         return f"{type(self).__name__}({self.get('batch_size', '?')} garments: {', '.join(entries)})"
 
+    def _repr_html_(self) -> str:
+        from gcd_dataset.viewer.notebook import batch_html
+
+        return batch_html(self)
+
     def to(
         self,
         device: torch.device | str | int | torch.dtype | None = None,

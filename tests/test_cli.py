@@ -372,6 +372,9 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
         picture = tmp_path / "picture.png"
         assert main(["show", str(what), "--png", str(picture)]) == 0
         assert np.asarray(Image.open(picture)).std() > 5
+        page = tmp_path / "page.html"
+        assert main(["show", str(what), "--html", str(page)]) == 0
+        assert page.read_text("utf-8").count("data-panel=") >= 2
     capsys.readouterr()
     assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
     assert "sample 5 of 1" in one_line(capsys.readouterr().err)

@@ -48,7 +48,7 @@ class Bar:
         self._bar.update(progress.done + len(progress.skipped) - self._bar.n)
 
     def _begin(self, progress: Progress) -> None:
-        from tqdm import tqdm
+        from tqdm.auto import tqdm
 
         bar = self
 

@@ -120,7 +120,7 @@ def _index(options: argparse.Namespace) -> int:
 
 
 def _download(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     from gcd_dataset.hub.download import download, remote_splits, wanted_layout
     from gcd_dataset.hub.site import Remote

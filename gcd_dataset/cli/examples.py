@@ -26,7 +26,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd validate *_specification.json --errors",
     ),
     "show": (
-        "gcd show shards --index 3 --png garment.png",
+        "gcd show shards --index 3 --html garment.html",
         "gcd show shirt_specification.json --svg pattern.svg",
     ),
     "info": (
@@ -36,6 +36,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     "verify": (
         "gcd verify shards --full",
         "gcd verify smoke --recipe smoke-64",
+    ),
+    "doctor": (
+        "gcd doctor shards",
+        "gcd doctor GarmentCodeData_v2 --quick --json",
     ),
     "index": (
         "gcd index shards",

@@ -152,7 +152,7 @@ def ensure_recipe(recipe: Recipe, folder: Path) -> None:
 
 
 def _make(recipe: Recipe, folder: Path) -> None:
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     _log_estimate(recipe, folder)
     workers = 0 if multiprocessing.current_process().daemon else None  # a DataLoader's worker cannot start processes

@@ -1,0 +1,1 @@
+"""Samples and patterns in the browser."""

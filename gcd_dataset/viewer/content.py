@@ -1,0 +1,274 @@
+"""The contents of a display of one garment: frozen arrays and texts, the same for every front end."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.errors import BodyError, GcdError
+from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
+
+__all__ = ["Content", "Rows", "content_of", "crossing_vertices"]
+
+Rows = tuple[tuple[str, str], ...]
+"""Names and values of a table."""
+SPEC_SPACING = 2.0  # cm, of the mesh of a specification file
+WEARER = "neutral"  # the body beside a pattern without one
+TINY = 0.01  # cm: least radius that has a size class of its own
+PARALLEL = 1e-12  # cm³: least volume of edge and face for a crossing
+
+
+@dataclass(frozen=True, eq=False)
+class Content(Record):
+    """One garment for display: pattern, mesh, drape and body as far as there are any, and tables of texts."""
+
+    title: str
+    pattern: Pattern
+    mesh: BoxMesh | None = None
+    draped: Float[np.ndarray, "v 3"] | None = None
+    """Positions at rest [cm], in the order of the mesh."""
+    body: Body | None = None
+    stretch: Float[np.ndarray, " f"] | None = None
+    """The larger principal stretch of each face; 1 is unstretched."""
+    crossed: Int[np.ndarray, " n"] | None = None
+    """Ends of the mesh edges that cross the cloth or the body; ``None`` without a drape."""
+    caption: str = ""
+    tags: tuple[str, ...] = ()
+    outcome: Outcome | None = None
+    grade: Grade | None = None
+    tables: Mapping[str, Rows] = field(default_factory=dict)
+    """Title to rows: outcome, measures, design, recipe."""
+
+
+def content_of(subject: Sample | Pattern, body: Body | None = None) -> Content:
+    """The content of a sample, or of a pattern alone, which is placed round the neutral body and meshed at 2 cm.
+
+    ``body``: the wearer; by default the body of the sample's shape weights, if they are of this package's body model.
+    A pattern that cannot be meshed has no mesh.
+    """
+    return _of_pattern(subject) if isinstance(subject, Pattern) else _of_sample(subject, body)
+
+
+def crossing_vertices(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], body: Body | None = None
+) -> Int[np.ndarray, " n"]:
+    """Ends of the mesh edges that cross another face of the cloth, or a face of the body; each vertex once."""
+    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    hit = _crossing_edges(vertices, edges, vertices, faces, sharing=True)
+    if body is not None:
+        hit |= _crossing_edges(vertices, edges, body.vertices, body.faces, sharing=False)
+    return np.unique(edges[hit])
+
+
+# -------------------------------------------------------------------------------------------------------------- stages
+
+
+def _of_sample(sample: Sample, body: Body | None) -> Content:
+    mesh, drape = sample.box_mesh, sample.drape
+    body = body or _body_of(sample)
+    is_finite = drape is not None and bool(np.isfinite(drape.vertices).all())
+    return Content(
+        title=sample.key,
+        pattern=sample.pattern,
+        mesh=mesh,
+        draped=drape.vertices if drape is not None and is_finite else None,
+        body=body,
+        stretch=_stretch(mesh, drape) if is_finite else None,
+        crossed=_crossed(mesh, drape, body) if is_finite else None,
+        caption=sample.caption or "",
+        tags=sample.tags,
+        outcome=None if drape is None else drape.outcome,
+        grade=sample.grade,
+        tables={
+            "Outcome": tuple(_outcome_rows(sample)),
+            "Measures": tuple(_measure_rows(sample.measurements)),
+            "Design": tuple(_flat(sample.design)),
+            "Recipe": tuple(_recipe_rows(sample)),
+        },
+    )
+
+
+def _body_of(sample: Sample) -> Body | None:
+    from gcd_dataset.generator.body import build_body
+
+    try:
+        return None if sample.shape is None else build_body(sample.shape, name=sample.provenance.body_name)
+    except BodyError:  # weights of another body model
+        return None
+
+
+def _of_pattern(pattern: Pattern) -> Content:
+    from gcd_dataset.generator.dressing import dress
+    from gcd_dataset.generator.dressing.hold_edges import has_legs
+    from gcd_dataset.generator.mesh import build_box_mesh
+
+    body, measurements = _wearer(has_legs(pattern))
+    counts = (("panels", str(len(pattern.panels))), ("seams", str(len(pattern.seams))))
+    tables = {"Pattern": counts, "Design": tuple(_flat(pattern.extra.get("parameters") or {}))}
+    try:
+        pattern = dress(pattern, body, measurements).pattern
+        mesh = build_box_mesh(pattern, spacing=SPEC_SPACING)
+    except GcdError:
+        return Content(pattern.name, pattern, tables=tables)
+    return Content(pattern.name, pattern, mesh, body=body, tables=tables)
+
+
+@cache
+def _wearer(legs_apart: bool) -> tuple[Body, Measurements]:
+    from gcd_dataset.generator.body import named_body
+
+    body, measurements, _ = named_body(WEARER, legs_apart=legs_apart)
+    return body, measurements
+
+
+def _stretch(mesh: BoxMesh | None, drape: Drape | None) -> Float[np.ndarray, " f"] | None:
+    from gcd_dataset.generator.quality import principal_stretches
+
+    return None if mesh is None or drape is None else principal_stretches(mesh, drape.vertices)[:, 0]
+
+
+def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> Int[np.ndarray, " n"] | None:
+    if mesh is None or drape is None:
+        return None
+    if drape.self_crossings == drape.body_crossings == 0:
+        return np.zeros(0, int)
+    return crossing_vertices(np.asarray(drape.vertices, float), mesh.faces, body)
+
+
+# -------------------------------------------------------------------------------------------------------------- tables
+
+
+def _outcome_rows(sample: Sample) -> Iterator[tuple[str, str]]:
+    drape = sample.drape
+    if sample.grade is not None:
+        yield "grade", sample.grade.value
+    if drape is not None:
+        yield "outcome", f"{drape.outcome.name.lower().replace('_', ' ')}: {drape.outcome.value}"
+        yield "frames", str(drape.frames)
+        yield "edges through the cloth", str(drape.self_crossings)
+        yield "edges through the body", str(drape.body_crossings)
+        if drape.body_through >= 0:
+            yield "body edges through the cloth", str(drape.body_through)
+        yield "stretch, median and 99 %", f"{drape.stretch_median:.3f}, {drape.stretch_p99:.3f}"
+    if drape is not None and drape.strain is not None:
+        largest, smallest = drape.strain.principal
+        yield "principal stretch", f"{smallest:.3f} to {largest:.3f}"
+    if sample.box_mesh is not None:
+        yield "vertices", str(len(sample.box_mesh.vertices))
+        yield "faces", str(len(sample.box_mesh.faces))
+    yield "panels", str(len(sample.pattern.panels))
+    yield "seams", str(len(sample.pattern.seams))
+    if sample.fabric is not None:
+        yield "fabric", sample.fabric.name
+        yield from _flat(sample.fabric.parameters)
+
+
+def _measure_rows(measurements: Measurements) -> Iterator[tuple[str, str]]:
+    from gcd_dataset.records import ANGLES
+
+    for name, value in measurements.to_file_values().items():
+        yield name, f"{value:.1f} {'°' if name in ANGLES else 'cm'}"
+
+
+def _recipe_rows(sample: Sample) -> Iterator[tuple[str, str]]:
+    made = sample.provenance
+    yield "seed", str(made.seed)
+    yield "index", str(made.index)
+    yield "body", made.body_name or "unknown"
+    if made.source:
+        yield "source", made.source
+    yield "attempts", str(made.attempts)
+    for number, reason in enumerate(made.rejects, 1):
+        yield f"reject {number}", reason
+    yield from ((f"redraws: {rule}", str(count)) for rule, count in made.redraws.items())
+    yield from _flat(made.recipe)
+    yield from _flat(made.versions)
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested values as dotted names and texts."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else str(value)
+
+
+# ----------------------------------------------------------------------------------------------------------- crossings
+
+
+def _crossing_edges(
+    vertices: Float[np.ndarray, "v 3"],
+    edges: Int[np.ndarray, "e 2"],
+    corners: Float[np.ndarray, "w 3"],
+    faces: Int[np.ndarray, "f 3"],
+    *,
+    sharing: bool,
+) -> np.ndarray:
+    """Whether each edge crosses a face; ``sharing``: faces that share a vertex with the edge do not count.
+
+    The broad phase compares bounding spheres, by classes of similar size: a few long edges must not widen the search
+    for all others.
+    """
+    start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    triangles = corners[faces]
+    centres = triangles.mean(axis=1)
+    reach = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
+    middles, half = 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=1)
+    hit = np.zeros(len(edges), bool)
+    for edge, face in _near_pairs(middles, half, centres, reach):
+        if sharing:
+            apart = (edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+            edge, face = edge[apart], face[apart]
+        hit[edge[_cross(start[edge], end[edge], triangles[face])]] = True
+    return hit
+
+
+def _near_pairs(
+    one: Float[np.ndarray, "n 3"],
+    one_radius: Float[np.ndarray, " n"],
+    other: Float[np.ndarray, "m 3"],
+    other_radius: Float[np.ndarray, " m"],
+) -> Iterator[tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]]:
+    """Pairs of spheres that touch, by classes of radii within a factor of 2."""
+    others = [(own, cKDTree(other[own]), other_radius[own].max()) for own in _size_classes(other_radius)]
+    for rows in _size_classes(one_radius):
+        tree, radius = cKDTree(one[rows]), one_radius[rows].max()
+        for columns, other_tree, largest in others:
+            near = tree.sparse_distance_matrix(other_tree, radius + largest, output_type="ndarray")
+            i, j = rows[near["i"]], columns[near["j"]]
+            touch = near["v"] <= one_radius[i] + other_radius[j]
+            yield i[touch], j[touch]
+
+
+def _size_classes(radius: Float[np.ndarray, " n"]) -> list[Int[np.ndarray, " k"]]:
+    """Rows of similar radius; radii below 0.1 mm are one class."""
+    classes = np.ceil(np.log2(np.maximum(radius, TINY))).astype(int)
+    return [np.flatnonzero(classes == number) for number in np.unique(classes)]
+
+
+def _cross(
+    start: Float[np.ndarray, "n 3"], end: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]
+) -> np.ndarray:
+    """Whether each segment crosses its triangle (Möller and Trumbore 1997)."""
+    along, u, v = end - start, triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    p, t = np.cross(along, v), start - triangles[:, 0]
+    q = np.cross(t, u)
+    volume = (u * p).sum(axis=1)
+    safe = np.where(np.abs(volume) > PARALLEL, volume, np.inf)
+    a, b, s = (t * p).sum(axis=1) / safe, (along * q).sum(axis=1) / safe, (v * q).sum(axis=1) / safe
+    return (np.abs(volume) > PARALLEL) & (a >= 0) & (b >= 0) & (a + b <= 1) & (s >= 0) & (s <= 1)

@@ -1,0 +1,32 @@
+"""Pieces of HTML that the page and the notebook displays share; every text of the data is escaped."""
+
+import base64
+from collections.abc import Iterable
+from html import escape
+from typing import Any
+
+from gcd_dataset.generator.svg import pattern_svg
+from gcd_dataset.records import Pattern
+
+__all__ = ["inline_svg", "picture", "table"]
+
+
+def inline_svg(pattern: Pattern, attributes: str = "") -> str:
+    """The drawing of a pattern as an ``<svg>`` element without a size of its own; ``attributes``: HTML, escaped."""
+    text = pattern_svg(pattern).decode()
+    head, _, rest = text[text.index("<svg") :].partition(">")
+    kept = head[head.index("viewBox=") :]
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {attributes} {kept}>{rest}'
+
+
+def picture(encoded: bytes, text: str, style: str = "") -> str:
+    """A JPEG or PNG as an ``<img>`` element; ``text`` describes it."""
+    kind = "png" if encoded.startswith(b"\x89PNG") else "jpeg"
+    content = base64.b64encode(encoded).decode()
+    return f'<img alt="{escape(text)}" style="{style}" src="data:image/{kind};base64,{content}">'
+
+
+def table(rows: Iterable[tuple[str, Any]]) -> str:
+    """A table of names and values."""
+    lines = (f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
+    return f"<table>{''.join(lines)}</table>"

@@ -1,0 +1,181 @@
+"""Displays of patterns, samples, items, batches and data sets in notebooks: the texts of their ``_repr_html_``.
+
+Each is static HTML with inline SVG and pictures; it needs no script and no server, so that saved notebooks keep it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from gcd_dataset.errors import GcdError
+from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.records import Pattern, Sample
+from gcd_dataset.shards.codec import decode_field
+from gcd_dataset.spec import pattern_from_spec
+from gcd_dataset.viewer.markup import inline_svg, picture, table
+
+if TYPE_CHECKING:
+    from gcd_dataset.loaders import Garments
+
+__all__ = ["batch_html", "dataset_html", "item_html", "pattern_html", "sample_html"]
+
+SHOWN = 6  # garments of a data set or a batch
+PICTURES = ("front", "back")
+BOX = "display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start;margin:6px 0"
+SHEET = "display:block;height:320px;width:400px;max-width:100%;background:#fafaf8;border-radius:8px"
+LARGE = "height:320px;max-width:100%;border-radius:8px"
+SMALL = "height:150px;border-radius:6px"
+SMALL_SHEET = "height:150px;width:150px;background:#fafaf8;border-radius:6px"
+
+
+def pattern_html(pattern: Pattern) -> str:
+    """The panels as a drawing, with name and counts."""
+    counts = f"{_count(len(pattern.panels), 'panel')}, {_count(len(pattern.seams), 'seam')}"
+    return f"<div>{_heading(pattern.name, counts)}{_sheet(pattern, SHEET)}</div>"
+
+
+def sample_html(sample: Sample) -> str:
+    """Front, back and pattern of a sample, with its caption, tags and outcome."""
+    facts = [sample.provenance.body_name, sample.drape.outcome.name.lower().replace("_", " ") if sample.drape else ""]
+    counts = f"{_count(len(sample.pattern.panels), 'panel')}, {_count(len(sample.pattern.seams), 'seam')}"
+    pictures = [
+        picture(encoded, f"{sample.key}, {side}", LARGE)
+        for side, encoded in zip(PICTURES, (sample.front, sample.back), strict=True)
+        if encoded
+    ]
+    return (
+        f"<div>{_heading(sample.key, ' · '.join([counts, *filter(None, facts)]))}"
+        f"{_paragraph(sample.caption)}{_paragraph(', '.join(sample.tags))}"
+        f'<div style="{BOX}">{"".join(pictures)}{_sheet(sample.pattern, SHEET)}</div></div>'
+    )
+
+
+def item_html(item: Mapping[str, Any]) -> str:
+    """Pictures and pattern of a loaded garment, and its fields with shapes and types."""
+    key = _entry(item.get("meta"), "key") or "garment"
+    pictures = [picture(_encoded(item[side]), f"{key}, {side}", LARGE) for side in PICTURES if _is_picture(item, side)]
+    sheet = _sheet_of_spec(item.get("spec"), str(key), SHEET)
+    return f'<div>{_heading(str(key), "")}<div style="{BOX}">{"".join(pictures)}{sheet}</div>{_fields(item)}</div>'
+
+
+def batch_html(batch: Mapping[str, Any]) -> str:
+    """Fronts or patterns of the first garments of a batch, and its fields with shapes and types."""
+    size = int(batch.get("batch_size", 0))
+    shown = "".join(islice(_of_batch(batch, size), SHOWN))
+    heading = _heading(type(batch).__name__, _count(size, "garment"))
+    return f'<div>{heading}<div style="{BOX}">{shown}</div>{_fields(batch)}</div>'
+
+
+def dataset_html(dataset: "Garments") -> str:
+    """Description of a data set, with fronts or patterns of its first garments if they are stored.
+
+    Garments that would be generated for the display are left out, as are those that cannot be read.
+    """
+    shown = "".join(_of_dataset(dataset)) if dataset.reads_only else ""
+    facts = [_count(len(dataset), "garment"), *dataset._description()]
+    heading = _heading(type(dataset).__name__, " · ".join(facts))
+    return f'<div>{heading}<div style="{BOX}">{shown}</div>{_paragraph(", ".join(dataset.fields))}</div>'
+
+
+# ------------------------------------------------------------------------------------------------------------- elements
+
+
+def _of_batch(batch: Mapping[str, Any], size: int) -> Iterator[str]:
+    """Front or pattern of each garment of a batch."""
+    metas = batch.get("meta") or [None] * size
+    keys = [str(_entry(meta, "key") or f"garment {number}") for number, meta in enumerate(metas)]
+    for number, key in enumerate(keys):
+        if "front" in batch:
+            yield _captioned(picture(_encoded(batch["front"][number]), key, SMALL), key)
+        elif "spec" in batch:
+            yield _captioned(_sheet_of_spec(batch["spec"][number], key, SMALL_SHEET), key)
+
+
+def _of_dataset(dataset: "Garments") -> Iterator[str]:
+    """Front or pattern of each of the first garments of a data set."""
+    field = next((name for name in ("front", "spec") if name in dataset._member_of), None)
+    if field is None:
+        return
+    member = dataset._member_of[field]
+    for position in range(min(SHOWN, len(dataset))):
+        try:
+            key, content = dataset._key(position), dataset._members(position, (member,))
+            if field == "front":
+                yield _captioned(picture(bytes(content[member]), key, SMALL), key)
+            else:
+                yield _captioned(_sheet_of_spec(decode_field("spec", content), key, SMALL_SHEET), key)
+        except GcdError:
+            continue
+
+
+def _heading(name: str, facts: str) -> str:
+    return f'<b>{escape(name)}</b> <span style="opacity:0.7">{escape(facts)}</span>'
+
+
+def _paragraph(text: str | None) -> str:
+    return f'<div style="opacity:0.85">{escape(text)}</div>' if text else ""
+
+
+def _captioned(element: str, text: str) -> str:
+    return (
+        f'<figure style="margin:0">{element}<figcaption style="font-size:11px;opacity:0.7">{escape(text)}'
+        "</figcaption></figure>"
+    )
+
+
+def _sheet(pattern: Pattern, style: str) -> str:
+    """The drawing of a pattern; empty for one without panels, or with an edge that cannot be drawn."""
+    if not pattern.panels:
+        return ""
+    try:
+        return inline_svg(pattern, f'style="{style}" role="img" aria-label="{escape(pattern.name)}"')
+    except GcdError:
+        return ""
+
+
+def _sheet_of_spec(spec: Any, name: str, style: str) -> str:
+    """The drawing of a specification; empty for one without panels, or that is no specification."""
+    if not isinstance(spec, Mapping):
+        return ""
+    try:
+        pattern = pattern_from_spec(spec, name)
+    except GcdError:
+        return ""
+    return _sheet(pattern, style)
+
+
+def _fields(entries: Mapping[str, Any]) -> str:
+    """A folded table of the entries: shape and type of tensors, the type of other values."""
+    rows = ((name, _form(value)) for name, value in entries.items())
+    return f"<details><summary>{len(entries)} fields</summary>{table(rows)}</details>"
+
+
+def _form(value: Any) -> str:
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return f"{type(value).__name__} of {len(value)}"
+    return str(value) if isinstance(value, (int, float)) else type(value).__name__
+
+
+def _is_picture(item: Mapping[str, Any], side: str) -> bool:
+    value = item.get(side)
+    return value is not None and getattr(value, "ndim", 0) == 3
+
+
+def _encoded(picture: Any) -> bytes:
+    """A u8 tensor [3, h, w] as a JPEG."""
+    pixels: UInt8[np.ndarray, "h w 3"] = np.ascontiguousarray(np.moveaxis(np.asarray(picture.cpu()), 0, -1))
+    return jpeg_bytes(pixels)
+
+
+def _entry(mapping: Any, name: str) -> Any:
+    return mapping.get(name) if isinstance(mapping, Mapping) else None
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,402 @@
+// The page of one garment: highlights in the drawing and in the picture, controls, start.
+
+const $ = (id) => document.getElementById(id);
+const data = JSON.parse($("data").textContent);
+const TURN = 0.0085; // rad per pixel
+const TILT = [-1.45, 1.45]; // rad
+const ZOOM = [0.08, 4];
+const SHEET_ZOOM = 16; // largest magnification of the drawing
+const PIXELS_FOR_NUMBERS = 9; // pixels per cm from which seam numbers are legible
+
+const state = { stage: 0, body: true, colours: "panels", lit: null, pinned: null, yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] };
+
+// -------------------------------------------------------------------------------------------------------------- colours
+
+function themeColours() {
+  const style = getComputedStyle(document.documentElement);
+  const colour = (name) => {
+    const hex = style.getPropertyValue(name).trim();
+    return [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+  };
+  return {
+    accent: colour("--accent"), dimmed: colour("--dimmed"), skin: colour("--skin"), neutral: colour("--neutral"),
+    shadow: parseFloat(style.getPropertyValue("--shadow-strength")),
+  };
+}
+
+const COLD = [0.17, 0.42, 0.72];
+const HOT = [0.84, 0.15, 0.16];
+const EVEN = [0.93, 0.92, 0.89];
+
+/** Colour of a stretch: blue below 1, pale at 1, red from 1 + range. */
+function stretchColour(stretch) {
+  const t = clamp((stretch - 1) / data.stretchRange, -1, 1);
+  return mix3(EVEN, t < 0 ? COLD : HOT, Math.sqrt(Math.abs(t)));
+}
+
+function paintRamp() {
+  const stops = [];
+  for (let i = 0; i <= 16; i++) {
+    const colour = stretchColour(1 + data.stretchRange * (i / 8 - 1)).map((part) => Math.round(255 * part));
+    stops.push(`rgb(${colour.join(",")})`);
+  }
+  $("ramp").style.background = `linear-gradient(90deg, ${stops.join(",")})`;
+}
+
+/** RGB bytes of each corner in a mode: panels, strain or crossings. */
+function cornerColours(garment, mode) {
+  const bytes = new Uint8Array(3 * garment.count);
+  const neutral = themeColours().neutral;
+  const crossed = new Set(mode === "crossings" && garment.crossed ? garment.crossed : []);
+  for (let i = 0; i < garment.count; i++) {
+    const colour =
+      mode === "strain" ? stretchColour(garment.stretch[i])
+      : mode === "crossings" ? (crossed.has(garment.vertexOf[i]) ? HOT : neutral)
+      : garment.panels[garment.panelOf[i]].colour.map((part) => part / 255);
+    for (let k = 0; k < 3; k++) bytes[3 * i + k] = Math.round(255 * colour[k]);
+  }
+  return bytes;
+}
+
+// ---------------------------------------------------------------------------------------------------------- highlights
+
+let picture = null;
+let pending = 0;
+
+function redraw() {
+  if (!picture || pending) return;
+  pending = requestAnimationFrame(() => {
+    pending = 0;
+    picture.draw();
+  });
+}
+
+/** The two panels that stay coloured: the lit one, or those of the lit seam; -1 where nothing is lit. */
+function litPanels() {
+  if (!state.lit) return [-1, -1];
+  return state.lit.kind === "panel" ? [state.lit.number, state.lit.number] : data.seams[state.lit.number].panels;
+}
+
+const same = (a, b) => (a && b ? a.kind === b.kind && a.number === b.number : a === b);
+
+/** Light a panel or a seam in both views; null for none. */
+function light(part) {
+  part = part || state.pinned;
+  if (same(part, state.lit)) return;
+  state.lit = part;
+  const svg = document.querySelector("#pattern svg");
+  const panels = litPanels();
+  svg.classList.toggle("has-lit", Boolean(part));
+  svg.querySelectorAll("[data-panel]").forEach((group, i) => group.classList.toggle("lit", panels.includes(i)));
+  svg.querySelectorAll(".edge").forEach((edge) => {
+    edge.classList.toggle("lit", Boolean(part) && part.kind === "seam" && Number(edge.dataset.seam) === part.number);
+  });
+  $("readout").textContent = part ? (part.kind === "panel" ? data.panels : data.seams)[part.number].text : $("readout").dataset.hint;
+  $("parts").value = part ? `${part.kind}:${part.number}` : "";
+  document.body.dataset.lit = part ? `${part.kind}:${part.number}` : "";
+  redraw();
+}
+
+/** Keep a part lit after the pointer leaves; a second time, or null, lets it go. */
+function pin(part) {
+  state.pinned = same(part, state.pinned) ? null : part;
+  state.lit = undefined;
+  light(state.pinned);
+}
+
+function preparePattern() {
+  const svg = document.querySelector("#pattern svg");
+  svg.querySelectorAll("title").forEach((title) => title.remove());
+  const groups = [...svg.querySelectorAll("[data-panel]")];
+  groups.forEach((group, number) => {
+    const panel = { kind: "panel", number };
+    group.setAttribute("role", "button");
+    group.setAttribute("aria-label", `panel ${data.panels[number].text}`);
+    group.setAttribute("tabindex", number === 0 ? "0" : "-1");
+    group.firstElementChild.classList.add("cloth");
+    group.firstElementChild.style.setProperty("--panel", `rgb(${data.panels[number].colour})`);
+    group.addEventListener("pointerenter", () => light(panel));
+    group.addEventListener("focus", () => light(panel));
+    group.addEventListener("blur", () => light(null));
+    group.addEventListener("click", () => pin(panel));
+    group.addEventListener("keydown", (event) => {
+      const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+      if (step) {
+        const next = groups[(number + step + groups.length) % groups.length];
+        groups.forEach((other) => other.setAttribute("tabindex", other === next ? "0" : "-1"));
+        next.focus();
+      } else if (event.key === "Enter" || event.key === " ") {
+        pin(panel);
+      } else {
+        return;
+      }
+      event.preventDefault();
+    });
+    group.querySelectorAll("[data-edge]").forEach((edge) => {
+      edge.classList.add("edge");
+      if (!("seam" in edge.dataset)) return;
+      const seam = { kind: "seam", number: Number(edge.dataset.seam) };
+      const reach = edge.cloneNode();
+      reach.classList.replace("edge", "reach");
+      reach.removeAttribute("data-edge");
+      group.append(reach);
+      reach.addEventListener("pointerenter", () => light(seam));
+      reach.addEventListener("pointerleave", () => light(panel));
+      reach.addEventListener("click", (event) => {
+        pin(seam);
+        event.stopPropagation();
+      });
+    });
+  });
+  svg.addEventListener("pointerleave", () => light(null));
+  svg.addEventListener("pointermove", (event) => event.target === svg && light(null));
+  svg.addEventListener("click", (event) => event.target === svg && state.pinned && pin(null));
+  prepareSheet(svg);
+}
+
+/** Wheel and pinch zoom the drawing, dragging moves it, a double click shows all of it. */
+function prepareSheet(svg) {
+  const whole = svg.getAttribute("viewBox").split(" ").map(Number);
+  let box = [...whole];
+  const show = (next) => {
+    box = next;
+    svg.setAttribute("viewBox", box.join(" "));
+    svg.classList.toggle("close", svg.getScreenCTM().a > PIXELS_FOR_NUMBERS);
+  };
+  const zoomAt = (event, factor) => {
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+    const size = clamp(box[2] * factor, whole[2] / SHEET_ZOOM, whole[2]);
+    if (size === whole[2]) return show([...whole]);
+    const share = size / box[2];
+    return show([mix(at.x, box[0], share), mix(at.y, box[1], share), size, box[3] * share]);
+  };
+  svg.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoomAt(event, wheelFactor(event));
+  }, { passive: false });
+  svg.addEventListener("dblclick", () => show([...whole]));
+  const pointers = new Map();
+  svg.addEventListener("pointerdown", (event) => pointers.set(event.pointerId, [event.clientX, event.clientY]));
+  svg.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before || !event.buttons || box[2] >= whole[2] && pointers.size < 2) return;
+    const now = [event.clientX, event.clientY];
+    const other = [...pointers].find(([id]) => id !== event.pointerId);
+    pointers.set(event.pointerId, now);
+    if (other) {
+      const spread = (at) => Math.hypot(at[0] - other[1][0], at[1] - other[1][1]);
+      zoomAt(event, spread(before) / Math.max(spread(now), 1));
+    } else {
+      const scale = svg.getScreenCTM().a;
+      show([box[0] - (now[0] - before[0]) / scale, box[1] - (now[1] - before[1]) / scale, box[2], box[3]]);
+    }
+  });
+  for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
+    svg.addEventListener(end, (event) => pointers.delete(event.pointerId));
+  }
+  new ResizeObserver(() => show(box)).observe(svg);
+}
+
+/** The zoom of one turn of the wheel, whatever its unit. */
+function wheelFactor(event) {
+  return Math.exp(clamp(event.deltaY * (event.deltaMode ? 30 : 1), -240, 240) * 0.0014);
+}
+
+// ------------------------------------------------------------------------------------------------------------- controls
+
+function setStage(stage) {
+  state.stage = clamp(stage, 0, picture.garment.last);
+  $("stage").value = state.stage;
+  const names = ["laid flat", "placed", "draped"];
+  const nearest = Math.round(state.stage);
+  const near = Math.abs(state.stage - nearest) < 0.02;
+  const text = near ? names[nearest] : `${names[Math.floor(state.stage)]} to ${names[Math.floor(state.stage) + 1]}`;
+  $("stage").setAttribute("aria-valuetext", text);
+  document.querySelectorAll("[data-stage]").forEach((button) => {
+    button.setAttribute("aria-pressed", String(near && Number(button.dataset.stage) === nearest));
+  });
+  picture.move(state.stage);
+  document.body.dataset.stage = state.stage.toFixed(3);
+  redraw();
+}
+
+let moving = 0;
+
+/** Move the slider to a stage over some time, or at once for people who asked for less motion. */
+function glide(target) {
+  cancelAnimationFrame(moving);
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) return setStage(target);
+  const from = state.stage;
+  const duration = 900 * Math.abs(target - from);
+  let begun = null;
+  const step = (now) => {
+    begun = begun ?? now;
+    const t = duration ? Math.min((now - begun) / duration, 1) : 1;
+    setStage(mix(from, target, smooth(0, 1, t)));
+    if (t < 1) moving = requestAnimationFrame(step);
+  };
+  moving = requestAnimationFrame(step);
+  return moving;
+}
+
+function setColours(mode) {
+  state.colours = mode;
+  document.querySelectorAll("input[name=colours]").forEach((input) => (input.checked = input.value === mode));
+  document.querySelectorAll("[data-legend]").forEach((legend) => (legend.hidden = legend.dataset.legend !== mode));
+  picture.upload(picture.buffers.colour, cornerColours(picture.garment, mode));
+  redraw();
+}
+
+function resetCamera() {
+  Object.assign(state, { yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] });
+  redraw();
+}
+
+function turn(dx, dy) {
+  state.yaw -= dx;
+  state.pitch = clamp(state.pitch + dy, ...TILT);
+  redraw();
+}
+
+function zoom(factor) {
+  state.zoom = clamp(state.zoom * factor, ...ZOOM);
+  redraw();
+}
+
+function pan(dx, dy) {
+  const { right, up, distance, slope } = picture.camera();
+  const perPixel = (2 * slope * distance) / picture.canvas.clientHeight;
+  state.pan = add(state.pan, add(scaled(right, -dx * perPixel), scaled(up, dy * perPixel)));
+  redraw();
+}
+
+function prepareCanvas(canvas) {
+  const pointers = new Map();
+  let travel = 0;
+  const place = (event) => {
+    const box = canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, place(event));
+    travel = 0;
+    canvas.focus({ preventScroll: true });
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const now = place(event);
+    const before = pointers.get(event.pointerId);
+    if (!before) {
+      if (event.pointerType === "mouse") light(picture.pick(...now));
+      return;
+    }
+    const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
+    travel += Math.hypot(dx, dy);
+    const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+    pointers.set(event.pointerId, now);
+    if (others.length) {
+      const spread = (at) => Math.hypot(at[0] - others[0][0], at[1] - others[0][1]);
+      zoom(spread(before) / Math.max(spread(now), 1));
+      pan(0.5 * dx, 0.5 * dy);
+    } else if (event.buttons & 6 || event.shiftKey) {
+      pan(dx, dy);
+    } else {
+      turn(TURN * dx, TURN * dy);
+    }
+  });
+  const release = (event) => {
+    if (pointers.delete(event.pointerId) && travel < 4 && event.type === "pointerup" && event.button === 0) {
+      const part = picture.pick(...place(event));
+      if (part || state.pinned) pin(part);
+    }
+  };
+  canvas.addEventListener("pointerup", release);
+  canvas.addEventListener("pointercancel", release);
+  canvas.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && !pointers.size && light(null));
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("dblclick", resetCamera);
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoom(wheelFactor(event));
+  }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const keys = {
+      ArrowLeft: () => (event.shiftKey ? pan(24, 0) : turn(0.12, 0)), ArrowRight: () => (event.shiftKey ? pan(-24, 0) : turn(-0.12, 0)),
+      ArrowUp: () => (event.shiftKey ? pan(0, 24) : turn(0, 0.08)), ArrowDown: () => (event.shiftKey ? pan(0, -24) : turn(0, -0.08)),
+      "+": () => zoom(0.88), "=": () => zoom(0.88), "-": () => zoom(1.14), 0: resetCamera, Escape: () => state.pinned && pin(null),
+    };
+    if (!keys[event.key] || event.ctrlKey || event.metaKey) return;
+    keys[event.key]();
+    event.preventDefault();
+  });
+}
+
+function prepareControls() {
+  $("stage").max = picture.garment.last;
+  $("stage").addEventListener("input", (event) => {
+    cancelAnimationFrame(moving);
+    setStage(Number(event.target.value));
+  });
+  document.querySelectorAll("[data-stage]").forEach((button) => {
+    button.addEventListener("click", () => glide(Number(button.dataset.stage)));
+  });
+  document.querySelectorAll("input[name=colours]").forEach((input) => {
+    input.addEventListener("change", () => setColours(input.value));
+  });
+  if ($("body")) {
+    $("body").addEventListener("change", (event) => {
+      state.body = event.target.checked;
+      redraw();
+    });
+  }
+  paintRamp();
+  $("reset").addEventListener("click", resetCamera);
+}
+
+function prepareScheme() {
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const show = () => {
+    const chosen = document.documentElement.dataset.scheme;
+    $("scheme").setAttribute("aria-pressed", String(chosen ? chosen === "dark" : dark.matches));
+    if (picture) setColours(state.colours);
+  };
+  $("scheme").addEventListener("click", () => {
+    const isDark = $("scheme").getAttribute("aria-pressed") === "true";
+    document.documentElement.dataset.scheme = isDark ? "light" : "dark";
+    show();
+  });
+  dark.addEventListener("change", show);
+  show();
+}
+
+async function start() {
+  preparePattern();
+  $("parts").addEventListener("change", (event) => {
+    const [kind, number] = event.target.value.split(":");
+    state.pinned = null;
+    pin(kind ? { kind, number: Number(number) } : null);
+  });
+  document.addEventListener("keydown", (event) => event.key === "Escape" && state.pinned && pin(null));
+  prepareScheme();
+  if (!data.mesh) return;
+  try {
+    if (typeof DecompressionStream === "undefined") throw new Error("This browser cannot unpack the meshes: update it");
+    const [mesh, body] = await Promise.all([decoded(data.mesh), decoded(data.body)]);
+    const garment = new Garment(mesh, data.panels);
+    garment.runs = runsOf(garment.segmentSeam);
+    picture = new Picture($("view"), garment, body, data.mesh.floor);
+  } catch (error) {
+    $("no-view").textContent = `${error.message}. The pattern and the tables are complete.`;
+    $("no-view").hidden = false;
+    return;
+  }
+  prepareCanvas(picture.canvas);
+  prepareControls();
+  setStage(picture.garment.last);
+  setColours("panels");
+  new ResizeObserver(redraw).observe(picture.canvas);
+  window.gcdPage = { state, picture, setStage, light };
+  document.body.dataset.ready = "true";
+}
+
+start();

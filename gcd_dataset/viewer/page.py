@@ -1,0 +1,277 @@
+"""One garment as a single HTML file: pattern beside mesh, without any reference to a server or another file.
+
+The arrays are quantised to 16 bits, as differences, in byte planes, deflated, in base64; the page's own script
+decodes them. All texts of the data are escaped, and the page's policy allows no script but its own.
+"""
+
+import base64
+import hashlib
+import json
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from html import escape
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
+from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
+from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern
+from gcd_dataset.viewer.content import Content
+from gcd_dataset.viewer.markup import inline_svg, table
+
+__all__ = ["page_of"]
+
+SCRIPTS = ("geometry.js", "garment.js", "picture.js", "page.js")
+LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
+STRETCH_STEP = 0.001
+LARGEST_RANGE, SMALLEST_RANGE = 0.5, 0.05  # of the colours of strain, to both sides of 1
+FACES_OUTSIDE_RANGE = 2.0  # percent of the faces that may be stretched beyond the range of the colours
+LIGHTENING = 0.15  # share of white in the colours of panels
+FOOTER = (
+    "Drag to turn the garment, right button or two fingers to move it, wheel or pinch to zoom either view. A click "
+    "keeps a part lit, Escape lets it go."
+)
+HINT = "Point at a panel or a seam"
+
+
+def page_of(content: Content) -> str:
+    """The page as HTML text, to write as UTF-8."""
+    mesh = content.mesh
+    script = "".join(map(_asset, SCRIPTS))
+    parts = {
+        "title": escape(content.title),
+        "headline": _headline(content),
+        "main_class": "" if mesh is not None else ' class="alone"',
+        "hint": HINT,
+        "parts": _part_options(content.pattern),
+        "pattern": inline_svg(content.pattern, 'role="group" aria-label="Panels"'),
+        "view": "" if mesh is None else _view(content),
+        "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
+        "footer": FOOTER,
+        "style": _asset("page.css"),
+        "data": _script_safe(json.dumps(_data(content), separators=(",", ":"), allow_nan=False)),
+        "script": script,
+        "script_hash": _policy_hash(script),
+    }
+    return _filled(_asset("page.html"), parts)
+
+
+# ----------------------------------------------------------------------------------------------------------------- text
+
+
+def _filled(template: str, parts: Mapping[str, str]) -> str:
+    """The template with each ``{{name}}`` replaced once; the inserted texts are not searched again."""
+    pieces = template.split("{{")
+    tails = (piece.partition("}}") for piece in pieces[1:])
+    return pieces[0] + "".join(parts[name] + rest for name, _, rest in tails)
+
+
+@cache
+def _asset(name: str) -> str:
+    return (resources.files(__package__) / name).read_text("utf-8")
+
+
+def _script_safe(text: str) -> str:
+    """JSON text that cannot end its script element."""
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _policy_hash(script: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
+
+
+def _headline(content: Content) -> str:
+    caption = f'    <p class="caption">{escape(content.caption)}</p>\n' if content.caption else ""
+    badge = ""
+    if content.outcome is not None:
+        style = "good" if content.outcome is Outcome.SETTLED else "warn"
+        badge = f'<li class="{style}">{content.outcome.name.lower().replace("_", " ")}</li>'
+    tags = badge + "".join(f"<li>{escape(tag)}</li>" for tag in content.tags)
+    return caption + (f'    <ul class="tags">{tags}</ul>\n' if tags else "")
+
+
+def _part_options(pattern: Pattern) -> str:
+    panels = "".join(_option(f"panel:{i}", panel.name) for i, panel in enumerate(pattern.panels))
+    seams = "".join(
+        _option(f"seam:{i}", f"{i}: {seam.left.panel} – {seam.right.panel}") for i, seam in enumerate(pattern.seams)
+    )
+    return f'        <optgroup label="Panels">{panels}</optgroup>\n        <optgroup label="Seams">{seams}</optgroup>\n'
+
+
+def _option(value: str, text: str) -> str:
+    return f'<option value="{value}">{escape(text)}</option>'
+
+
+def _view(content: Content) -> str:
+    stages = ("Flat", "Placed", "Draped")[: 2 if content.draped is None else 3]
+    limit = _stretch_range(content)
+    parts = {
+        "no_strain": "" if content.stretch is not None else " disabled",
+        "no_crossings": "" if content.crossed is not None else " disabled",
+        "body_switch": ""
+        if content.body is None
+        else '      <label class="check"><input type="checkbox" id="body" checked>Body</label>\n',
+        "strain_low": f"−{limit:.0%}",
+        "strain_high": f"+{limit:.0%}",
+        "crossings": _crossings_legend(content),
+        "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
+    }
+    return _filled(_asset("view.html"), parts)
+
+
+def _crossings_legend(content: Content) -> str:
+    if content.crossed is None or not len(content.crossed):
+        return "the cloth crosses neither itself nor the body"
+    return '<i class="dot"></i>cloth that crosses itself or the body'
+
+
+def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
+    return (
+        f'<section class="card"><div class="strip"><h2>{escape(title)}</h2></div>'
+        f'<div class="scroll" tabindex="0">{table(rows)}</div></section>\n'
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------------- data
+
+
+def _data(content: Content) -> dict[str, Any]:
+    plan = lay_out(content.pattern)
+    return {
+        "panels": [_panel_data(piece) for piece in plan.panels],
+        "seams": list(_seam_data(content.pattern)),
+        "plainEdge": PLAIN_EDGE,
+        "stretchRange": _stretch_range(content),
+        "mesh": None if content.mesh is None else _mesh_data(content, content.mesh, plan),
+        "body": None
+        if content.body is None
+        else {"vertices": _coordinates(content.body.vertices), "faces": _packed(content.body.faces)},
+    }
+
+
+def _panel_data(piece: SheetPanel) -> dict[str, Any]:
+    colour = [round(255 * (part + LIGHTENING * (1.0 - part))) for part in PALETTE[piece.number % len(PALETTE)]]
+    x, y = piece.outline.T
+    area = 0.5 * abs(float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()))
+    label = f" · {piece.panel.label}" if piece.panel.label else ""
+    return {
+        "text": f"{piece.panel.name}{label} · {area:.0f} cm²",
+        "colour": colour,
+        "shift": piece.shift.round(4).tolist(),
+        "turn": Rotation.from_matrix(piece.panel.placement.matrix).as_rotvec().round(6).tolist(),
+    }
+
+
+def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
+    number = {panel.name: i for i, panel in enumerate(pattern.panels)}
+    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    for i, (seam, ratio) in enumerate(zip(pattern.seams, pattern.gather_ratios(), strict=True)):
+        sides = [_side(ref, lengths.get(ref.panel, [])) for ref in (seam.left, seam.right)]
+        gathers = "" if 0.98 < ratio < 1.02 else f" · gathered {max(ratio, 1 / ratio):.2f} : 1"
+        yield {
+            "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}",
+            "colour": seam_colour(i),
+            "panels": [number.get(ref.panel, -1) for ref in (seam.left, seam.right)],
+        }
+
+
+def _side(ref: EdgeRef, lengths: Sequence[float]) -> str:
+    """One side of a seam in words; an unchecked pattern may name an edge that it lacks."""
+    return f"{ref.panel} {lengths[ref.edge]:.1f} cm" if 0 <= ref.edge < len(lengths) else f"{ref.panel}, no such edge"
+
+
+def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]:
+    number = {panel.name: i for i, panel in enumerate(content.pattern.panels)}
+    panel_of_face = np.array([number[name] for name in mesh.panel_names])[mesh.panel_id]
+    panel_of = np.zeros(len(mesh.uv), int)
+    panel_of[mesh.corners] = panel_of_face[:, None]
+    segments, seams = _segments(mesh, panel_of, plan)
+    return {
+        "flat": _coordinates(mesh.uv),
+        "placed": _coordinates(mesh.vertices),
+        "draped": None if content.draped is None else _coordinates(content.draped),
+        "corners": _packed(mesh.corners),
+        "vertexOf": _packed(mesh.uv_vertex[:, None]),
+        "panelOf": _packed(panel_of[:, None]),
+        "segments": _packed(segments),
+        "segmentSeam": _packed(seams[:, None]),
+        "stretch": None if content.stretch is None else _stretch_of_corners(mesh, content.stretch),
+        "crossed": None if content.crossed is None else _packed(np.asarray(content.crossed)[:, None]),
+        "sheetSize": [round(plan.width, 3), round(plan.height, 3)],
+        "floor": None if content.body is None else float(content.body.vertices[:, 1].min()),
+    }
+
+
+def _segments(
+    mesh: BoxMesh, panel_of: Int[np.ndarray, " c"], plan: LayPlan
+) -> tuple[Int[np.ndarray, "n 2"], Int[np.ndarray, " n"]]:
+    """Mesh edges along the outlines of all panels, as pairs of corners, and the seam of each; sorted by seam.
+
+    Edges without a seam have the number of seams.
+    """
+    sides = np.sort(mesh.corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    pairs, counts = np.unique(sides, axis=0, return_counts=True)
+    pairs = pairs[counts == 1]
+    free = 1 + max((seam for piece in plan.panels for seam in piece.seams if seam is not None), default=-1)
+    seams = np.full(len(pairs), free)
+    middles = mesh.uv[pairs].mean(axis=1)
+    for piece in plan.panels:
+        own = np.flatnonzero(panel_of[pairs[:, 0]] == piece.number)
+        lines = [_dense(piece.edge_points(index)) for index in range(len(piece.seams))]
+        edge_of = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+        if len(own):
+            _, nearest = cKDTree(np.concatenate(lines)).query(middles[own])
+            of_edge = np.array([free if seam is None else seam for seam in piece.seams])
+            seams[own] = of_edge[edge_of[nearest]]
+    order = np.argsort(seams, kind="stable")
+    return pairs[order], seams[order]
+
+
+def _dense(line: Float[np.ndarray, "n 2"], spacing: float = 0.25) -> Float[np.ndarray, "m 2"]:
+    """Points along a polyline at most ``spacing`` cm apart, without its ends, which belong to two edges."""
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    count = max(3, int(np.ceil(along[-1] / spacing)))
+    at = (np.arange(count) + 0.5) / count * along[-1]
+    return np.stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])], axis=1)
+
+
+def _stretch_of_corners(mesh: BoxMesh, stretch: Float[np.ndarray, " f"]) -> dict[str, Any]:
+    """The mean stretch of the faces round each corner."""
+    sums = np.bincount(mesh.corners.ravel(), np.repeat(stretch, 3), len(mesh.uv))
+    counts = np.bincount(mesh.corners.ravel(), minlength=len(mesh.uv))
+    steps = np.round(np.clip(sums / np.maximum(counts, 1), 0.0, LEVELS * STRETCH_STEP) / STRETCH_STEP)
+    return {**_packed(steps.astype(int)[:, None]), "low": [0.0], "step": STRETCH_STEP}
+
+
+def _stretch_range(content: Content) -> float:
+    """Stretch minus 1 at the ends of the colours."""
+    if content.stretch is None:
+        return SMALLEST_RANGE
+    beyond = float(np.percentile(np.abs(np.asarray(content.stretch) - 1.0), 100.0 - FACES_OUTSIDE_RANGE))
+    return float(np.clip(np.ceil(20.0 * beyond) / 20.0, SMALLEST_RANGE, LARGEST_RANGE))
+
+
+def _coordinates(points: Float[np.ndarray, "n k"]) -> dict[str, Any]:
+    """Points as integers, with offset of each column and step [cm]. Points that are not finite go to the centroid."""
+    points = np.asarray(points, float)
+    finite = np.isfinite(points).all(axis=1)
+    points = np.where(finite[:, None], points, points[finite].mean(axis=0) if finite.any() else 0.0)
+    low = points.min(axis=0, initial=np.inf)
+    step = max(float((points - low).max(initial=0.0)) / LEVELS, 1e-6)
+    return {**_packed(np.round((points - low) / step).astype(int)), "low": low.tolist(), "step": step}
+
+
+def _packed(values: Int[np.ndarray, "n k"]) -> dict[str, Any]:
+    """Integers ≥ 0 as differences between rows, by byte planes, deflated, in base64."""
+    rows = np.asarray(values)
+    size = 2 if rows.max(initial=0) <= LEVELS else 4
+    steps = np.diff(rows.astype(np.int64), axis=0, prepend=0).astype(f"<u{size}").ravel()
+    planes = steps.view(np.uint8).reshape(-1, size).T.tobytes()
+    return {"size": size, "columns": rows.shape[1], "data": base64.b64encode(zlib.compress(planes, 9)).decode()}

@@ -1,0 +1,349 @@
+"""The page of a garment in headless Chromium: both views light up together, the slider moves the mesh, keys work."""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gcd_dataset.generator.body import named_body
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Panel, Pattern
+from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.page import page_of
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on the PATH")
+
+SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+READY = "body[data-ready]"
+SEAM_POINT = """(seam) => {
+  const { picture } = gcdPage;
+  const { ends, segmentSeam } = picture.garment;
+  const { view } = picture.camera();
+  const box = picture.canvas.getBoundingClientRect();
+  const found = [];
+  segmentSeam.forEach((own, i) => {
+    if (own !== seam) return;
+    const [x, y, z] = [0, 1, 2].map((k) => 0.5 * (ends[6 * i + k] + ends[6 * i + 3 + k]));
+    const at = [0, 1, 3].map((r) => view[r] * x + view[4 + r] * y + view[8 + r] * z + view[12 + r]);
+    found.push([box.left + (at[0] / at[2] + 1) * 0.5 * box.width, box.top + (1 - at[1] / at[2]) * 0.5 * box.height]);
+  });
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def content() -> Content:
+    """A skirt of two panels and two seams, on a body that is thin enough for it."""
+    body, _, _ = named_body("neutral")
+    body = replace(body, vertices=body.vertices * [0.4, 1.0, 0.4])
+    sample = fake_sample(3, 1, fineness=3)
+    assert sample.box_mesh is not None
+    return replace(content_of(sample, body), crossed=np.arange(12), tags=("skirt",), caption="A skirt.")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
+        yield browser
+        browser.close()
+
+
+class Opened:
+    """A page open in the browser, with the faults that the browser reported."""
+
+    def __init__(self, browser: Any, content: Content, folder: Path, **options: Any) -> None:
+        self.file = folder / "garment.html"
+        self.file.write_bytes(page_of(content).encode())
+        options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
+        self.page = browser.new_context(**options).new_page()
+        self.faults: list[str] = []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("dialog", lambda dialog: self.faults.append(dialog.message))
+        self.page.on("console", lambda note: self.faults.append(note.text) if note.type == "error" else None)
+        self.page.on("request", lambda request: None if request.url == self.file.as_uri() else self.note(request.url))
+        self.page.goto(self.file.as_uri())
+
+    def note(self, url: str) -> None:
+        if not url.startswith("blob:"):
+            self.faults.append(f"request of {url}")
+
+    def ready(self) -> "Opened":
+        self.page.wait_for_selector(READY)
+        return self
+
+    @property
+    def lit(self) -> str:
+        return str(self.page.evaluate("document.body.dataset.lit || ''"))
+
+    @property
+    def lit_panels(self) -> list[str]:
+        return list(self.page.eval_on_selector_all("[data-panel].lit", "all => all.map(g => g.dataset.panel)"))
+
+    @property
+    def lit_edges(self) -> int:
+        return int(self.page.locator(".edge.lit").count())
+
+    @property
+    def positions(self) -> np.ndarray:
+        return np.array(self.page.evaluate("[...gcdPage.picture.garment.positions]")).reshape(-1, 3)
+
+    def view(self) -> np.ndarray:
+        """The pixels of the 3-D view."""
+        self.page.wait_for_timeout(120)
+        return np.asarray(Image.open(BytesIO(self.page.locator(".stage").screenshot())).convert("RGB"), float)
+
+    def middle(self) -> tuple[float, float]:
+        box = self.page.locator("#view").bounding_box()
+        return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+
+@pytest.fixture
+def opened(browser: Any, content: Content, tmp_path: Path) -> Iterator[Opened]:
+    opened = Opened(browser, content, tmp_path).ready()
+    yield opened
+    opened.page.context.close()
+    assert opened.faults == []
+
+
+def test_hovering_a_panel_of_the_drawing_lights_it_in_both_views(opened: Opened) -> None:
+    before = opened.view()
+    opened.page.locator("[data-panel=back] .cloth").hover()
+    assert (opened.lit, opened.lit_panels) == ("panel:1", ["back"])
+    assert opened.page.locator("#readout").inner_text().startswith("back · leg")
+    after = opened.view()
+    assert np.abs(after - before).max() > 40  # the front is dimmed
+    opened.page.locator("h1").hover()
+    assert (opened.lit, opened.lit_panels) == ("", [])
+    assert np.abs(opened.view() - before).max() < 8
+
+
+def test_the_paper_between_the_panels_lights_nothing(opened: Opened) -> None:
+    opened.page.locator("[data-panel=back] .cloth").hover()
+    box = opened.page.locator("#pattern svg").bounding_box()
+    opened.page.mouse.move(box["x"] + 2, box["y"] + 2)
+    assert (opened.lit, opened.lit_panels) == ("", [])
+
+
+def test_hovering_a_panel_of_the_mesh_lights_it_in_the_drawing(opened: Opened) -> None:
+    opened.page.mouse.move(*opened.middle())
+    assert (opened.lit, opened.lit_panels) == ("panel:0", ["front"])
+    opened.page.locator("h1").hover()
+    assert opened.lit_panels == []
+
+
+def test_hovering_a_seam_of_the_drawing_lights_both_its_edges_and_the_mesh(opened: Opened) -> None:
+    box = opened.page.locator("[data-panel=front] .edge[data-seam='0']").bounding_box()
+    opened.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    assert (opened.lit, opened.lit_edges, opened.lit_panels) == ("seam:0", 2, ["front", "back"])
+    accent = np.array([214, 36, 110])
+    assert (np.abs(opened.view() - accent).max(axis=2) < 12).sum() > 100
+
+
+@pytest.mark.parametrize("seam", [0, 1])
+def test_hovering_a_seam_of_the_mesh_lights_it_in_the_drawing(opened: Opened, seam: int) -> None:
+    opened.page.evaluate("yaw => { gcdPage.state.yaw = yaw; }", [1.3, -1.9][seam])  # that side to the front
+    points = opened.page.evaluate(SEAM_POINT, seam)
+    opened.page.mouse.move(*points[len(points) // 2])
+    assert (opened.lit, opened.lit_edges) == (f"seam:{seam}", 2)
+
+
+def test_the_slider_moves_the_mesh_from_flat_to_placed_to_draped(opened: Opened, content: Content) -> None:
+    mesh = content.mesh
+    assert mesh is not None and content.draped is not None
+    assert np.abs(opened.positions - content.draped[mesh.uv_vertex]).max() < 0.01
+    slider = opened.page.locator("#stage")
+    slider.focus()
+    slider.press("Home")
+    flat = opened.positions
+    assert np.ptp(flat[:, 2]) == 0.0
+    for panel in (0, 1):  # shifted, neither turned nor scaled
+        own = np.unique(mesh.corners[mesh.panel_id == panel])
+        shift = flat[own, :2] - mesh.uv[own]
+        assert np.abs(shift - shift[0]).max() < 0.01
+    assert slider.get_attribute("aria-valuetext") == "laid flat"
+    opened.page.get_by_role("button", name="Placed").click()
+    assert np.abs(opened.positions - mesh.vertices[mesh.uv_vertex]).max() < 0.01
+    slider.fill("1.5")
+    between = 0.5 * (mesh.vertices + content.draped)[mesh.uv_vertex]
+    assert np.abs(opened.positions - between).max() < 0.01
+    assert slider.get_attribute("aria-valuetext") == "placed to draped"
+
+
+def test_panels_keep_their_shape_on_the_way_to_the_body(opened: Opened, content: Content) -> None:
+    """A panel turned by 180°, as the back of a skirt, must not be squashed halfway."""
+    mesh = content.mesh
+    assert mesh is not None
+    opened.page.locator("#stage").fill("0.5")
+    triangles = opened.positions[mesh.corners]
+    sides = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    flat = mesh.uv[mesh.corners]
+    inside = ~np.isin(mesh.faces, mesh.seams[:, 0]).any(axis=1)  # the seams bend the faces beside them
+    expected = np.linalg.norm(np.roll(flat, -1, axis=1) - flat, axis=2)
+    assert np.abs(sides / expected - 1.0)[inside].max() < 0.01
+
+
+def test_the_body_goes_and_comes_back(opened: Opened) -> None:
+    with_body = opened.view()
+    opened.page.get_by_label("Body").uncheck()
+    assert (np.abs(opened.view() - with_body).max(axis=2) > 20).mean() > 0.05
+    opened.page.get_by_label("Body").check()
+    assert np.abs(opened.view() - with_body).max() < 8
+
+
+@pytest.mark.parametrize("mode", ["strain", "crossings"])
+def test_colours_change_with_their_legend(opened: Opened, mode: str) -> None:
+    before = opened.view()
+    opened.page.locator(f"input[value={mode}]").check()
+    assert opened.page.locator(f"[data-legend={mode}]").is_visible()
+    assert (np.abs(opened.view() - before).max(axis=2) > 20).mean() > 0.05
+    opened.page.locator("input[value=panels]").check()
+    assert not opened.page.locator(f"[data-legend={mode}]").is_visible()
+    assert np.abs(opened.view() - before).max() < 8
+
+
+def test_drag_turns_shift_moves_wheel_zooms_and_reset_undoes_it(opened: Opened) -> None:
+    def state() -> Any:
+        return opened.page.evaluate("structuredClone(gcdPage.state)")
+
+    x, y = opened.middle()
+    first = opened.view()
+    opened.page.mouse.move(x, y)
+    opened.page.mouse.down()
+    opened.page.mouse.move(x + 90, y + 20, steps=3)
+    opened.page.mouse.up()
+    assert state()["yaw"] < -0.5 and state()["pitch"] > 0.1
+    opened.page.mouse.wheel(0, -300)
+    opened.page.wait_for_function("gcdPage.state.zoom < 0.9")
+    opened.page.mouse.move(x, y)
+    opened.page.mouse.down(button="right")
+    opened.page.mouse.move(x + 50, y, steps=3)
+    opened.page.mouse.up(button="right")
+    assert np.linalg.norm(state()["pan"]) > 5.0  # cm
+    opened.page.get_by_role("button", name="Reset view").click()
+    opened.page.locator("h1").hover()
+    assert np.abs(opened.view() - first).max() < 8
+
+
+def test_the_drawing_zooms_to_the_pointer_and_back(opened: Opened) -> None:
+    corner = opened.page.locator("[data-panel=front] .cloth").bounding_box()
+    pointer = {axis: round(corner[axis] + 5) for axis in ("x", "y")}
+    opened.page.mouse.move(*pointer.values())
+    for _ in range(5):
+        opened.page.mouse.wheel(0, -240)
+    opened.page.wait_for_selector("#pattern svg.close")  # seam numbers are legible
+    near = opened.page.locator("[data-panel=front] .cloth").bounding_box()
+    zoom = near["width"] / corner["width"]
+    for axis, place in pointer.items():
+        assert near[axis] + zoom * (place - corner[axis]) == pytest.approx(place, abs=1)  # stays under the pointer
+    opened.page.locator("#pattern svg").dblclick()
+    assert opened.page.locator("[data-panel=front] .cloth").bounding_box() == corner
+
+
+def test_keys_reach_every_part(opened: Opened) -> None:
+    page = opened.page
+    page.locator("[data-panel=front]").focus()
+    assert opened.lit == "panel:0"
+    page.keyboard.press("ArrowRight")
+    assert opened.lit == "panel:1"
+    page.keyboard.press("Enter")
+    page.locator("#view").focus()
+    assert opened.lit == "panel:1"  # kept lit
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("+")
+    assert page.evaluate("gcdPage.state.yaw") != 0 and page.evaluate("gcdPage.state.zoom") < 1
+    page.keyboard.press("Escape")
+    assert opened.lit == ""
+    page.locator("#parts").select_option("seam:1")
+    assert (opened.lit, opened.lit_edges) == ("seam:1", 2)
+
+
+def test_two_fingers_zoom_and_one_turns(browser: Any, content: Content, tmp_path: Path) -> None:
+    opened = Opened(browser, content, tmp_path, has_touch=True).ready()
+    touch = opened.page.context.new_cdp_session(opened.page)
+    x, y = opened.middle()
+
+    def send(kind: str, *points: tuple[float, float]) -> None:
+        places = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+
+    send("touchStart", (x, y))
+    send("touchMove", (x + 60, y))
+    send("touchEnd")
+    assert opened.page.evaluate("gcdPage.state.yaw") < -0.3
+    send("touchStart", (x - 40, y), (x + 40, y))
+    send("touchMove", (x - 90, y), (x + 90, y))
+    send("touchEnd")
+    assert opened.page.evaluate("gcdPage.state.zoom") < 0.7
+    assert opened.faults == []
+    opened.page.context.close()
+
+
+def test_the_scheme_follows_the_system_and_the_button(browser: Any, content: Content, tmp_path: Path) -> None:
+    opened = Opened(browser, content, tmp_path, color_scheme="dark").ready()
+    background = "getComputedStyle(document.body).backgroundColor"
+    assert opened.page.evaluate(background) == "rgb(21, 23, 26)"
+    opened.page.get_by_role("button", name="Dark").click()
+    assert opened.page.evaluate(background) == "rgb(246, 245, 242)"
+    assert opened.faults == []
+    opened.page.context.close()
+
+
+def test_a_hostile_name_is_shown_as_text(browser: Any, content: Content, tmp_path: Path) -> None:
+    name = "</script><b onmouseover=\"alert(1)\">x</b><img src=x onerror='alert(2)'>"
+    front: Panel = replace(content.pattern.panels[0], name=name)
+    pattern = Pattern(name, (front, *content.pattern.panels[1:]), ())
+    assert content.mesh is not None
+    mesh = replace(content.mesh, panel_names=(name, "back"))
+    hostile = replace(content, title=name, caption=name, tags=(name,), pattern=pattern, mesh=mesh)
+    opened = Opened(browser, hostile, tmp_path).ready()
+    assert opened.page.locator("h1").inner_text() == name
+    opened.page.mouse.move(*opened.middle())
+    assert opened.page.locator("#readout").inner_text().startswith(name)
+    assert opened.page.locator("b, img").count() == 0
+    assert opened.faults == []
+    opened.page.context.close()
+
+
+def test_a_garment_without_a_drape_ends_at_the_placed_panels(browser: Any, content: Content, tmp_path: Path) -> None:
+    placed = replace(content, draped=None, stretch=None, crossed=None, outcome=None, body=None)
+    opened = Opened(browser, placed, tmp_path).ready()
+    assert opened.page.locator("#stage").get_attribute("max") == "1"
+    assert content.mesh is not None
+    assert np.abs(opened.positions - content.mesh.vertices[content.mesh.uv_vertex]).max() < 0.01
+    assert opened.faults == []
+    opened.page.context.close()
+
+
+def test_a_pattern_alone_is_lit(browser: Any, content: Content, tmp_path: Path) -> None:
+    opened = Opened(browser, Content("skirt", content.pattern), tmp_path)
+    opened.page.locator("[data-panel=back] .cloth").hover()
+    assert opened.lit_panels == ["back"]
+    assert opened.faults == []
+    opened.page.context.close()
+
+
+def test_a_browser_without_webgl_says_so_and_shows_the_rest(browser: Any, content: Content, tmp_path: Path) -> None:
+    flags = ["--no-sandbox", "--disable-3d-apis"]
+    limited = browser.browser_type.launch(executable_path=CHROMIUM, args=flags)
+    opened = Opened(limited, content, tmp_path)
+    opened.page.wait_for_selector("#no-view:visible")
+    assert "WebGL 2" in opened.page.locator("#no-view").inner_text()
+    opened.page.locator("[data-panel=back] .cloth").hover()
+    assert opened.lit_panels == ["back"]
+    limited.close()
+
+
+def test_a_phone_shows_all_without_sideways_scrolling(browser: Any, content: Content, tmp_path: Path) -> None:
+    opened = Opened(browser, content, tmp_path, viewport={"width": 390, "height": 800}, has_touch=True).ready()
+    assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert opened.faults == []
+    opened.page.context.close()

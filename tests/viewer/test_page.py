@@ -1,0 +1,164 @@
+"""The page of a garment: its arrays decode to the mesh, its parts link up, and no text of the data becomes markup."""
+
+import base64
+import hashlib
+import json
+import re
+import zlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcd_dataset.generator.lay_plan import lay_out
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam
+from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.page import _packed, page_of
+from tests.helpers import far_ball
+from tests.viewer.elements import Elements
+
+HOSTILE = '</script><b onclick="x">&amp; {{data}}'
+
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return fake_sample(3, 1, fineness=3)
+
+
+@pytest.fixture(scope="module")
+def content(sample: Sample) -> Content:
+    return content_of(sample, far_ball())
+
+
+def data_of(page: str) -> Any:
+    [text] = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(text)
+
+
+def integers(packed: dict[str, Any]) -> np.ndarray:
+    """The rows of packed integers, as the page's script decodes them."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8).reshape(packed["size"], -1)
+    steps = sum(plane.astype(np.int64) << 8 * place for place, plane in enumerate(planes))
+    rows = np.asarray(steps).reshape(-1, packed["columns"])
+    return rows.cumsum(axis=0) % (1 << 8 * packed["size"])
+
+
+def numbers(packed: dict[str, Any]) -> np.ndarray:
+    return packed["low"] + packed["step"] * integers(packed)
+
+
+@pytest.mark.parametrize("largest", [0, 65535, 65536, 1 << 31])
+def test_integers_survive_packing(largest: int) -> None:
+    values = np.array([[3, largest], [0, 0], [largest, 7], [65535, 1]])
+    assert (integers(_packed(values)) == values).all()
+
+
+def test_positions_are_exact_to_the_step(content: Content) -> None:
+    mesh, stored = content.mesh, data_of(page_of(content))["mesh"]
+    assert mesh is not None and content.draped is not None
+    for name, points in (("flat", mesh.uv), ("placed", mesh.vertices), ("draped", content.draped)):
+        assert np.abs(numbers(stored[name]) - points).max() <= 0.51 * stored[name]["step"]
+        assert stored[name]["step"] < 0.005  # cm
+    assert (integers(stored["corners"]) == mesh.corners).all()
+    assert (integers(stored["vertexOf"])[:, 0] == mesh.uv_vertex).all()
+
+
+def test_both_sides_of_each_seam_are_traced(content: Content) -> None:
+    """The segments of a seam are as long as its two edges; those without a seam as long as all other edges."""
+    mesh, pattern, stored = content.mesh, content.pattern, data_of(page_of(content))["mesh"]
+    assert mesh is not None
+    segments, seams = integers(stored["segments"]), integers(stored["segmentSeam"])[:, 0]
+    lengths = np.linalg.norm(np.diff(mesh.uv[segments], axis=1)[:, 0], axis=1)
+    edge = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    for number, seam in enumerate(pattern.seams):
+        expected = sum(edge[side.panel][side.edge] for side in (seam.left, seam.right))
+        assert lengths[seams == number].sum() == pytest.approx(expected, rel=1e-4)
+    sewn = {side for seam in pattern.seams for side in (seam.left, seam.right)}
+    free = sum(n for name, own in edge.items() for i, n in enumerate(own) if EdgeRef(name, i) not in sewn)
+    assert lengths[seams == len(pattern.seams)].sum() == pytest.approx(free, rel=1e-4)
+
+
+def test_panels_of_the_drawing_and_of_the_data_have_one_order(content: Content) -> None:
+    page = page_of(content)
+    drawn = [own["data-panel"] for _, own in Elements(page).found if "data-panel" in own]
+    assert drawn == [panel["text"].split(" · ")[0] for panel in data_of(page)["panels"]]
+    assert drawn == [piece.panel.name for piece in lay_out(content.pattern).panels]
+
+
+def test_a_page_needs_no_other_file(content: Content) -> None:
+    page = page_of(content)
+    elements = Elements(page)
+    assert not any(name in own for _, own in elements.found for name in ("src", "href", "srcset", "action"))
+    assert "url(" not in page and "import(" not in page and "fetch(" not in page
+    assert set(re.findall(r"https?://[^\s\"'<]+", page)) == {"http://www.w3.org/2000/svg"}
+
+
+def test_the_policy_allows_the_page_s_own_script_alone(content: Content) -> None:
+    page = page_of(content)
+    [script] = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = Elements(page).attributes("meta", **{"http-equiv": "Content-Security-Policy"})["content"]
+    assert policy is not None
+    assert f"default-src 'none'; script-src 'sha256-{digest}'" in policy
+
+
+def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
+    first, *rest = sample.pattern.panels
+
+    def renamed(ref: EdgeRef) -> EdgeRef:
+        return replace(ref, panel=HOSTILE) if ref.panel == first.name else ref
+
+    seams = [replace(seam, left=renamed(seam.left), right=renamed(seam.right)) for seam in sample.pattern.seams]
+    pattern = Pattern(HOSTILE, (replace(first, name=HOSTILE, label=HOSTILE), *rest), tuple(seams))
+    assert sample.box_mesh is not None
+    mesh = replace(sample.box_mesh, panel_names=(HOSTILE, *sample.box_mesh.panel_names[1:]))
+    hostile = replace(
+        sample, key=HOSTILE, pattern=pattern, box_mesh=mesh, caption=HOSTILE, tags=(HOSTILE,), design={HOSTILE: HOSTILE}
+    )
+    page = page_of(content_of(hostile))
+    elements = Elements(page)
+    assert (elements.count("script"), elements.count("b")) == (2, 0)
+    assert not any(name.startswith("on") for _, own in elements.found for name in own)
+    assert elements.texts.count(HOSTILE) >= 5  # title, heading, caption, tag, panel, design
+    assert data_of(page)["panels"][0]["text"].startswith(HOSTILE)
+
+
+def test_a_pattern_without_mesh_has_a_page_without_the_view(sample: Sample) -> None:
+    content = content_of(replace(sample, box_mesh=None, drape=None, shape=None))
+    page = page_of(content)
+    assert Elements(page).count("canvas") == 0
+    assert data_of(page)["mesh"] is None
+
+
+def test_a_seam_to_a_missing_edge_is_told_as_such(sample: Sample) -> None:
+    first = sample.pattern.panels[0].name
+    odd = Seam(EdgeRef(first, 77), EdgeRef("sleeve", 0))
+    seams = data_of(page_of(Content("odd", replace(sample.pattern, seams=(odd,)))))["seams"]
+    assert seams[0]["text"] == f"seam 0 · {first}, no such edge to sleeve, no such edge"
+    assert seams[0]["panels"] == [0, -1]
+
+
+def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:
+    def offered(content: Content) -> tuple[list[str | None], bool, bool]:
+        elements = Elements(page_of(content))
+        stages = [own["data-stage"] for _, own in elements.found if "data-stage" in own]
+        has_body = any(own.get("id") == "body" for _, own in elements.found)
+        return stages, has_body, "disabled" in elements.attributes("input", value="strain")
+
+    assert offered(content) == (["0", "1", "2"], True, False)
+    placed = replace(content, draped=None, stretch=None, crossed=None, body=None)
+    assert offered(placed) == (["0", "1"], False, True)
+
+
+def test_colours_of_strain_reach_the_stretch_of_nearly_all_faces(content: Content) -> None:
+    assert content.stretch is not None
+    stretch = np.linspace(1.0, 1.23, len(content.stretch))
+    assert data_of(page_of(replace(content, stretch=stretch)))["stretchRange"] == pytest.approx(0.25)
+    flat = replace(content, stretch=np.ones_like(stretch))
+    assert data_of(page_of(flat))["stretchRange"] == pytest.approx(0.05)
+
+
+def test_the_same_content_gives_the_same_page(content: Content) -> None:
+    assert page_of(content) == page_of(content)
