@@ -45,6 +45,7 @@ GARMENTS = "gcd generate garments --count 2 --resolution 6 --picture 0 --quiet"
 BEFORE = {
     "scans": [GARMENTS],
     "sketches": [GARMENTS],
+    "exports": ["gcd generate shards --count 2 --resolution 6 --picture 0 --quiet"],
     "evaluate": ["gcd generate garments --count 2 --stage pattern --seed 3 --quiet", "python specifications.py"],
 }
 """Document to the commands that make what it takes for granted."""
@@ -61,10 +62,10 @@ for folder in ("PREDICTIONS", "TRUTH"):
 GUIDES = [
     *sorted(f"guides/{path.stem}" for path in (DOCS / "guides").glob("*.md") if path.stem != "index"),
     *sorted(f"concepts/{path.stem}" for path in (DOCS / "concepts").glob("*.md")),
-    *("index", "pictures", "scans", "sketches", "evaluate"),
+    *("index", "pictures", "scans", "sketches", "evaluate", "exports"),
 ]
 NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/hub/test_objects.py runs them against an S3 API
-OWN_TESTS = {"training", "viewer", "exports", "doctor"}  # the verbs are tested with the commands of these pages
+OWN_TESTS = {"training", "viewer", "doctor", "reconstruction"}  # the commands of these pages are tested elsewhere
 
 
 @pytest.mark.parametrize("name", GUIDES)
