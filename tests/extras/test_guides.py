@@ -114,7 +114,7 @@ def test_blocks_that_do_not_run_say_where_they_would() -> None:
     for name in GUIDES:
         for block in blocks_of(DOCS / f"{name}.md"):
             if block.language == "sh" and block.title:
-                assert re.match(r"in |on |from ", block.title), f"{name}.md: {block.title}"
+                assert re.match(r"(in|on|from|where) ", block.title), f"{name}.md: {block.title}"
 
 
 def smaller(name: str) -> list[Block]:
