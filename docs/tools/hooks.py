@@ -1,4 +1,4 @@
-"""Hook of MkDocs: shows files of the repository outside ``docs/`` as pages, and maps links to them.
+"""Hooks of MkDocs: show files of the repository outside ``docs/`` as pages, and map links to them.
 
 Documents link to each other as in a checkout, such as ``../ARCHITECTURE.md`` or ``../benchmarks/reports/drapes.jpg``.
 ``SHOWN`` files become pages or pictures of the site; a relative link to any other file outside ``docs/`` stays as it
@@ -13,7 +13,7 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-__all__ = ["on_files", "on_page_markdown"]
+__all__ = ["on_config", "on_files", "on_page_markdown"]
 
 ROOT = Path(__file__).resolve().parents[2]
 SHOWN = {
@@ -23,8 +23,30 @@ SHOWN = {
 }
 """File of the repository to its path in the site's sources; files of ``REPORTS`` are added."""
 REPORTS = "benchmarks/reports"
+MORE = "Guides"
 FENCE = re.compile(r"^(?:```|~~~).*?^(?:```|~~~)[ \t]*$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?(?:\s+\"[^\"]*\")?\))")
+
+
+def on_config(config: Any) -> Any:
+    """Add documents that the menu does not name to its section ``MORE``, under their headings."""
+    named = set(_pages(config.nav))
+    more = next(entry[MORE] for entry in config.nav if MORE in entry)
+    more += [path.name for path in sorted(Path(config.docs_dir).glob("*.md")) if path.name not in named]
+    return config
+
+
+def _pages(entry: Any) -> Iterator[str]:
+    """The documents that a part of the menu names.
+
+    >>> list(_pages([{"Start": "index.md"}, {"Guides": ["guides/index.md", {"Pictures": "pictures.md"}]}]))
+    ['index.md', 'guides/index.md', 'pictures.md']
+    """
+    if isinstance(entry, str):
+        yield entry
+    else:
+        for part in entry.values() if isinstance(entry, dict) else entry:
+            yield from _pages(part)
 
 
 def on_files(files: Files, config: Any) -> Files:

@@ -82,12 +82,15 @@ def test_a_broken_link_and_a_missing_anchor_stop_the_build(tmp_path: Path) -> No
         "[a](../pyproject.toml) [b](figures.md#no-such-heading) [c](nowhere.md) [d](../ARCHITECTURE.md#no-such-word)"
     )
     page.write_text(page.read_text() + f"\n{broken}\n")
-    (tree / "docs" / "forgotten.md").write_text("# In no menu\n")
+    (tree / "docs" / "guides" / "forgotten.md").write_text("# In no menu\n")
+    (tree / "docs" / "added.md").write_text("# An added page\n")
     done = build(tree, tmp_path / "site")
     told = "\n".join(warnings_of(done))
     assert done.returncode != 0
     for word in ("../pyproject.toml", "no-such-heading", "nowhere.md", "no-such-word", "forgotten.md"):
         assert word in told
+    assert "added.md" not in told
+    assert "An added page" in (tmp_path / "site" / "guides" / "train" / "index.html").read_text()
 
 
 def test_examples_in_the_tools() -> None:
