@@ -22,11 +22,14 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
+    Surface,
     SurfaceBatch,
     SurfaceStore,
+    cloud_of,
     drawn_turn,
     packed_rows,
     surface_of,
+    vertex_normals,
 )
 from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
 from gcd_dataset.errors import ConfigError
@@ -43,7 +46,7 @@ WEIGHTS = {
 USUAL: Mapping[str, Any] = {"batch": 16, "lr": 6e-4, "ema": 0.998}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
-    "steps": 120, "batch": 4, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+    "steps": 150, "batch": 4, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "width": 48, "rounds": 1, "tokens": 48, "token_width": 64, "heads": 4, "layers": 1, "panels": 24, "seams": 48,
@@ -68,11 +71,19 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
     """Mesh to labels of its vertices."""
 
     def __init__(
-        self, config: SurfaceNetConfig | None = None, *, panels: int = 40, seams: int = 128, decoder_layers: int = 3
+        self,
+        config: SurfaceNetConfig | None = None,
+        *,
+        panels: int = 40,
+        seams: int = 128,
+        decoder_layers: int = 3,
+        mesh: int = 1,
     ) -> None:
-        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set."""
+        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set. ``mesh``: 0 to see the vertices as
+        points without edges.
+        """
         super().__init__()
-        self.config = config or SurfaceNetConfig()
+        self.config, self.mesh = config or SurfaceNetConfig(), bool(mesh)
         self.net = SurfaceNet(self.config, features=0)
         self.panels = SetHead(self.config, panels, decoder_layers)
         self.seams = SetHead(self.config, seams, decoder_layers)
@@ -82,7 +93,7 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "LabelledSurfaces":
         """The meshes with clusters, and their labels."""
-        return LabelledSurfaces(garments, tokens=self.config.tokens, device=device, workers=workers)
+        return LabelledSurfaces(garments, self.mesh, tokens=self.config.tokens, device=device, workers=workers)
 
     def compile_parts(self) -> None:
         self.net.compile_convolutions()
@@ -129,12 +140,13 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> Segmentation:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``panels``, ``seams`` and ``decoder_layers``."""
+    """The learner; ``options``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``."""
     given = {**(SMALL if smoke else {}), **options}
-    own = {name: given.pop(name) for name in ("panels", "seams", "decoder_layers") if name in given}
+    names = ("panels", "seams", "decoder_layers", "mesh")
+    own = {name: given.pop(name) for name in names if name in given}
     unknown = set(given) - set(SurfaceNetConfig.__dataclass_fields__)
     if unknown:
-        known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, "panels", "seams", "decoder_layers"])
+        known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, *names])
         raise ConfigError(f"no size {min(unknown)} of a segmentation network: choose of {known}")
     return Segmentation(SurfaceNetConfig(**given), **own)
 
@@ -145,10 +157,12 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> Segmentation:
 class LabelledSurfaces:
     """Meshes with labels on a device; batches are turned, mirrored and scaled at random."""
 
-    def __init__(self, garments: GarmentSet, *, tokens: int, device: torch.device, workers: int = 0) -> None:
-        meshes = zip((garments.ragged["verts"][k] for k in range(len(garments))),
-                     (garments.ragged["faces"][k] for k in range(len(garments))), strict=True)  # fmt: skip
-        surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
+    def __init__(
+        self, garments: GarmentSet, with_edges: bool, *, tokens: int, device: torch.device, workers: int = 0
+    ) -> None:
+        ragged = garments.ragged
+        meshes = ((ragged["verts"][k], ragged["faces"][k]) for k in range(len(garments)))
+        surfaces = list(parallel_map(partial(_prepared, tokens, with_edges), meshes, workers))
         self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
         truths = [true_labels(garments, k) for k in range(len(garments))]
         self._labels = {
@@ -172,8 +186,10 @@ class LabelledSurfaces:
         return LabelBatch(surface, **labels)
 
 
-def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray]) -> Any:
-    return surface_of(*mesh, clusters=tokens)
+def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> Surface:
+    if with_edges:
+        return surface_of(*mesh, clusters=tokens)
+    return cloud_of(mesh[0].astype(float), vertex_normals(*mesh), clusters=tokens)
 
 
 class _Members:

@@ -68,6 +68,16 @@ def test_shuffled_meshes_get_the_same_labels_shuffled(draped: GarmentSet) -> Non
     )
 
 
+def test_without_edges_only_points_and_normals_are_seen(draped: GarmentSet) -> None:
+    """Neighbours are the nearest points."""
+    learner = build(smoke=True, options={"mesh": 0}).eval()
+    one = learner.prepare(draped, device=CPU).batch(torch.tensor([0])).surface
+    assert not one.shape.any()
+    place = one.positions
+    away = torch.cdist(place, place).fill_diagonal_(torch.inf)
+    assert torch.allclose(away.amin(dim=1), (place[one.neighbours[:, 0]] - place).norm(dim=1), atol=1e-4)
+
+
 def test_a_mirror_image_has_the_classes_of_the_other_side(draped: GarmentSet) -> None:
     examples = build(smoke=True, options={}).prepare(draped, device=CPU)
     rows = torch.arange(len(draped))
