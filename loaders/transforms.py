@@ -34,6 +34,7 @@ from gcd_dataset.shards.layout import Bytes
 __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
 Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
+"""A function of an item and a random stream that returns the changed item."""
 
 PLACED = ("box", "verts", "points", "scan")
 """Fields of positions [cm]: three columns, possibly followed by three of normals."""

@@ -13,7 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
-HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray")
+HEAVY = (
+    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray"),
+    *("ezdxf", "reportlab", "pxr"),
+)
 
 
 def loaded_by(module: str, packages: Sequence[str] = HEAVY) -> set[str]:
@@ -23,7 +26,7 @@ def loaded_by(module: str, packages: Sequence[str] = HEAVY) -> set[str]:
     return set(json.loads(out))
 
 
-@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.spec", "gcd_dataset.cli"])
+@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.spec", "gcd_dataset.cli", "gcd_dataset.exports"])
 def test_the_front_door_brings_numpy_alone(module: str) -> None:
     assert loaded_by(module) == set()
 
@@ -103,6 +106,18 @@ def test_the_folders_before_the_drape_do_not_import_it() -> None:
         floor, folder = (*path.relative_to(PACKAGE).parts, "")[:2]
         if floor == "generator" and folder in ("body", "pattern", "garments", "mesh", "dressing"):
             assert not any(name.startswith("gcd_dataset.generator.drape") for name in imports_of(path)), path
+
+
+def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
+    for module in ("dxf_file", "pdf_file", "usd_file", "mesh_files"):
+        assert not loaded_by(f"gcd_dataset.exports.{module}") & {
+            "ezdxf",
+            "reportlab",
+            "pxr",
+            "trimesh",
+            "torch",
+            "warp",
+        }
 
 
 def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:

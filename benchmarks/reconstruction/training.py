@@ -77,7 +77,7 @@ class TrainConfig:
     seed: int = 0
     log_every: int = 50
     """Steps of a row of the curves."""
-    checks: int = 10
+    checks: int = 4
     """Calls of ``check`` in the course of the training."""
     checkpoint_minutes: float = 2.0
     """Time between checkpoints."""
@@ -199,6 +199,8 @@ class _Run:
     def __init__(self, learner: Learner[Any, Any], config: TrainConfig, device: torch.device) -> None:
         self.learner, self.config, self.device = learner, config, device
         self.step, self.seconds = 0, 0.0
+        if device.type == "cuda":
+            torch.set_float32_matmul_precision("high")  # TF32 outside autocast
         self.averaged = AveragedModel(learner, multi_avg_fn=_average_with(config.ema), use_buffers=True)
         if config.compile:
             learner.compile_parts()

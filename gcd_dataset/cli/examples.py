@@ -59,7 +59,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "export": (
         "gcd export shards --hdf5 train.h5",
-        "gcd export shards --layout published GarmentCodeData",
+        "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
     ),
 }
 """Verb to two commands."""
