@@ -15,18 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, doctor, exchange, merge
+from gcd_dataset.cli import datasets, doctor, exchange, merge, show
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.subject import names_a_file as _names_a_file
-from gcd_dataset.cli.subject import pattern_of as _pattern
-from gcd_dataset.cli.subject import sample_of as _sample
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
     INTERRUPTED,
-    SOURCE_HELP,
     Parser,
     add_quiet,
-    add_server,
     add_verb,
     body_name,
     interrupts_after_imports,
@@ -246,35 +241,6 @@ def _validate(options: argparse.Namespace) -> int:
     return 1 if count else 0
 
 
-def _show(options: argparse.Namespace) -> int:
-    from gcd_dataset.files import write_whole
-    from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
-    from gcd_dataset.generator.svg import pattern_svg
-    from gcd_dataset.records import Sample
-    from gcd_dataset.viewer.content import content_of
-    from gcd_dataset.viewer.page import page_of
-
-    files = {"png": options.png, "svg": options.svg, "html": options.html}
-    given = {ending: path for ending, path in files.items() if path is not None}
-    if not given:
-        raise ConfigError("give --html FILE, --png FILE or --svg FILE: there is no interactive viewer yet")
-    for ending, path in given.items():
-        if path.suffix.lower() != f".{ending}":
-            raise ConfigError(f"--{ending} {path}: the file is {ending.upper()}, so end the name in .{ending}")
-    subject = _pattern(options) if _names_a_file(options.what) else _sample(options)
-    if options.png is not None:
-        picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
-        write_whole(options.png, png_bytes(picture))
-    if options.svg is not None:
-        write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
-    if options.html is not None:
-        write_whole(options.html, page_of(content_of(subject)).encode())
-    print(*given.values(), sep="\n")
-    if isinstance(subject, Sample) and subject.caption is not None:
-        print(subject.caption)
-    return 0
-
-
 # ------------------------------------------------------------------------------------------------------------- options
 
 
@@ -350,15 +316,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     validate.add_argument("--errors", action="store_true", help="only faults that forbid sewing, no warnings")
 
-    show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
-    show.add_argument("what", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
-    show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
-    show.add_argument("--split", default="train", help="split of the data set (default: train)")
-    show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
-    show.add_argument("--html", type=Path, metavar="FILE", help="pattern, mesh and drape as one self-contained page")
-    show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
-    add_server(show)
-
+    show.add_verbs(verbs)
     datasets.add_verbs(verbs)
     doctor.add_verbs(verbs)
     exchange.add_verbs(verbs)

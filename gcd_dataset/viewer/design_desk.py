@@ -1,0 +1,164 @@
+"""Designing by hand: parameters of a design and measures of its wearer as controls, and the resulting pattern."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset.errors import BodyError, ConfigError, PatternError
+from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, check_outfit, design_from_dict
+from gcd_dataset.generator.garments.design_file import design_tree
+from gcd_dataset.generator.garments.parameter import Integer, Real, plain
+from gcd_dataset.generator.garments.space import leaves
+from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
+from gcd_dataset.records import Body, Pattern
+from gcd_dataset.viewer.content import Content, content_of
+
+__all__ = ["Control", "Desk", "Drawing", "controls", "measure_controls"]
+
+COARSE = 3.0  # cm, of the mesh that is draped on request
+DRESS: Mapping[str, Any] = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}}
+"""The design to start from."""
+SPREAD = 0.25  # of a measure, to both sides of the wearer's
+
+
+@dataclass(frozen=True)
+class Control:
+    """One parameter of a design or one measure, as a page shows it."""
+
+    path: str
+    kind: str
+    """``number``, ``whole``, ``choice`` or ``flag``."""
+    value: Any
+    low: float = 0.0
+    high: float = 1.0
+    options: tuple[Any, ...] = ()
+
+    @property
+    def section(self) -> str:
+        """The part of the design that the parameter belongs to."""
+        return self.path.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a design gives."""
+
+    pattern: Pattern | None
+    """``None`` if it cannot be drawn."""
+    faults: tuple[str, ...]
+    """Why it cannot be drawn or worn."""
+    used: frozenset[str]
+    """Sections of the design that the outfit is drawn from, by their names in design files."""
+
+
+def controls(design: OutfitDesign | None = None) -> list[Control]:
+    """A control for each design parameter, in the order of design files."""
+    from gcd_dataset.generator.garments import design_to_dict
+
+    values = _leaf_values(design_to_dict(design or OutfitDesign()))
+    return [_control(leaf.path, leaf.space, values) for leaf in leaves(OutfitDesign, added=True)]
+
+
+def measure_controls(size: Measurements) -> list[Control]:
+    """A control for each measure that the wearer has [cm, degrees]."""
+    found = []
+    for name, value in size.to_file_values().items():
+        if np.isfinite(value):
+            reach = max(SPREAD * abs(value), 5.0)
+            found.append(Control(name, "number", round(value, 1), round(value - reach, 1), round(value + reach, 1)))
+    return found
+
+
+class Desk:
+    """Draws designs for a wearer whose measures may be changed."""
+
+    def __init__(self, design: OutfitDesign | None = None) -> None:
+        from gcd_dataset.generator.body import named_body
+
+        self.start = design or design_from_dict(DRESS)
+        self._body, self.size, _ = named_body("neutral", legs_apart=False)
+        self._apart = named_body("neutral", legs_apart=True)[0]
+
+    def draw(self, values: Mapping[str, Any], measures: Mapping[str, Any]) -> Drawing:
+        """The pattern of the parameters and measures, by path. Raises ``ConfigError`` for values out of range."""
+        design = self._design(values)
+        used = frozenset(name.replace("_", "-") for name in design.sections_used())
+        try:
+            drawn = DrawnOutfit.of(self._size(measures), design, name="design")
+            return Drawing(drawn.pattern, tuple(map(str, check_outfit(drawn))), used)
+        except PatternError as error:
+            return Drawing(None, (str(error),), used)
+
+    def file_text(self, values: Mapping[str, Any]) -> str:
+        """The parameters as a design file, which ``gcd show --design`` reads: JSON, and so YAML too."""
+        return json.dumps({"design": design_tree(self._design(values))}, indent=1) + "\n"
+
+    def draped(self, values: Mapping[str, Any], measures: Mapping[str, Any]) -> Content:
+        """The garment draped coarsely on the wearer; takes seconds. Raises ``GcdError`` if it cannot be made."""
+        from gcd_dataset.generator.drape import DrapeJob, drape_batch
+        from gcd_dataset.generator.dressing import dress
+        from gcd_dataset.generator.dressing.hold_edges import has_legs
+        from gcd_dataset.generator.mesh import build_box_mesh
+
+        drawing, size = self.draw(values, measures), self._size(measures)
+        if drawing.pattern is None:
+            raise ConfigError(f"no pattern to drape: {drawing.faults[0]}")
+        body = self._wearer(measures, legs_apart=has_legs(drawing.pattern))
+        pattern = dress(drawing.pattern, body, size).pattern
+        mesh = build_box_mesh(pattern, spacing=COARSE)
+        [drape] = drape_batch([DrapeJob(mesh, body, size)], device="auto")
+        return replace(content_of(pattern), mesh=mesh, draped=drape.vertices, body=body, outcome=drape.outcome)
+
+    def _design(self, values: Mapping[str, Any]) -> OutfitDesign:
+        tree: dict[str, Any] = {}
+        for path, value in values.items():
+            *sections, name = path.split(".")
+            node = tree
+            for section in sections:
+                node = node.setdefault(section, {})
+            node[name] = value
+        return design_from_dict(tree)
+
+    def _size(self, measures: Mapping[str, Any]) -> Measurements:
+        changed = {}
+        for name, value in measures.items():
+            if name not in MEASURES or not isinstance(value, int | float) or not np.isfinite(value):
+                raise ConfigError(f"measure {name!r:.60} is {value!r:.60}: give a number for one of {len(MEASURES)}")
+            changed[name] = float(np.radians(value)) if name in ANGLES else float(value)
+        return replace(self.size, **changed)
+
+    def _wearer(self, measures: Mapping[str, Any], *, legs_apart: bool) -> Body:
+        """The body: the neutral one, or for other measures the likeliest one with these."""
+        own = measure_controls(self.size)
+        if all(abs(float(measures.get(one.path, one.value)) - one.value) < 0.05 for one in own):
+            return self._apart if legs_apart else self._body
+        from gcd_dataset.generator.body import build_body
+        from gcd_dataset.generator.body.fit_shape import fit_shape
+
+        try:
+            shape = fit_shape(self._size(measures)).shape
+        except BodyError as error:
+            raise ConfigError(f"no body has these measures: {error}") from error
+        return build_body(replace(shape, legs_apart=legs_apart), name="designed")
+
+
+def _control(path: str, space: Any, values: Mapping[str, Any]) -> Control:
+    value = values.get(path, plain(space.default))
+    if isinstance(space, Integer | Real):
+        kind = "whole" if isinstance(space, Integer) else "number"
+        return Control(path, kind, value, float(space.low), float(space.high))
+    options = tuple(space.range)
+    return Control(path, "flag" if set(options) == {True, False} else "choice", value, options=options)
+
+
+def _leaf_values(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            found |= _leaf_values(value, f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found

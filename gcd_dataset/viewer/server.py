@@ -1,0 +1,277 @@
+"""The interactive viewer: a web server on this machine whose pages turn over garments, or design one by hand.
+
+Each garment is shown by its self-contained page (``page``), in a frame below a bar to move and filter. Only this
+machine can reach the server, unless another address is given.
+"""
+
+import json
+import sys
+import threading
+import webbrowser
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
+from functools import cache
+from html import escape
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from os import environ
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.viewer.album import Album, Found, ShardAlbum
+from gcd_dataset.viewer.design_desk import Control, Desk, controls, measure_controls
+from gcd_dataset.viewer.markup import inline_svg
+from gcd_dataset.viewer.page import page_of
+
+__all__ = ["Answer", "Design", "Gallery", "serve"]
+
+KEPT_PAGES = 16
+LARGEST_BODY = 1_000_000  # bytes of a request
+HOST = "127.0.0.1"
+JSON, HTML = "application/json", "text/html; charset=utf-8"
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'"
+)
+"""Of the bar and the design page, whose scripts are this package's; texts of the data enter them as text nodes."""
+
+Answer = tuple[HTTPStatus, str, bytes]
+"""Status, type and content."""
+
+
+class Gallery:
+    """Answers requests about an album. Pages are kept, and that of the next garment is made ahead."""
+
+    def __init__(self, album: Album, start: int = 0) -> None:
+        self._album, self._start = album, start
+        self._pages: OrderedDict[tuple[int, int], Future[str]] = OrderedDict()
+        self._lock = threading.Lock()
+        self._makers = ThreadPoolExecutor(2, thread_name_prefix="pages")
+        if isinstance(album, ShardAlbum):
+            threading.Thread(target=album.read_tags, daemon=True).start()
+
+    def get(self, path: str, query: Mapping[str, str]) -> Answer:
+        """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist."""
+        if path == "/":
+            given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
+            return _html(_asset("browse.html"), self._album.title, given)
+        if path == "/facets":
+            facets = {"grades": self._album.grades(), "tags": self._album.tags()}
+            return _json({**facets, "read": self._album.read, "count": len(self._album)})
+        if path == "/find":
+            return _json(self._found(query))
+        if path == "/garment":
+            return HTTPStatus.OK, HTML, self._page(_number(query, "position"), _number(query, "side")).encode()
+        raise ConfigError(f"no page {path!r:.80}")
+
+    def post(self, path: str, given: Mapping[str, Any]) -> Answer:
+        """The answer to ``POST path``."""
+        raise ConfigError(f"no page {path!r:.80}")
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._makers.shutdown(wait=False, cancel_futures=True)
+        if isinstance(self._album, ShardAlbum):
+            self._album.close()
+
+    def _found(self, query: Mapping[str, str]) -> dict[str, Any]:
+        album, words = self._album, {name: query.get(name, "") for name in ("grade", "tag")}
+        if "text" in query:
+            found = album.nearest(album.position_of(query["text"]), **words)
+        elif "position" in query:
+            found = album.nearest(_number(query, "position"), **words)
+        else:
+            found = album.found(_number(query, "rank"), **words)
+        self._begin(found, words)
+        return {**asdict(found), "key": album.key(found.position) if found.count else ""}
+
+    def _begin(self, found: Found, words: Mapping[str, str]) -> None:
+        """Begin the pages of a garment and of the next one."""
+        for rank in (found.rank, found.rank + 1) if found.count else ():
+            position = self._album.found(rank, **words).position
+            for side in range(len(self._album.beside)):
+                self._begun(position, side)
+
+    def _begun(self, position: int, side: int) -> Future[str]:
+        with self._lock:
+            page = self._pages.pop((position, side), None)
+            if page is None:
+                page = self._makers.submit(self._album.page, position, side)
+            self._pages[position, side] = page
+            while len(self._pages) > KEPT_PAGES:
+                self._pages.popitem(last=False)
+        return page
+
+    def _page(self, position: int, side: int) -> str:
+        if not 0 <= position < len(self._album) or not 0 <= side < len(self._album.beside):
+            raise ConfigError(f"no garment {position}: there are {len(self._album)}")
+        return self._begun(position, side).result()
+
+
+class Design:
+    """Answers requests of the design page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._lock = desk, threading.Lock()
+
+    def get(self, path: str, query: Mapping[str, str]) -> Answer:
+        """The answer to ``GET path``. Raises ``ConfigError`` for another path."""
+        if path == "/":
+            shown = [_control(one) for one in controls(self._desk.start)]
+            measures = [_control(one) for one in measure_controls(self._desk.size)]
+            return _html(_asset("design.html"), "Design", {"parameters": shown, "measures": measures})
+        raise ConfigError(f"no page {path!r:.80}")
+
+    def post(self, path: str, given: Mapping[str, Any]) -> Answer:
+        """``/draw``: the pattern and its faults; ``/drape``: the page of the draped garment; ``/file``: a design file.
+
+        Raises ``GcdError`` for invalid values.
+        """
+        values, measures = given.get("values", {}), given.get("measures", {})
+        if not isinstance(values, dict) or not isinstance(measures, dict):
+            raise ConfigError("give objects of values and measures")
+        if path == "/draw":
+            drawing = self._desk.draw(values, measures)
+            svg = "" if drawing.pattern is None else inline_svg(drawing.pattern)
+            return _json({"svg": svg, "faults": drawing.faults, "used": sorted(drawing.used)})
+        if path == "/file":
+            return _json({"text": self._desk.file_text(values)})
+        if path == "/drape":
+            with self._lock:  # one drape at a time
+                return _json({"page": page_of(self._desk.draped(values, measures))})
+        raise ConfigError(f"no page {path!r:.80}")
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+def serve(
+    site: Gallery | Design,
+    *,
+    port: int = 0,
+    host: str = HOST,
+    show: Callable[[str], Any] | None = None,
+    started: Callable[[ThreadingHTTPServer], None] | None = None,
+) -> None:
+    """Serve until interrupted; ``port`` 0 takes a free one. Raises ``ConfigError`` for a port in use.
+
+    ``show``: called with the address; by default prints it, and opens a browser where there is a display. ``started``:
+    called with the server, to shut it down from another thread.
+    """
+    try:
+        server = ThreadingHTTPServer((host, port), _handler(site, host))
+    except OSError as error:
+        raise ConfigError(f"--port {port}: {error.strerror}: give another port, or none") from error
+    server.daemon_threads = True
+    (show or _announce)(f"http://{host}:{server.server_port}/")
+    if started is not None:
+        started(server)
+    try:
+        server.serve_forever(poll_interval=0.1)
+    finally:
+        server.server_close()
+        site.close()
+
+
+def _announce(address: str) -> None:
+    print(f"{address}  (Ctrl-C ends)", flush=True)
+    if has_display():
+        webbrowser.open(address)
+
+
+def has_display() -> bool:
+    """Whether a browser can be opened on this machine."""
+    return sys.platform == "darwin" or bool(environ.get("DISPLAY") or environ.get("WAYLAND_DISPLAY"))
+
+
+# ------------------------------------------------------------------------------------------------------------- requests
+
+
+def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        """Passes requests on; errors become answers, so that a page can show them."""
+
+        def do_GET(self) -> None:
+            url = urlsplit(self.path)
+            query = {name: values[-1] for name, values in parse_qs(url.query).items()}
+            self._answer(lambda: site.get(url.path, query))
+
+        def do_POST(self) -> None:
+            self._answer(lambda: site.post(urlsplit(self.path).path, self._given()))
+
+        def log_message(self, *args: Any) -> None:
+            """Requests are not printed."""
+
+        def _given(self) -> dict[str, Any]:
+            length = self.headers.get("Content-Length", "")
+            if not length.isdecimal() or int(length) > LARGEST_BODY:
+                raise ConfigError(f"a request of {length or 'unknown'} bytes: at most {LARGEST_BODY} are read")
+            try:
+                given = json.loads(self.rfile.read(int(length)))
+            except ValueError as error:
+                raise ConfigError(f"no JSON: {error}") from error
+            if self.headers.get_content_type() != JSON or not isinstance(given, dict):
+                raise ConfigError("give a JSON object as application/json")
+            return given
+
+        def _answer(self, made: Callable[[], Answer]) -> None:
+            if not _is_own(self.headers.get("Host", ""), host):  # a foreign page whose name resolves to this machine
+                status, kind, content = _failed(HTTPStatus.FORBIDDEN, "open the printed address")
+            else:
+                try:
+                    status, kind, content = made()
+                except GcdError as error:
+                    status, kind, content = _failed(HTTPStatus.NOT_FOUND, str(error))
+                except Exception as error:  # noqa: BLE001  the page shows it, the server goes on
+                    status, kind, content = _failed(HTTPStatus.INTERNAL_SERVER_ERROR, repr(error))
+            self.send_response(status)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.end_headers()
+            try:
+                self.wfile.write(content)
+            except ConnectionError:
+                self.close_connection = True  # the page has moved on
+
+    return Handler
+
+
+def _is_own(header: str, host: str) -> bool:
+    name = header.rpartition(":")[0] or header
+    return host not in (HOST, "localhost") or name in (HOST, "localhost")
+
+
+def _failed(status: HTTPStatus, text: str) -> Answer:
+    return status, JSON, json.dumps({"error": " ".join(text.split())}).encode()
+
+
+def _json(value: Mapping[str, Any]) -> Answer:
+    return HTTPStatus.OK, JSON, json.dumps(value).encode()
+
+
+def _html(template: str, title: str, given: Mapping[str, Any]) -> Answer:
+    data = json.dumps(given).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    text = template.replace("{{policy}}", POLICY, 1).replace("{{title}}", escape(title)).replace("{{data}}", data, 1)
+    return HTTPStatus.OK, HTML, text.encode()
+
+
+@cache
+def _asset(name: str) -> str:
+    return (resources.files(__package__) / name).read_text("utf-8")
+
+
+def _number(query: Mapping[str, str], name: str) -> int:
+    text = query.get(name, "0")
+    digits = text.removeprefix("-")
+    if not digits.isdecimal() or len(digits) > 12:
+        raise ConfigError(f"{name}={text:.40}: give a whole number")
+    return int(text)
+
+
+def _control(one: Control) -> dict[str, Any]:
+    return {**asdict(one), "section": one.section}
