@@ -1,7 +1,9 @@
 # make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
-#                   make garments on a Ray cluster of several nodes, and check a Croissant description
+#                   make garments on a Ray cluster of several nodes, check a Croissant description,
+#                   and import a garment into Blender
+# make docs         write the documentation into site/
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
 
@@ -11,10 +13,12 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 EXTRAS := .venv-extras/bin
 EXTRAS_INSTALLED := .venv-extras/.installed
+BLENDER_INSTALLED := .venv-blender/.installed
+DOCS_INSTALLED := .venv/.installed-docs
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test test-extras fuzz lint
+.PHONY: demo test test-extras docs fuzz lint
 
 demo: $(INSTALLED)
 	$(BIN)/python -m benchmarks.demo --out demo
@@ -25,8 +29,11 @@ test: $(INSTALLED)
 	$(BIN)/mypy
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules --ignore tests/extras gcd_dataset tests
 
-test-extras: $(EXTRAS_INSTALLED)
+test-extras: $(EXTRAS_INSTALLED) $(BLENDER_INSTALLED)
 	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest tests/extras
+
+docs: $(DOCS_INSTALLED)
+	$(BIN)/mkdocs build --strict
 
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.campaign --examples $(N)
@@ -45,4 +52,14 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-extras
 	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser,notebooks]'
+	touch $@
+
+$(DOCS_INSTALLED): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	touch $@
+
+# Blender's module wants a NumPy and one version of Python of its own; its tests are skipped where it does not install.
+$(BLENDER_INSTALLED):
+	$(PYTHON) -m venv .venv-blender
+	-.venv-blender/bin/python -m pip install --quiet 'bpy>=4.2'
 	touch $@

@@ -1,25 +1,30 @@
 """Made-to-measure garments with their sewing patterns, for PyTorch.
 
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
-line. This module imports NumPy and the records only; torch and Warp are imported by the modules that use them.
+line. The records are imported on first use, with NumPy alone; torch and Warp are imported by the modules that use them.
 """
 
-from gcd_dataset.records import (
-    Body,
-    BodyPart,
-    BodyShape,
-    BoxMesh,
-    Drape,
-    Edge,
-    EdgeRef,
-    Measurements,
-    Outcome,
-    Panel,
-    Pattern,
-    Placement,
-    Sample,
-    Seam,
-)
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from gcd_dataset.records import (
+        Body,
+        BodyPart,
+        BodyShape,
+        BoxMesh,
+        Drape,
+        Edge,
+        EdgeRef,
+        Measurements,
+        Outcome,
+        Panel,
+        Pattern,
+        Placement,
+        Sample,
+        Seam,
+    )
 
 __all__ = [
     "Body",
@@ -40,3 +45,5 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+
+__getattr__, __dir__ = lazy_names(__name__, {"records": [name for name in __all__ if name != "__version__"]})

@@ -12,6 +12,7 @@
     │       ├── MissingError a file or repository that the server does not have
     │       └── RefusedError a file or repository that the server denies access to
     ├── ConfigError         options that contradict each other, or that this machine cannot serve
+    │   └── ExtraMissing     a library of an extra that is not installed
     ├── TransformError      a transform that raised on a garment; ``__cause__`` is the original error
     └── OutputError         a file or folder that cannot be written
 
@@ -24,6 +25,7 @@ __all__ = [
     "BodyError",
     "ConfigError",
     "DrapeError",
+    "ExtraMissing",
     "FitError",
     "GcdError",
     "MeshError",
@@ -121,6 +123,10 @@ class RefusedError(RemoteError):
 
 class ConfigError(GcdError):
     """Options that contradict each other, or that this machine cannot serve: a missing GPU or package."""
+
+
+class ExtraMissing(ConfigError):  # noqa: N818 -- the state of the installation
+    """A library of an extra that is not installed; the message holds the command that installs it."""
 
 
 class TransformError(GcdError):

@@ -7,6 +7,7 @@ for it (``generator.body.measure``), files and shards store it, and garments can
 ('cm', 'degrees')
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Protocol, Self, TypeAlias
@@ -100,9 +101,12 @@ def measure(
     return field(default=np.nan, metadata={"formula": formula, "unit": unit, "optional": optional, "on_arms": on_arms})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measurements:
-    """A tailor's measures [cm]; inclinations [rad]. NaN marks a missing measure."""
+    """A tailor's measures [cm]; inclinations [rad]. NaN marks a missing measure.
+
+    Measurements are equal if the same measures are present, with equal values.
+    """
 
     height: float = measure(lambda tape: tape.height())
     """Soles to the top of the head, vertically."""
@@ -175,6 +179,16 @@ class Measurements:
             for key, value in values.items()
             if not np.isnan(value)
         }
+
+    def __eq__(self, other: object) -> bool:
+        # The method that dataclasses generate compares fields with ==, and NaN differs from itself.
+        return self._present() == other._present() if isinstance(other, Measurements) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(tuple(self._present().items()))
+
+    def _present(self) -> dict[str, float]:
+        return {name: value for name, value in vars(self).items() if not math.isnan(value)}
 
     def require(self, *names: str) -> Self:
         """These measurements. Raises ``BodyError`` with the names that are missing."""

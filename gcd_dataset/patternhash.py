@@ -1,11 +1,11 @@
 """A hash of many patterns that is the same on every machine.
 
-Machines differ in the last digits of a number: with other instructions (AVX2, AVX-512) or another BLAS or C library,
-the numbers of a pattern move by up to 2e-11 cm, 1e-13 cm on average. Numbers are therefore rounded to steps of 1e-4
-before hashing. A number half-way between two steps, a tie, may still be rounded up by one machine and down by another:
-this is expected for one in 150 pairs of machines with a data set of 230,000 patterns, and for one in 40,000 pairs with
-1,000 patterns. ``PatternHash`` records the ties and their effect on the hash; ``agrees`` accepts the hash of a machine
-that rounded a tie the other way.
+Machines differ in the last digits of a number: with other instructions (AVX2, AVX-512), another BLAS or C library, or
+Python 3.12 or newer, whose ``sum`` is compensated, the numbers of a pattern move by up to 2e-11 cm, 1e-13 cm on
+average. Numbers are therefore rounded to steps of 1e-4 before hashing. A number half-way between two steps, a tie, may
+still be rounded up by one machine and down by another: this is expected for one in 150 pairs of machines with a data
+set of 230,000 patterns, and for one in 40,000 pairs with 1,000 patterns. ``PatternHash`` records the ties and their
+effect on the hash; ``agrees`` accepts the hash of a machine that rounded a tie the other way.
 
 The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
 rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an

@@ -13,6 +13,7 @@ from functools import partial
 from itertools import groupby
 from typing import Any, Generic, TypeVar, overload
 
+from gcd_dataset.devicenames import devices_name
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
@@ -25,7 +26,7 @@ from gcd_dataset.generator.pipeline import (
     rejection,
     view_requests,
 )
-from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
+from gcd_dataset.generator.recipe import MakeConfig, devices_of
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Rejected, Sample
 from gcd_dataset.waits import MAKERS

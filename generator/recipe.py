@@ -1,13 +1,12 @@
 """``MakeConfig``, the options of samples, and the recipe: those options that decide the samples' bytes."""
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from typing import Annotated, Any, Literal, TypedDict, get_args
 
 from gcd_dataset import __version__
+from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.options import Option
@@ -19,10 +18,8 @@ __all__ = [
     "MakeOptions",
     "check_resolution",
     "device_kind",
-    "devices_name",
     "devices_of",
     "layout_of_samples",
-    "named_devices",
     "recipe_of",
     "versions",
 ]
@@ -205,31 +202,6 @@ def devices_of(config: MakeConfig) -> tuple[str, ...]:
     from gcd_dataset.generator.drape import every_device
 
     return every_device()
-
-
-def devices_name(devices: Sequence[str]) -> str:
-    """One name for several devices; the inverse of ``named_devices``.
-
-    >>> devices_name(["cuda:0", "cuda:2"]), devices_name(["cpu"])
-    ('cuda:0,2', 'cpu')
-    """
-    if devices[0] == "cpu":
-        return "cpu"
-    return "cuda:" + ",".join(device.partition(":")[2] for device in devices)
-
-
-def named_devices(name: str) -> tuple[str, ...]:
-    """The devices in a name such as ``cuda:0,1``. Raises ``ConfigError`` for a malformed name.
-
-    >>> named_devices("cuda")
-    ('cuda:0',)
-    """
-    if not re.fullmatch(r"cpu|cuda(:\d+(,\d+)*)?", name):
-        raise ConfigError(f"device={name!r:.99}: give auto, cpu, a GPU as cuda:0, or several as cuda:0,1")
-    kind, _, numbers = name.partition(":")
-    if kind == "cpu":
-        return ("cpu",)
-    return tuple(dict.fromkeys(f"cuda:{int(number)}" for number in (numbers or "0").split(",")))
 
 
 @cache

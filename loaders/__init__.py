@@ -26,26 +26,31 @@ From data set to batch:
    ``replay.py``).
 """
 
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
-from gcd_dataset.loaders.body_datasets import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.fake import FakeGarments
-from gcd_dataset.loaders.fresh import FreshGarments
-from gcd_dataset.loaders.generated import GeneratedGarments
-from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
-from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.loaders.loader import GarmentLoader
-from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
-from gcd_dataset.loaders.published import PublishedGarmentCodeData
-from gcd_dataset.loaders.scans import Scan
-from gcd_dataset.loaders.scene_items import VIEW_FIELDS
 from gcd_dataset.loaders.shards import GarmentDataset
-from gcd_dataset.loaders.sketches import Sketch
-from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
-from gcd_dataset.loaders.views import Views
 from gcd_dataset.loaders.worker import begin_worker
+
+if TYPE_CHECKING:
+    from gcd_dataset.loaders.body_datasets import Bodies, BodyDataset, PublishedBodies
+    from gcd_dataset.loaders.fake import FakeGarments
+    from gcd_dataset.loaders.fresh import FreshGarments
+    from gcd_dataset.loaders.generated import GeneratedGarments
+    from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
+    from gcd_dataset.loaders.hdf5 import Hdf5Garments
+    from gcd_dataset.loaders.mixed import MixedDataset
+    from gcd_dataset.loaders.published import PublishedGarmentCodeData
+    from gcd_dataset.loaders.scans import Scan
+    from gcd_dataset.loaders.scene_items import VIEW_FIELDS
+    from gcd_dataset.loaders.sketches import Sketch
+    from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
+    from gcd_dataset.loaders.views import Views
 
 __all__ = [
     "VIEW_FIELDS",
@@ -83,3 +88,21 @@ __all__ = [
     "seam_graph",
     "to_pyg",
 ]
+
+_NAMES_OF_MODULE = {
+    "body_datasets": ("Bodies", "BodyDataset", "PublishedBodies"),
+    "fake": ("FakeGarments",),
+    "fresh": ("FreshGarments",),
+    "generated": ("GeneratedGarments",),
+    "graph": ("SeamGraph", "mesh_edges", "seam_graph", "to_pyg"),
+    "hdf5": ("Hdf5Garments",),
+    "mixed": ("MixedDataset",),
+    "published": ("PublishedGarmentCodeData",),
+    "scans": ("Scan",),
+    "scene_items": ("VIEW_FIELDS",),
+    "sketches": ("Sketch",),
+    "transforms": ("Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"),
+    "views": ("Views",),
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

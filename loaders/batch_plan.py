@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sized
 from contextlib import closing, nullcontext
 from itertools import islice
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
@@ -15,9 +15,11 @@ from gcd_dataset.loaders.order import ElasticSampler, RankShare
 from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
 from gcd_dataset.loaders.user_code import is_package_code, separate_user_code
-from gcd_dataset.loaders.views import Views
 from gcd_dataset.loaders.worker import begin_worker, with_traceback
 from gcd_dataset.prefetch import prefetch
+
+if TYPE_CHECKING:
+    from gcd_dataset.loaders.views import Views
 
 __all__ = ["BATCHES_AHEAD", "BatchIndices", "BatchMaker", "BatchPlan", "Collate", "Cursor", "IndexedPlan", "StreamPlan"]
 
@@ -98,7 +100,7 @@ class IndexedPlan:
         *,
         drop_last: bool,
         num_workers: int,
-        views: Views | None = None,
+        views: "Views | None" = None,
     ) -> None:
         self._sampler, self._batch_size, self._drop_last, self._start = sampler, batch_size, drop_last, 0
         self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed, views), num_workers
@@ -193,7 +195,7 @@ class BatchMaker(Dataset):
     streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are untouched.
     """
 
-    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: Views | None = None) -> None:
+    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
         self._plain, self._user_code = separate_user_code(dataset)
         self._collate, self._seed, self._views = collate_fn, seed, views
         self.is_user_dataset = not is_package_code(type(self._plain))

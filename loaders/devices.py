@@ -2,8 +2,8 @@
 
 import torch
 
+from gcd_dataset.devicenames import devices_name, named_devices
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.recipe import devices_name, named_devices
 from gcd_dataset.loaders.ranks import gpu_of_rank, gpus_of_rank
 
 __all__ = ["device_of_process", "devices_of_process"]

@@ -12,13 +12,14 @@ import torch
 from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
+from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
-from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, named_devices, recipe_of, versions
+from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
 from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
 from gcd_dataset.loaders.devices import devices_of_process

@@ -3,7 +3,7 @@
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sized
 from contextlib import closing, nullcontext
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 from torch.utils.data import Dataset, IterableDataset
@@ -13,9 +13,11 @@ from gcd_dataset.loaders.base import Garments, require_integer
 from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
-from gcd_dataset.loaders.views import Views, garments_in, render_ahead
 from gcd_dataset.loaders.worker import unwrap
 from gcd_dataset.prefetch import prefetch
+
+if TYPE_CHECKING:
+    from gcd_dataset.loaders.views import Views
 
 __all__ = ["GarmentLoader"]
 
@@ -73,14 +75,13 @@ class GarmentLoader:
         world_size: int | None = None,
         drop_last: bool = False,
         pad: Pad = "none",
-        views: Views | None = None,
+        views: "Views | None" = None,
     ) -> None:
         self.dataset, self.batch_size = dataset, require_integer("batch_size", batch_size, least=1)
         num_workers = require_integer("num_workers", num_workers)
         if not callable(collate_fn):
             raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
-        if not (views is None or isinstance(views, Views)):
-            raise ConfigError(f"views={views!r:.99}: give Views(…), or leave it out")
+        _require_views(views)
         in_workers = views if views is not None and views.device == "cpu" and num_workers else None
         self._views = None if in_workers is not None else views
         self._plan: BatchPlan
@@ -151,9 +152,11 @@ class GarmentLoader:
         self._cursor = self._plan.after_last(self._cursor)
 
     def _with_views(
-        self, views: Views, made: Iterable[tuple["_Made", Any]], start: Cursor
+        self, views: "Views", made: Iterable[tuple["_Made", Any]], start: Cursor
     ) -> Generator[tuple["_Made", Any]]:
         """The batches with their pictures; threads render ahead of the loop."""
+        from gcd_dataset.loaders.views import garments_in, render_ahead
+
         return render_ahead(
             views,
             ((tag, batch, self._plan.uses(start, tag.number, garments_in(batch))) for tag, batch in made),
@@ -181,6 +184,15 @@ def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:
         raise ConfigError(f"num_workers={num_workers}: each worker would read the whole stream: give num_workers=0")
     if pad != "none":
         raise ConfigError(f"pad={pad!r}: a stream cannot repeat its first items to fill up: leave it out for a stream")
+
+
+def _require_views(views: Any) -> None:
+    """Raise ``ConfigError`` unless this is ``Views`` or ``None``."""
+    if views is not None:
+        from gcd_dataset.loaders.views import Views
+
+        if not isinstance(views, Views):
+            raise ConfigError(f"views={views!r:.99}: give Views(…), or leave it out")
 
 
 def _prefetched(batches: Iterator[Any]) -> Generator[Any]:

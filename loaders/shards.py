@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
-from webdataset.tariterators import group_by_keys, tar_file_expander
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
@@ -415,6 +414,8 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
 
 def _foreign_samples(reader: ShardReader, shard: str, begin: int) -> Iterator[Mapping[str, Any]]:
     """The samples of a foreign shard, read by ``webdataset``. Raises ``ShardError`` for a damaged archive."""
+    from webdataset.tariterators import group_by_keys, tar_file_expander
+
     place = reader.store.location(shard)
     try:
         # Opened here: with WDS_SECURE=1 webdataset refuses to open files.

@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from scipy.spatial import ConvexHull
 
 from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError
@@ -35,6 +34,7 @@ from gcd_dataset.shards.layout import Bytes
 __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
 Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
+"""A function of an item and a random stream that returns the changed item."""
 
 PLACED = ("box", "verts", "points", "scan")
 """Fields of positions [cm]: three columns, possibly followed by three of normals."""
@@ -151,6 +151,8 @@ class PartialView:
         """Rows of the points visible from the origin, ascending."""
         distance = np.linalg.norm(rays, axis=1, keepdims=True)
         flipped = rays + 2 * (distance.max() * 10**self.reach - distance) * rays / distance
+        from scipy.spatial import ConvexHull
+
         hull = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))])).vertices
         return np.sort(hull[hull < len(rays)])
 

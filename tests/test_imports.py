@@ -5,31 +5,58 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
-HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray")
+HEAVY = (
+    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray"),
+    *("ezdxf", "reportlab", "pxr"),
+)
 
 
-def loaded_by(module: str) -> set[str]:
-    """The heavy packages that a fresh interpreter loads when it imports ``module``."""
-    code = f"import {module}, json, sys; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
+def loaded_by(module: str, packages: Sequence[str] = HEAVY) -> set[str]:
+    """Those of ``packages`` that a fresh interpreter loads when it imports ``module``."""
+    code = f"import {module}, json, sys; print(json.dumps([m for m in {packages!r} if m in sys.modules]))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     return set(json.loads(out))
 
 
-@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.spec", "gcd_dataset.cli"])
+@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.spec", "gcd_dataset.cli", "gcd_dataset.exports"])
 def test_the_front_door_brings_numpy_alone(module: str) -> None:
     assert loaded_by(module) == set()
+
+
+@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.__main__"])
+def test_the_package_and_the_command_load_records_on_use(module: str) -> None:
+    """NumPy and jaxtyping take 0.1 s of CPU time to import, which ``gcd --help`` does not need."""
+    assert not loaded_by(module, ("numpy", "jaxtyping", "gcd_dataset.records", "tqdm", "yaml"))
 
 
 def test_loaders_bring_torch_but_no_simulator() -> None:
     loaded = loaded_by("gcd_dataset.loaders")
     assert "torch" in loaded
     assert not loaded & {"warp", "h5py", "huggingface_hub", "httpx2"}
+
+
+def test_loaders_import_what_reading_shards_needs() -> None:
+    """Generator, published files, pictures and geometry are imported by the data set or transform that uses them."""
+    other = ("scipy", "PIL", "webdataset", "shapely", "yaml", "trimesh")
+    own = ("gcd_dataset.generator.garments", "gcd_dataset.generator.body", "gcd_dataset.release.read_garment")
+    assert not loaded_by("gcd_dataset.loaders", other + own)
+
+
+@pytest.mark.parametrize("name", ["gcd_dataset", "gcd_dataset.loaders", "gcd_dataset.release", "gcd_dataset.generator"])
+def test_every_public_name_can_be_imported(name: str) -> None:
+    package = import_module(name)
+    assert set(package.__all__) <= {*dir(package), "__version__"}
+    assert all(getattr(package, public) is not None for public in package.__all__)
+    with pytest.raises(AttributeError, match="no attribute sew"):
+        package.sew  # noqa: B018
 
 
 @pytest.mark.parametrize("module", ["pipeline", "body", "pattern", "garments", "mesh", "dressing"])
@@ -79,6 +106,18 @@ def test_the_folders_before_the_drape_do_not_import_it() -> None:
         floor, folder = (*path.relative_to(PACKAGE).parts, "")[:2]
         if floor == "generator" and folder in ("body", "pattern", "garments", "mesh", "dressing"):
             assert not any(name.startswith("gcd_dataset.generator.drape") for name in imports_of(path)), path
+
+
+def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
+    for module in ("dxf_file", "pdf_file", "usd_file", "mesh_files"):
+        assert not loaded_by(f"gcd_dataset.exports.{module}") & {
+            "ezdxf",
+            "reportlab",
+            "pxr",
+            "trimesh",
+            "torch",
+            "warp",
+        }
 
 
 def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:

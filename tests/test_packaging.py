@@ -1,10 +1,13 @@
 """The wheel holds all packages and data files of the tree."""
 
+import ast
 import os
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 import gcd_dataset
 from gcd_dataset.generator.recipes import recipe_names
@@ -53,7 +56,40 @@ def test_recipes_are_packed() -> None:
 
 
 def test_one_version() -> None:
-    assert gcd_dataset.__version__ == project()["project"]["version"] == version("gcd-dataset")
+    """A literal in ``gcd_dataset/__init__.py``: setuptools parses it, since importing would need the dependencies."""
+    assert gcd_dataset.__version__ == version("gcd-dataset")
+    assert "version" not in project()["project"]
+    tree = ast.parse((ROOT / "gcd_dataset" / "__init__.py").read_text())
+    assigned = [
+        node for node in tree.body if isinstance(node, ast.Assign) and "__version__" in ast.unparse(node.targets[0])
+    ]
+    assert [ast.literal_eval(node.value) for node in assigned] == [gcd_dataset.__version__]
+
+
+def test_python_versions_are_those_of_the_workflow() -> None:
+    listed = {line.rpartition(" ")[2] for line in project()["project"]["classifiers"] if "Python :: 3." in line}
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
+    assert set(workflow["jobs"]["test"]["strategy"]["matrix"]["python"]) == listed
+    assert project()["project"]["requires-python"] == f">={min(listed, key=lambda text: int(text.split('.')[1]))}"
+
+
+def test_the_workflow_runs_what_make_test_runs() -> None:
+    """Format, lint, types and tests, extras, and distributions."""
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
+    steps = [step.get("run", "") for job in workflow["jobs"].values() for step in job["steps"]]
+    commands = "\n".join(steps)
+    for command in ("ruff format --check", "ruff check", "mypy", "pytest", "make test-extras", "python -m build"):
+        assert command in commands, command
+    actions = [step["uses"] for job in workflow["jobs"].values() for step in job["steps"] if "uses" in step]
+    assert actions
+    assert all("@" in action for action in actions)
+
+
+def test_the_citation_names_title_and_licence_of_the_project() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    assert citation["license"] == project()["project"]["license"]
+    assert "version" not in citation  # in one place only
 
 
 def test_constraints_pin_every_dependency() -> None:

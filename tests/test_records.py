@@ -66,3 +66,12 @@ def test_a_panel_is_found_by_name() -> None:
 
 def test_every_outcome_has_its_own_message() -> None:
     assert len({outcome.value for outcome in Outcome}) == len(Outcome)
+
+
+def test_measures_that_are_missing_in_both_are_equal() -> None:
+    """Each NaN is another object, as after decoding."""
+    one, other = (Measurements(height=170.0, waist=float("nan")) for _ in range(2))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != Measurements(height=170.0, waist=70.0)
+    assert one != Measurements(height=171.0)

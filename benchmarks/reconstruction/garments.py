@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from torch.utils.data import DataLoader
 
+from benchmarks.reconstruction.derived import CENTRE, derived_arrays, item_fields
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments
@@ -47,7 +48,6 @@ Encoded = TypeVar("Encoded")
 PATTERN = ("panels", "edges", "stitches")
 FIELDS = ("meta", "design", "measures", "body", *PATTERN)
 """Item fields of every set; ``points`` and others are read where a task needs them."""
-CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 LOG_EVERY = 1000  # garments
 MOST_FRESH = 1_000_000  # garments of a stream
 TOGETHER = 16  # garments that a worker sends together
@@ -210,12 +210,13 @@ def generated(
 ) -> GarmentSet:
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
 
-    ``extra``: further item fields. ``cache``: a folder that keeps the set; a larger set there holds the smaller one.
+    ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set; a larger set there
+    holds the smaller one.
     ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
     ``mesh``.
     """
-    names = [*FIELDS, *(["points"] if points else []), *extra]
-    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": names, "dtype": None}
+    names, read = _names(points, extra)
+    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
     whole = GeneratedGarments(count, seed, **options)
     told = whole.recipe(0)
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
@@ -233,10 +234,16 @@ def generated(
     return kept.select(wanted) if len(wanted) < len(kept) else kept
 
 
+def _names(points: int, extra: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of the arrays of a set, and the item fields to read for them."""
+    names = [*FIELDS, *(["points"] if points else []), *extra]
+    return names, item_fields(names)
+
+
 def read_folder(source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
     """The settled garments of a folder, URL or Hub repository that ``GarmentDataset`` opens."""
-    names = [*FIELDS, *(["points"] if points else []), *extra]
-    found = GarmentDataset(source, fields=names, dtype=None)
+    names, read = _names(points, extra)
+    found = GarmentDataset(source, fields=read, dtype=None)
     return replace(
         read_garments(found, points=points, extra=extra, workers=workers),
         recipe={"source": source, "points": points, "fields": sorted(names)},
@@ -257,8 +264,8 @@ def fresh_garments(
 
     Garments whose drape did not settle are left out.
     """
-    names = [*FIELDS, *(["points"] if points else []), *extra]
-    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": names, "dtype": None}
+    _, read = _names(points, extra)
+    options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
     transform = _Encoded(_Packed(points, tuple(extra)), encode)
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)
     fresh = FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1)
@@ -300,7 +307,8 @@ class _Packed:
         settled = (meta.get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
         measures = np.array([item["measures"].get(name, np.nan) for name in MEASURES], dtype=np.float32)
         body = item["body"].numpy()
-        ragged = {name: Ragged.of([item[name].numpy()]) for name in (*PATTERN, *self.extra)}
+        arrays = derived_arrays(item, (*PATTERN, *self.extra))
+        ragged = {name: Ragged.of([array]) for name, array in arrays.items()}
         found = GarmentSet(
             keys=(f"{meta['seed']}_{meta['index']:09d}",),
             kinds=(garment_type(design)["main"],),

@@ -13,13 +13,21 @@ from typing import Any
 from benchmarks.reconstruction.garments import Split, generated, read_folder, split_off
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["CHECK_SEED", "FRESH_SEED", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
+__all__ = ["CHECK_SEED", "FRESH_SEED", "SURFACES", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
 
 TRAIN_SEED, TEST_SEED, CHECK_SEED, FRESH_SEED = 0, 1, 2, 1000
 CHECKED = 32  # garments that watch a training
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
+POSE = ("pose",)
+"""Of T0, T1 and T2: the bodies on which answers can be draped."""
+SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
+SURFACES = (
+    "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
+    "labels", "panel_classes", "pose",
+)  # fmt: skip
+"""Arrays of T4, T5 and T6, which share their garments and so their cache."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +76,21 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192),
-        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192),
-        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE),
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=POSE),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=POSE),
+        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
-            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
-            extra=("verts", "faces", "panel_id", "labels", "seams"), sizes=(1000, 4000),
+            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        Task("T5", "points of body and garment", "measures", "error_cm", DRAPE, points=8192, sizes=(1000, 4000)),
         Task(
-            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
-            extra=("verts", "faces", "box", "panel_id"), sizes=(1000, 4000),
+            "T5", "points of garment and visible body", "measures", "error_cm", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
+        ),
+        Task(
+            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", SURFACE,
+            points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
         Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
     )

@@ -4,9 +4,10 @@
     python -m benchmarks.reconstruction.train panel_set --task T1 --train 4000 --minutes 8 --out out
     torchrun --nproc-per-node 4 -m benchmarks.reconstruction.train panel_set --task T0 --train 24000 --out out
 
-``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too;
-``scores.csv``, a row for each test garment; ``report.json`` with mean scores, 95 % intervals, options and hashes of the
-data; ``curves.csv``; ``pictures/`` with answers beside truth; and the checkpoint, from which a repeated call continues.
+``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too
+(answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
+with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
+truth; and the checkpoint, from which a repeated call continues.
 """
 
 import argparse
@@ -15,18 +16,17 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
-import numpy as np
 import torch
 import torch.distributed as dist
 
-from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
+from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
@@ -35,10 +35,7 @@ from benchmarks.reconstruction.training import TrainConfig, Trained, one_of_seve
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
-from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
-from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
-from gcd_dataset.records import Pattern
-from gcd_dataset.spec import write_pattern
+from gcd_dataset.generator.drawing import png_bytes
 
 __all__ = ["Result", "add_arguments", "main", "options_from", "run"]
 
@@ -48,8 +45,6 @@ SMOKE: Mapping[str, Any] = {
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
 }  # fmt: skip
 """Options of the smallest run: few garments, coarse and all of one kind."""
-SHOWN = 8  # garments in pictures
-SIDE = 320  # pixels of a pattern's picture
 
 
 @dataclass(frozen=True)
@@ -83,8 +78,8 @@ class Options:
 class Result:
     """The scores of a run."""
 
-    scores: list[PatternScore]
-    """Of the test garments, in order."""
+    scores: list[Any]
+    """Of the test garments, in order: ``PatternScore``, or the task's own dataclass."""
     report: Mapping[str, Any]
     trained: Trained | None
     """``None`` for a reference."""
@@ -160,12 +155,11 @@ def _sizes(texts: Sequence[str]) -> dict[str, int]:
 
 def run(options: Options) -> Result | None:
     """Make the garments, train, answer, score. ``None`` on ranks other than the first. Raises ``ConfigError``."""
-    if not options.task.answers_patterns:
-        raise ConfigError(f"{options.task.name}: its answers are no patterns: choose another task")
+    _require_model_of_task(options)
     begun = time.perf_counter()
     if options.smoke:
         torch.set_num_threads(1)  # fastest for tiny networks
-    module, out = load_model(options.model), make_folder(options.out)
+    module, out, judge = load_model(options.model), make_folder(options.out), judge_of(options.task)
     with one_of_several_ranks(options.device) as device:
         split = _loaded(options)
         loaded = time.perf_counter()
@@ -178,16 +172,24 @@ def run(options: Options) -> Result | None:
             return None
         trained_at = time.perf_counter()
         answers = _answers(module, trained, split, options, device)
-        scores = scores_of(answers, [split.test.pattern(k) for k in range(len(split.test))], workers=options.workers)
+        scores = judge.scores(answers, split.test, workers=options.workers)
         tested = time.perf_counter()
-    checked = trained.checked if trained else 0.0
-    steps = trained.seconds if trained else 0.0
-    times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "check_s": checked, "test_s": tested - trained_at}
+    checked, steps = (trained.checked, trained.seconds) if trained else (0.0, 0.0)
+    times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "check_s": checked}
+    times["test_s"] = tested - trained_at
     shown = f"{steps:.0f} s of steps so far; this call: {loaded - begun:.0f} s to load, {checked:.0f} s of checks, "
     print(f"{shown}{tested - trained_at:.0f} s to answer and score, {tested - begun:.0f} s in all", file=sys.stderr)
     report = _report(options, split, scores, trained, {**times, "fresh": received})
-    _write(out, split.test, answers, scores, report)
+    _write(out, judge, split.test, answers, scores, report)
     return Result(scores, report, trained)
+
+
+def _require_model_of_task(options: Options) -> None:
+    """Raise ``ConfigError`` for a model that answers other tasks; a model without ``TASKS`` answers patterns."""
+    patterns = tuple(task.name for task in TASKS.values() if task.answers_patterns)
+    answered = getattr(load_model(options.model), "TASKS", patterns)
+    if options.task.name not in answered:
+        raise ConfigError(f"{options.model} does not answer {options.task.name}: give --task {', '.join(answered)}")
 
 
 def _loaded(options: Options) -> Split:
@@ -210,7 +212,8 @@ def _trained(learner: Learner[Any, Any], split: Split, options: Options, device:
     """The trained learner, and the number of fresh garments received."""
     learner.to(device)
     examples = learner.prepare(split.train, device=device, workers=options.workers)
-    check = _Check(split.check, learner.prepare(split.check, device=device), options.out)
+    watched = learner.prepare(split.check, device=device)
+    check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
     trained = train(learner, examples, options.config, device=device, out=options.out, check=check)
@@ -239,22 +242,22 @@ class _Check:
     garments: GarmentSet
     examples: Examples[Any]
     out: Path
+    judge: Judge
 
     def __call__(self, step: int, learner: Learner[Any, Any]) -> Mapping[str, float]:
         answers = learner.predict(self.examples.batch(torch.arange(len(self.garments))))
-        truth = [self.garments.pattern(k) for k in range(len(self.garments))]
-        picture = beside_truth(answers[:SHOWN], truth[:SHOWN])
+        picture = self.judge.picture(answers, self.garments)
         write_whole(make_folder(self.out / "pictures") / f"step_{step:06d}.png", png_bytes(picture))
-        means = mean_scores(scores_of(answers, truth))
-        return {f"check_{name}": value for name, value in asdict(means).items()}
+        means = means_of(self.judge.scores(answers, self.garments))
+        return {f"check_{name}": value for name, value in means.items()}
 
 
 def _answers(
     module: ModuleType, trained: Trained | None, split: Split, options: Options, device: torch.device
-) -> list[Pattern]:
+) -> list[Any]:
     """The answers for the test garments."""
     if trained is None:
-        answer = cast(Callable[..., list[Pattern]], module.answers)
+        answer = cast(Callable[..., list[Any]], module.answers)
         return answer(split.train, split.test, device=device, workers=options.workers)
     examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
     count, batch = len(split.test), options.config.batch
@@ -264,24 +267,16 @@ def _answers(
 # ---------------------------------------------------------------------------------------------------------- the results
 
 
-def beside_truth(answers: Sequence[Pattern], truth: Sequence[Pattern], *, size: int = SIDE) -> np.ndarray:
-    """A picture of patterns: truth on the left, the answer on its right, two pairs in a row."""
-    pictures = [draw_pattern(pattern, size=size) for pair in zip(truth, answers, strict=True) for pattern in pair]
-    return contact_sheet(pictures, columns=4)
-
-
 def _report(
-    options: Options, split: Split, scores: Sequence[PatternScore], trained: Trained | None, times: Mapping[str, float]
+    options: Options, split: Split, scores: Sequence[Any], trained: Trained | None, times: Mapping[str, float]
 ) -> dict[str, Any]:
-    low, high = bootstrap_interval(scores, np.random.default_rng(0))
-    means, lows, highs = (asdict(score) for score in (mean_scores(scores), low, high))
     kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
     return {
         "model": options.model,
         "task": options.task.name,
         "headline": options.task.headline,
-        "scores": {name: [means[name], lows[name], highs[name]] for name in means},
-        "scores_of_kinds": {kind: asdict(mean_scores(of_kind)) for kind, of_kind in sorted(kinds.items())},
+        "scores": intervals(scores),
+        "scores_of_kinds": {kind: means_of(of_kind) for kind, of_kind in sorted(kinds.items())},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))
@@ -298,19 +293,20 @@ def _report(
 
 
 def _write(
-    out: Path, test: GarmentSet, answers: Sequence[Pattern], scores: Sequence[PatternScore], report: Mapping[str, Any]
+    out: Path,
+    judge: Judge,
+    test: GarmentSet,
+    answers: Sequence[Any],
+    scores: Sequence[Any],
+    report: Mapping[str, Any],
 ) -> None:
-    truth = [test.pattern(k) for k in range(len(test))]
-    for folder, patterns in (("predictions", answers), ("truth", truth)):
-        make_folder(out / folder)
-        for key, pattern in zip(test.keys, patterns, strict=True):
-            write_pattern(replace(pattern, name=key), out / folder / f"{key}.json")
+    judge.write(answers, test, out)
     with drafted(out / "scores.csv") as draft, draft.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["key", "kind", *PatternScore.__dataclass_fields__])
+        writer = csv.DictWriter(file, ["key", "kind", *asdict(scores[0])])
         writer.writeheader()
         for key, kind, score in zip(test.keys, test.kinds, scores, strict=True):
             writer.writerow({"key": key, "kind": kind, **asdict(score)})
-    picture = beside_truth(answers[:SHOWN], truth[:SHOWN])
+    picture = judge.picture(answers, test)
     write_whole(make_folder(out / "pictures") / "test.png", png_bytes(picture))
     write_whole(out / "report.json", json.dumps(report, indent=1).encode())
 

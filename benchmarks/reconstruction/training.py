@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -77,7 +77,7 @@ class TrainConfig:
     seed: int = 0
     log_every: int = 50
     """Steps of a row of the curves."""
-    checks: int = 10
+    checks: int = 4
     """Calls of ``check`` in the course of the training."""
     checkpoint_minutes: float = 2.0
     """Time between checkpoints."""
@@ -140,8 +140,6 @@ def train(
     ``ConfigError`` for a checkpoint of other options.
     """
     torch.manual_seed(config.seed)
-    if device.type == "cuda":
-        torch.set_float32_matmul_precision("high")
     run = _Run(learner.to(device), config, device)
     curves = _Curves(None if out is None or _rank() else make_folder(out))
     if out is not None and (out / CHECKPOINT).exists():
@@ -203,6 +201,8 @@ class _Run:
     def __init__(self, learner: Learner[Any, Any], config: TrainConfig, device: torch.device) -> None:
         self.learner, self.config, self.device = learner, config, device
         self.step, self.seconds = 0, 0.0
+        if device.type == "cuda":
+            torch.set_float32_matmul_precision("high")  # TF32 outside autocast
         self.averaged = copy.deepcopy(learner).requires_grad_(False)
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
         if config.compile:

@@ -12,11 +12,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange, merge
+from gcd_dataset.cli import datasets, doctor, exchange, merge
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.subject import names_a_file as _names_a_file
+from gcd_dataset.cli.subject import pattern_of as _pattern
+from gcd_dataset.cli.subject import sample_of as _sample
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
     INTERRUPTED,
@@ -28,16 +31,12 @@ from gcd_dataset.cli.verb import (
     body_name,
     interrupts_after_imports,
     natural_number,
-    open_source,
     process_count,
     stopped,
 )
-from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError
+from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import user_path
 from gcd_dataset.options import add_options, given_options, options_of, read_options
-
-if TYPE_CHECKING:
-    from gcd_dataset.records import Pattern, Sample
 
 __all__ = ["main"]
 
@@ -361,6 +360,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     add_server(show)
 
     datasets.add_verbs(verbs)
+    doctor.add_verbs(verbs)
     exchange.add_verbs(verbs)
     return parser, verbs.choices
 
@@ -434,38 +434,6 @@ def _expanded(value: Any) -> Any:
     if isinstance(value, list):
         return [_expanded(entry) for entry in value]
     return type(value)(user_path(value)) if isinstance(value, str | Path) and str(value).startswith("~") else value
-
-
-def _names_a_file(source: str) -> bool:
-    """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
-    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).is_file())
-
-
-def _pattern(options: argparse.Namespace) -> "Pattern":
-    """The pattern in a specification file."""
-    from gcd_dataset.spec import read_pattern
-    from gcd_dataset.validate import require_valid
-
-    return require_valid(read_pattern(Path(options.what)), source=options.what)
-
-
-def _sample(options: argparse.Namespace) -> "Sample":
-    """The sample at ``--index`` of a data set, local or remote."""
-    from gcd_dataset.shards import ShardReader
-
-    reader = ShardReader(open_source(options.what, options.endpoint), options.split)
-    if options.index >= len(reader):
-        raise ShardError(
-            f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 to {len(reader) - 1}"
-        )
-    return reader.sample(options.index)
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError as error:
-        raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error
 
 
 def _read_config(path: Path, known: set[str]) -> dict[str, Any]:

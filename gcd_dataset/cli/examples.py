@@ -37,6 +37,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd verify shards --full",
         "gcd verify smoke --recipe smoke-64",
     ),
+    "doctor": (
+        "gcd doctor shards",
+        "gcd doctor GarmentCodeData_v2 --quick --json",
+    ),
     "index": (
         "gcd index shards",
         "gcd index shards --split test",
@@ -55,7 +59,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "export": (
         "gcd export shards --hdf5 train.h5",
-        "gcd export shards --layout published GarmentCodeData",
+        "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
     ),
 }
 """Verb to two commands."""

@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural_number, require_folder, stopped
+from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
+from gcd_dataset.cli.verb import (
+    INTERRUPTED,
+    SOURCE_HELP,
+    add_quiet,
+    add_server,
+    add_verb,
+    natural_number,
+    require_folder,
+    stopped,
+)
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
@@ -27,8 +37,12 @@ def add_verbs(verbs: Any) -> None:
     )
     add_quiet(convert)
 
-    export = add_verb(verbs, "export", _export, "write a data set in another format")
-    export.add_argument("dataset", metavar="DATASET", help="folder of shards")
+    _add_export(verbs)
+
+
+def _add_export(verbs: Any) -> None:
+    export = add_verb(verbs, "export", _export, "write a data set, a garment or a pattern in another format")
+    export.add_argument("what", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
         "--layout",
@@ -37,8 +51,26 @@ def add_verbs(verbs: Any) -> None:
         help="train, validation and test in the folders of GarmentCodeData; OUT is created if missing; "
         "the same command resumes a stopped export",
     )
-    export.add_argument("--split", help="split for --hdf5 (default: train)")
+    export.add_argument("--glb", type=Path, metavar="FILE", help="a draped garment on its body, as binary glTF [m]")
+    export.add_argument("--obj", type=Path, metavar="FILE", help="the same as OBJ and MTL [cm]")
+    export.add_argument("--ply", type=Path, metavar="FILE", help="the draped garment as PLY [cm]")
+    export.add_argument(
+        "--usd", type=Path, metavar="FILE", help="a draped garment, its body and its seams, as USD [cm]"
+    )
+    export.add_argument("--dxf", type=Path, metavar="FILE", help="a pattern as DXF in the layers of AAMA and ASTM [mm]")
+    export.add_argument("--pdf", type=Path, metavar="FILE", help="a pattern at true scale, tiled on pages")
+    export.add_argument("--index", type=natural_number, help="which sample of the split (default: 0)")
+    export.add_argument("--split", help="split of the data set (default: train); not with --layout")
+    export.add_argument(
+        "--seam-allowance", type=float, metavar="CM", help="for --dxf and --pdf: cloth beyond the sew line (default: 1)"
+    )
+    export.add_argument("--paper", metavar="NAME", help="for --pdf: a4, letter, a3, a1 or a0 (default: a4)")
+    export.add_argument(
+        "--tile", type=float, metavar="CM", help="for --glb, --obj and --usd: cloth that a texture covers (default: 10)"
+    )
+    export.add_argument("--no-body", action="store_true", help="for --glb, --obj and --usd: the garment alone")
     add_quiet(export)
+    add_server(export)
 
 
 def _convert(options: argparse.Namespace) -> int:
@@ -56,22 +88,83 @@ def _convert(options: argparse.Namespace) -> int:
     return 1 if faults else 0
 
 
+OPTIONS_OF = {
+    "hdf5": ("split",),
+    "layout": (),
+    "glb": ("index", "split", "tile", "no_body", "endpoint"),
+    "obj": ("index", "split", "tile", "no_body", "endpoint"),
+    "ply": ("index", "split", "endpoint"),
+    "usd": ("index", "split", "tile", "no_body", "endpoint"),
+    "dxf": ("index", "split", "seam_allowance", "endpoint"),
+    "pdf": ("index", "split", "seam_allowance", "paper", "endpoint"),
+}
+"""Format to the options that it takes."""
+PATTERN_FORMATS = ("dxf", "pdf")
+
+
 def _export(options: argparse.Namespace) -> int:
-    if (options.hdf5 is None) == (options.layout is None):
-        raise ConfigError("give --hdf5 FILE or --layout published OUT, one of them")
+    given = [form for form in OPTIONS_OF if getattr(options, form) is not None]
+    if len(given) != 1:
+        raise ConfigError(f"give {', '.join(f'--{form}' for form in OPTIONS_OF)}: one of them")
+    [form] = given
+    for name in sorted({name for names in OPTIONS_OF.values() for name in names} - set(OPTIONS_OF[form])):
+        if getattr(options, name) not in (None, False):
+            raise ConfigError(_unused(name, form))
+    return _export_data_set(options, form) if form in ("hdf5", "layout") else _export_garment(options, form)
+
+
+def _unused(option: str, form: str) -> str:
+    """The message about an option that the format does not take."""
+    takers = [f"--{other}" for other, names in OPTIONS_OF.items() if option in names]
+    reason = ""
+    if (option, form) == ("split", "layout"):
+        reason = ": --layout takes train, validation and test, and lists them in its split file"
+    return f"--{option.replace('_', '-')} is for {', '.join(takers)}{reason or ': leave it out'}"
+
+
+def _export_garment(options: argparse.Namespace, form: str) -> int:
+    """Export a sample, or the pattern of a specification file."""
+    from datetime import date
+
+    from gcd_dataset import exports
+
+    file: Path = getattr(options, form)
+    chosen: dict[str, Any] = {
+        name: getattr(options, name)
+        for name in ("seam_allowance", "paper", "tile")
+        if getattr(options, name) is not None
+    }
+    if options.no_body:
+        chosen["body"] = False
+    if form == "dxf":
+        chosen["created"] = date.today()
+    write = getattr(exports, form)
+    if names_a_file(options.what):
+        if used := [name for name in ("index", "split", "endpoint") if getattr(options, name) is not None]:
+            raise ConfigError(f"--{used[0]} is for a data set, and {options.what} is a specification: leave it out")
+        if form not in PATTERN_FORMATS:
+            raise ConfigError(
+                f"{options.what}: a specification holds no drape, which --{form} needs: run gcd drape, which writes "
+                "GLB, OBJ and PLY, or export a sample of a data set"
+            )
+        write(pattern_of(options), file, **chosen)
+    else:
+        options.index = options.index or 0
+        write(sample_of(options), file, **chosen)
+    print(file)
+    return 0
+
+
+def _export_data_set(options: argparse.Namespace, form: str) -> int:
+    """Export a split, or all splits in the published layout."""
     if options.layout is not None and options.layout[0] != "published":
         raise ConfigError(f"--layout {options.layout[0]}: unknown layout: give published")
-    if options.layout is not None and options.split is not None:
-        raise ConfigError(
-            "--split is for --hdf5: --layout takes train, validation and test, and lists them in its split file"
-        )
     from gcd_dataset.verbs import export
-    from gcd_dataset.verbs.exporting import Form
 
-    form: Form = "hdf5" if options.layout is None else "published"
     out = options.hdf5 if options.layout is None else Path(options.layout[1])
     with Bar("garment", options.quiet, verb="export") as bar:
-        bar.run(partial(export, require_folder(options.dataset), out, form, split=options.split))
+        folder = require_folder(options.what)
+        bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
     done = bar.progress
     if bar.interrupted and form == "hdf5":
         print(f"gcd export: stopped; {out} was not written: start again", file=sys.stderr)

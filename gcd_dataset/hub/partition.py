@@ -1,4 +1,4 @@
-"""Divides a data set into splits that share neither designs nor bodies."""
+"""Divides a data set into splits that share neither designs nor bodies nor patterns."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ __all__ = ["BODY", "DESIGN", "SHARES", "families", "leaks", "parse_shares", "par
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Split to its share of the garments, close to GarmentCodeData's official split."""
 
-META, DESIGN, BODY = "meta", "design", "body"  # fields
+META, DESIGN, BODY, OUTLINES = "meta", "design", "body", "edges"  # fields
 NEUTRAL = "neutral"  # name of the neutral body in a sample
 
 
@@ -47,9 +47,10 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
 
 
 def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
-    """Family number of each sample: the connected components of garments that share a design or a body.
+    """Family number of each sample: the connected components of garments that share a design, a body or a pattern.
 
-    The neutral body, and bodies without shape weights, connect no garments.
+    The neutral body, and bodies without shape weights, connect no garments. Two designs may give the same pattern on
+    one body: they differ in parameters that are not used, such as the sleeves of a strapless bodice.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -57,9 +58,12 @@ def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
     design, body = _numbered(reader, DESIGN), _numbered(reader, BODY)
     n, designs = len(design), int(design.max()) + 1
     connects = ~np.isin(body, _unspecific_bodies(reader, design, body))
-    rows = np.concatenate([np.arange(n), np.flatnonzero(connects)])
-    columns = np.concatenate([n + design, n + designs + body[connects]])
-    size = n + designs + int(body.max()) + 1
+    # A data set downloaded in part may have no outlines.
+    pattern = _numbered(reader, OUTLINES) if OUTLINES in fields_of(reader.layout.members) else np.arange(n)
+    bodies = int(body.max()) + 1
+    rows = np.concatenate([np.arange(n), np.flatnonzero(connects), np.arange(n)])
+    columns = np.concatenate([n + design, n + designs + body[connects], n + designs + bodies + pattern])
+    size = n + designs + bodies + int(pattern.max()) + 1
     graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(size, size))
     labels = connected_components(graph, directed=False)[1][:n]
     return np.unique(labels, return_inverse=True)[1]

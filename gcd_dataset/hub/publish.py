@@ -77,7 +77,7 @@ def stage(
 ) -> Staged:
     """Write the files to publish as ``repo`` into ``folder``, continuing an interrupted call.
 
-    A data set of one split is divided by ``shares`` into splits that share neither designs nor bodies; several splits
+    A data set of one split is divided by ``shares`` into splits that share no design, body or pattern; several splits
     are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for splits that share designs,
     foreign tars, an unfinished data set, parts that are not merged, and for a staging folder that holds other files.
     """

@@ -48,7 +48,10 @@ class PublishedGarments:
     def __init__(self, batches: PublishedBatches, split: str = "train") -> None:
         self.batches, self.split = batches, _split_name(split)
         self.split_file = None if self.split == ALL else _split_file(batches)
-        self.entries = tuple(self._present(self._listed()))
+        missing: list[str] = []
+        self.entries = tuple(self._present(self._listed(), missing))
+        self.missing = tuple(missing)
+        """Garments of the split that are neither on disk nor listed as failed, of the batches on disk."""
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -93,10 +96,10 @@ class PublishedGarments:
         )
         yield from ((number, *design) for number, design in enumerate(designs))
 
-    def _present(self, listed: Iterator[tuple[int, str, str]]) -> Iterator[GarmentEntry]:
+    def _present(self, listed: Iterator[tuple[int, str, str]], missing: list[str]) -> Iterator[GarmentEntry]:
+        """The garments on disk; names of those that should be there are added to ``missing``."""
         names = {key: frozenset(files.names) for key, files in self.batches.files.items()}
         absent = 0
-        missing: list[GarmentEntry] = []
         for number, batch, name in listed:
             for folder in self.batches.body_folders:
                 key = (batch, folder)
@@ -108,7 +111,7 @@ class PublishedGarments:
                 elif name in names[key]:
                     yield entry
                 elif self.split_file is not None:
-                    missing.append(entry)
+                    missing.append(str(entry))
         if absent:
             logger.info("%s: %d garments of the split are in batches that are not on disk", self.batches.root, absent)
         if missing:
@@ -117,7 +120,7 @@ class PublishedGarments:
                 "%s: %d garments of the split are neither on disk nor listed as failed, such as %s; they are left out",
                 self.batches.root,
                 len(missing),
-                shown(str(missing[0])),
+                shown(missing[0]),
             )
 
 

@@ -1,15 +1,17 @@
 """Decodes members of foreign samples by the ending of their names; never executes pickles."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import ImageFile
 
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.npy import read_any_npy
 from gcd_dataset.shards.picture import opened_picture
+
+if TYPE_CHECKING:
+    from PIL import ImageFile
 
 __all__ = ["decode_member"]
 
@@ -58,7 +60,7 @@ def _class(data: Bytes) -> int:
     return int(bytes(data))
 
 
-def _pixels(image: ImageFile.ImageFile) -> np.ndarray:
+def _pixels(image: "ImageFile.ImageFile") -> np.ndarray:
     """The pixels, unchanged. Raises ``ShardError`` where Pillow would reduce their bits."""
     deep = DEEP_GREY.get(image.mode.partition(";")[0])
     if _is_scaled(image, deep is not None):
@@ -68,7 +70,7 @@ def _pixels(image: ImageFile.ImageFile) -> np.ndarray:
     return np.ascontiguousarray(np.asarray(image.convert("RGB")).transpose(2, 0, 1))
 
 
-def _is_scaled(image: ImageFile.ImageFile, is_grey: bool) -> bool:
+def _is_scaled(image: "ImageFile.ImageFile", is_grey: bool) -> bool:
     """Whether Pillow rescales the values in the file: 16-bit colours, and PPM with unusual numbers of levels."""
     arguments = [tile[3] for tile in image.tile]  # decoder arguments: bits a channel, or number of levels
     if image.format == "PPM":

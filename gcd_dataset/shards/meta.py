@@ -23,7 +23,7 @@ garments              JSON type  holds                                          
 ``recipe_sha256``     text
 ``pattern``           text       name of the pattern
 ``body``              text       name of the body
-``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether the sample has one
+``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether it has one
 ``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
 ``panel_names``       texts      rows of ``panels.npy``
 ``panel_labels``      texts      labels that its column ``LABEL`` refers to

@@ -1,6 +1,6 @@
-"""The verbs of ``gcd`` as functions: ``generate``, ``merge``, ``convert``, ``export`` and ``publish``.
+"""The verbs of ``gcd`` as functions: ``generate``, ``merge``, ``convert``, ``export``, ``publish`` and ``doctor``.
 
-Each reports its progress to a callback and resumes an earlier call that was stopped.
+Each but ``doctor``, which only reads, reports its progress to a callback and resumes an earlier call that was stopped.
 
 >>> from gcd_dataset.verbs import generate
 >>> generate("shards", 1000, seed=7).made  # doctest: +SKIP
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from gcd_dataset.verbs.array_jobs import JobPart
     from gcd_dataset.verbs.body_set import generate_people
     from gcd_dataset.verbs.converting import convert
+    from gcd_dataset.verbs.examining import doctor
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate, generate_recipe
     from gcd_dataset.verbs.merging import merge
@@ -26,6 +27,7 @@ __all__ = [
     "ProgressCallback",
     "Published",
     "convert",
+    "doctor",
     "export",
     "generate",
     "generate_people",
@@ -36,6 +38,7 @@ __all__ = [
 
 _HOME = {
     "convert": "converting",
+    "doctor": "examining",
     "export": "exporting",
     "generate": "making",
     "generate_people": "body_set",

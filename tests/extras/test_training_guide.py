@@ -1,10 +1,7 @@
 """The programs of docs/training.md run verbatim: two ranks see each garment once per epoch, stopped or not."""
 
 import ast
-import os
 import re
-import shutil
-import subprocess
 import sys
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -12,43 +9,26 @@ from typing import Any
 
 import pytest
 
+from tests.extras.guide import ROOT, blocks_of, run
+
 pytest.importorskip("accelerate", reason="the frameworks are not installed: make test-extras")
 pytest.importorskip("lightning", reason="the frameworks are not installed: make test-extras")
 
 HERE = Path(__file__).resolve().parent
-GUIDE = HERE.parents[1] / "docs" / "training.md"
-BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-BIN = Path(sys.executable).parent
 N, RANKS, EPOCHS = 48, 2, 2
 TORCHRUN = ["torchrun", "--standalone", "--nproc-per-node", str(RANKS), "--log-dir", "logs", "--redirects", "3"]
-TORCH_ABORT = "terminate called without an active exception"  # pytorch#179291: a gloo thread outlives Python
-RANK_VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would interleave ranks' lines
-
-
-def run(workspace: Path, *command: str) -> list[str]:
-    """The output of a command; asserts success."""
-    shutil.rmtree(workspace / "logs", ignore_errors=True)
-    # ``torchrun`` and ``gcd`` of this environment, without this process's own rank.
-    env = {name: value for name, value in os.environ.items() if name not in RANK_VARIABLES}
-    env |= {"PATH": f"{BIN}{os.pathsep}{env['PATH']}", "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    done = subprocess.run(command, cwd=workspace, env=env, capture_output=True, text=True, timeout=240, check=False)
-    logs = {path: path.read_text() for path in (workspace / "logs").rglob("std*.log")}
-    # torch may abort an exiting rank after the last barrier: its output is complete, and is checked.
-    aborted = any(TORCH_ABORT in text for text in logs.values())
-    assert done.returncode == 0 or aborted, "".join([*logs.values(), done.stdout, done.stderr])[-6000:]
-    return "".join([done.stdout, *(text for path, text in logs.items() if path.stem == "stdout")]).splitlines()
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the garments and programs of the guide."""
     workspace = tmp_path_factory.mktemp("guide")
-    for language, title, content in BLOCK.findall(GUIDE.read_text()):
-        if language == "sh":
-            for line in content.splitlines():
-                run(workspace, *line.split())
-        elif title:
-            (workspace / title).write_text(content)
+    for block in blocks_of(ROOT / "docs" / "training.md"):
+        if block.language == "sh":
+            for command in block.commands():
+                run(workspace, *command)
+        elif block.title:
+            (workspace / block.title).write_text(block.text)
     return workspace
 
 

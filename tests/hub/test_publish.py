@@ -80,6 +80,14 @@ def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
     assert families(ShardReader(tmp_path)).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
 
 
+def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> None:
+    """They differ in unused parameters only: a strapless bodice has no sleeves, whatever its design says of them."""
+    samples = [sample(i, design=i) for i in range(5)]
+    samples[3] = replace(samples[3], pattern=replace(samples[1].pattern, name=samples[3].pattern.name))
+    put(tmp_path, [replace(made, box_mesh=None, drape=None) for made in samples])
+    assert families(ShardReader(tmp_path)).tolist() == [0, 1, 2, 1, 3]
+
+
 def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
     put(tmp_path, (sample(i, design=i // 2, body=None if i % 2 == 0 else i) for i in range(60)))
     before, after = partition(ShardReader(tmp_path), SHARES), partition(ShardReader(both), SHARES)

@@ -1,7 +1,8 @@
 """The models: one file each.
 
 A module of a network has ``build(smoke=…, options=…)``, which returns its ``Learner``, and ``USUAL`` and ``SMOKE``,
-options of ``TrainConfig``. A module of a reference has ``answers``, a ``Reference``.
+options of ``TrainConfig``. A module of a reference has ``answers``, a ``Reference``. ``TASKS`` names the tasks of a
+module whose answers are no patterns.
 """
 
 from importlib import import_module
@@ -13,7 +14,22 @@ __all__ = ["MODELS", "load_model"]
 
 MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
-    for name in ("panel_set", "stitches", "nearest", "typical", "ceiling")
+    for name in (
+        "panel_set",
+        "stitches",
+        "nearest",
+        "typical",
+        "ceiling",
+        "segmentation",
+        "nearest_labels",
+        "drape_surrogate",
+        "box_mesh",
+        "coarse_drape",
+        "solver",
+        "measures",
+        "mean_measures",
+        "nearest_measures",
+    )
 }
 
 

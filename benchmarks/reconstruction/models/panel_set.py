@@ -66,14 +66,15 @@ NEVER = -1e4  # score of an edge as its own partner
 CHUNK = 64  # garments that a process encodes at once
 TOGETHER = 8  # garments that a process draws at once
 ROOM = 32  # edges: a batch has room for a multiple of this number
-USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4, "checks": 4}
+USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
     "steps": 300, "batch": 8, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "width": 64, "heads": 4, "layers": 1,
-    "region_width": 32, "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256, "stored_points": 1024,
+    "region_width": 32, "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256,
+    "stored_points": 1024,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
@@ -573,9 +574,7 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
         return least_cost(cost.transpose(1, 2), true.exists)
 
 
-def _existence_loss(
-    logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"], exists: Bool[Tensor, "b p"]
-) -> Tensor:
+def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"], exists: Bool[Tensor, "b p"]) -> Tensor:
     """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")

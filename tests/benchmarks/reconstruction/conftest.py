@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
+from benchmarks.reconstruction.tasks import SURFACES
 
 SKIRTS: dict[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}}
 
@@ -15,6 +16,12 @@ SKIRTS: dict[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["Skir
 def six() -> GarmentSet:
     """Six skirts with coarse box meshes."""
     return generated(6, 0, points=512, drape=None, resolution=5.0, design=SKIRTS)
+
+
+@pytest.fixture(scope="session")
+def draped() -> GarmentSet:
+    """Two skirts, draped, with all arrays of the tasks T4 to T6."""
+    return generated(3, 0, points=64, extra=SURFACES, resolution=6.0, design=SKIRTS).select([0, 1])
 
 
 @pytest.fixture(autouse=True)

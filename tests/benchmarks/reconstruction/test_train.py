@@ -58,7 +58,7 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
     ("flags", "expected"),
     [
         (["--task", "T9"], "no task 'T9'"),
-        (["--task", "T4"], "T4: its answers are no patterns"),
+        (["--task", "T4"], "panel_set does not answer T4: give --task T0, T1"),
         (["--set", "width"], "--set width: give NAME=NUMBER"),
         (["--steps", "3", "--minutes", "1"], "give one of them"),
     ],

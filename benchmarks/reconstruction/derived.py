@@ -1,0 +1,90 @@
+"""Arrays of a garment that are computed from other fields of its item, for tasks about surfaces and bodies."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcd_dataset.loaders.base import Item
+from gcd_dataset.records import EdgeRole
+from gcd_dataset.tensors import EDGE_LABELS
+
+__all__ = [
+    "CENTRE",
+    "DERIVED",
+    "MIRRORED",
+    "MIRRORED_EDGES",
+    "PANEL_CLASSES",
+    "Derived",
+    "derived_arrays",
+    "item_fields",
+    "panel_class",
+]
+
+CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
+PANEL_CLASSES = (
+    "other",
+    *(f"{side}_{part}" for side in ("left", "right") for part in (
+        "ftorso", "btorso", "sleeve_f", "sleeve_b", "collar_front", "collar_back", "hood",
+    )),
+    *(f"sl_{side}_cuff{kind}_{part}" for side in ("left", "right") for kind in ("", "_skirt") for part in "fb"),
+    *(f"pant_{part}_{side}" for side in "lr" for part in "fb"),
+    *(f"pant_{side}_cuff{kind}_{part}" for side in "lr" for kind in ("", "_skirt") for part in "fb"),
+    "wb_front", "wb_back", "skirt_front", "skirt_back", "skirt_panel", "ins_skirt_front", "ins_skirt_back",
+)  # fmt: skip
+"""Names of panels without numbers, the classes of task T4; ``other`` for names that are not listed."""
+SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
+CLASS_OF = {name: row for row, name in enumerate(PANEL_CLASSES)}
+MIRRORED = tuple(
+    CLASS_OF.get(re.sub("left|right|_[lr](?=_|$)", lambda found: SIDES[found[0]], name), row)
+    for row, name in enumerate(PANEL_CLASSES)
+)
+"""The class of the mirror image of a panel."""
+MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else "") for name in EDGE_LABELS)
+"""The label of the mirror image of an edge."""
+
+
+def panel_class(name: str) -> int:
+    """The row of ``PANEL_CLASSES`` for the name of a panel.
+
+    >>> PANEL_CLASSES[panel_class("ins_skirt_front_3")], PANEL_CLASSES[panel_class("pocket")]
+    ('ins_skirt_front', 'other')
+    """
+    return CLASS_OF.get(re.sub(r"_?\d+", "", name), 0)
+
+
+@dataclass(frozen=True)
+class Derived:
+    """An array that is computed from an item."""
+
+    needs: tuple[str, ...]
+    """Fields of the item."""
+    of: Callable[[Item], np.ndarray]
+
+
+def derived_arrays(item: Item, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays of an item by name: derived ones, and fields of the item."""
+    return {name: DERIVED[name].of(item) if name in DERIVED else item[name].numpy() for name in names}
+
+
+def item_fields(names: Sequence[str]) -> list[str]:
+    """The item fields that these arrays need, each once."""
+    needed = (field for name in names for field in (DERIVED[name].needs if name in DERIVED else (name,)))
+    return list(dict.fromkeys(needed))
+
+
+def _panel_classes(item: Item) -> np.ndarray:
+    return np.array([panel_class(name) for name in item["meta"]["panel_names"]], np.int32)
+
+
+def _pose(item: Item) -> np.ndarray:
+    pose = item["meta"]["pose"]
+    return np.array([[pose["arm_angle"], float(pose["legs_apart"])]], np.float32)
+
+
+DERIVED: Mapping[str, Derived] = {
+    "panel_classes": Derived(("meta",), _panel_classes),
+    "pose": Derived(("meta",), _pose),
+}
+"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart."""

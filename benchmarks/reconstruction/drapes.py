@@ -1,0 +1,175 @@
+"""Predicted drapes (task T6): scores, and drapes by our own solver to compare with."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Float, Int
+
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
+from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape.device import resolve_device
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
+from gcd_dataset.generator.mesh.coarse import coarse_start
+from gcd_dataset.generator.mesh.locate import barycentric, locate
+from gcd_dataset.records import BoxMesh
+
+__all__ = ["DrapeScore", "DrapedVertices", "counted", "redraped", "score_drapes", "transferred"]
+
+AT_ONCE = 32  # garments whose crossings are counted together
+CLOSE = 1.0  # cm
+
+
+@dataclass(frozen=True, eq=False)
+class DrapedVertices:
+    """Predicted positions of a garment's vertices: an answer."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """[cm]"""
+    ms: float
+    """Time of this garment in its batch [ms], without the preparation of meshes."""
+
+
+@dataclass(frozen=True)
+class DrapeScore:
+    """Scores of the predicted drape of one garment; smaller is better, but for ``within_1cm``."""
+
+    error_cm: float
+    """Mean distance of a vertex from its place in the drape."""
+    error_p95_cm: float
+    """95th percentile of these distances."""
+    within_1cm: float
+    """1 if the mean distance is at most 1 cm."""
+    stretch_error: float
+    """Mean difference of edge lengths from those in the drape, over the flat length."""
+    self_crossings: float
+    """Edges of the cloth that cross the cloth."""
+    body_crossings: float
+    """Edges of the cloth that cross the skin."""
+    body_through: float
+    """Edges of the skin that cross the cloth."""
+    ms: float
+    """Time of a garment."""
+
+
+def score_drapes(
+    answers: Sequence[DrapedVertices], garments: GarmentSet, *, device: str = "auto", crossings: bool = True
+) -> list[DrapeScore]:
+    """The scores of answers for garments; without ``crossings`` they are 0."""
+    none = [(0, 0, 0)] * len(answers)
+    counts = counted([answer.vertices for answer in answers], garments, device=device) if crossings else none
+    return [_score(answer, garments, k, count) for k, (answer, count) in enumerate(zip(answers, counts, strict=True))]
+
+
+def _score(answer: DrapedVertices, garments: GarmentSet, k: int, crossings: tuple[int, int, int]) -> DrapeScore:
+    true, faces = garments.ragged["verts"][k].astype(float), garments.ragged["faces"][k]
+    away = np.linalg.norm(answer.vertices - true, axis=1)
+    flat = _sides(garments.ragged["uv"][k].astype(float)[garments.ragged["corners"][k]])
+    off = np.abs(_sides(answer.vertices[faces]) - _sides(true[faces])) / np.maximum(flat, 1e-2)
+    error = float(away.mean())
+    cloth, skin, through = crossings
+    return DrapeScore(
+        error_cm=error,
+        error_p95_cm=float(np.percentile(away, 95)),
+        within_1cm=float(error <= CLOSE),
+        stretch_error=float(off.mean()),
+        self_crossings=float(cloth),
+        body_crossings=float(skin),
+        body_through=float(through),
+        ms=answer.ms,
+    )
+
+
+def _sides(corner: Float[np.ndarray, "f 3 d"]) -> Float[np.ndarray, "f 3"]:
+    return np.asarray(np.linalg.norm(corner[:, [1, 2, 0]] - corner, axis=-1))
+
+
+# -------------------------------------------------------------------------------------------------------- the crossings
+
+
+def counted(
+    drapes: Sequence[Float[np.ndarray, "v 3"]], garments: GarmentSet, *, device: str = "auto"
+) -> list[tuple[int, int, int]]:
+    """Crossing edges of each drape as our solver counts them: cloth and cloth, cloth and skin, skin and cloth."""
+    found: list[tuple[int, int, int]] = []
+    for first in range(0, len(drapes), AT_ONCE):
+        rows = range(first, min(first + AT_ONCE, len(drapes)))
+        config = DrapeConfig()
+        jobs = [DrapeJob(box_mesh_of(garments, k), wearer_of(garments, k), measurements_of(garments, k)) for k in rows]
+        solver = Solver(build_model(jobs, config, resolve_device(device)), config)
+        together = np.concatenate([drapes[k] for k in rows]).astype(np.float32)
+        solver.state.x.assign(wp.array(together, dtype=wp.vec3, device=solver.model.device))
+        columns = (solver.self_crossings(), solver.body_crossings(), solver.body_through())
+        found += [tuple(map(int, row)) for row in zip(*columns, strict=True)]  # type: ignore[misc]
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------- the own solver
+
+
+def redraped(garments: GarmentSet, *, spacing: float, device: torch.device) -> list[DrapedVertices]:
+    """The garments draped by our solver at ``spacing`` [cm], interpolated in the panels' planes to their own meshes.
+
+    The time is that of the drape and the interpolation. A garment that cannot be meshed keeps its box mesh.
+    """
+    meshes = [_meshed(garments, k, spacing) for k in range(len(garments))]
+    jobs = []
+    for k, mesh in enumerate(meshes):
+        body, coarse = wearer_of(garments, k), coarse_start(mesh)
+        start = sewing_start(coarse.mesh if coarse else mesh, body)
+        jobs.append(DrapeJob(mesh, body, measurements_of(garments, k), coarse=coarse, start=start))
+    drape_batch(jobs[:1], device=str(device))  # loads the kernels
+    begun = time.perf_counter()
+    drapes = drape_batch(jobs, device=str(device))
+    ms = 1e3 * (time.perf_counter() - begun) / len(jobs)
+    found = []
+    for k, (mesh, drape) in enumerate(zip(meshes, drapes, strict=True)):
+        begun = time.perf_counter()
+        vertices = transferred(drape.vertices, mesh, garments, k)
+        lost = ~np.isfinite(vertices)
+        vertices[lost] = garments.ragged["box"][k][lost]
+        found.append(DrapedVertices(vertices, ms + 1e3 * (time.perf_counter() - begun)))
+    return found
+
+
+def _meshed(garments: GarmentSet, k: int, spacing: float) -> BoxMesh:
+    try:
+        return build_box_mesh(garments.pattern(k), spacing=spacing)
+    except MeshError:
+        return box_mesh_of(garments, k)
+
+
+def transferred(
+    values: Float[np.ndarray, "m 3"], mesh: BoxMesh, garments: GarmentSet, k: int
+) -> Float[np.ndarray, "v 3"]:
+    """Positions at the vertices of another mesh of a pattern, at the vertices of garment ``k``'s own.
+
+    In each panel's plane the mesh is interpolated linearly; a vertex on a seam takes the mean over its panels.
+    """
+    ragged = garments.ragged
+    uv, vertex = ragged["uv"][k].astype(float), ragged["uv_vertex"][k]
+    panel = np.full(len(uv), -1)
+    panel[ragged["corners"][k].ravel()] = np.repeat(ragged["panel_id"][k], 3)
+    total, times = np.zeros((len(ragged["box"][k]), 3)), np.zeros(len(ragged["box"][k]))
+    for number in range(len(mesh.panel_names)):
+        rows, faces = np.flatnonzero(panel == number), np.flatnonzero(mesh.panel_id == number)
+        if not len(rows) or not len(faces):
+            continue
+        flat = mesh.corners[faces]
+        inside = locate(mesh.uv, flat, uv[rows], cell=_spacing(mesh, flat))
+        weights = barycentric(mesh.uv, flat[inside], uv[rows])
+        np.add.at(total, vertex[rows], np.einsum("kn,nkd->nd", weights, values[mesh.faces[faces[inside]]]))
+        np.add.at(times, vertex[rows], 1.0)
+    return total / np.where(times > 0, times, np.nan)[:, None]
+
+
+def _spacing(mesh: BoxMesh, flat: Int[np.ndarray, "f 3"]) -> float:
+    return max(float(_sides(mesh.uv[flat]).mean()), 1e-3)

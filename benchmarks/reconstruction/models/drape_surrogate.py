@@ -1,0 +1,280 @@
+"""From box mesh, pattern and body to the draped garment (task T6), in two passes of a network on the mesh.
+
+The first network sees the box mesh, the flat lengths of its edges, the labels of edges and panels, and the body as
+tokens; the second sees the garment where the first has put it, beside the nearest points of the body. Each moves all
+vertices.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
+from benchmarks.reconstruction.drapes import DrapedVertices
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, gathered, mlp, waves
+from benchmarks.reconstruction.surfaces import (
+    METRE,
+    Surface,
+    SurfaceBatch,
+    SurfaceStore,
+    drawn_turn,
+    surface_of,
+)
+from benchmarks.reconstruction.wearers import body_points
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
+from gcd_dataset.workers import parallel_map
+
+__all__ = ["SMOKE", "TASKS", "USUAL", "DrapeBatch", "DrapeSurrogate", "build"]
+
+TASKS = ("T6",)
+WEIGHTS = {"first": 0.5, "positions": 1.0, "edges": 0.3, "body": 0.5}
+UNIT = 0.1  # metres: a distance that costs 1
+SKIN = 0.003  # metres: cloth nearer to the body costs
+SEEN = 5.0  # scales distances to the body to about 1
+GIVEN = len(EDGE_LABELS) + len(PANEL_LABELS) + 1
+NEAR = 7  # numbers about the nearest point of the body
+SHARED = 32  # features of the first network that the second sees
+USUAL: Mapping[str, Any] = {"batch": 16, "lr": 5e-4, "ema": 0.998}
+"""Options of a training on a GPU."""
+SMOKE: Mapping[str, Any] = {
+    "steps": 200, "batch": 4, "lr": 3e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+}  # fmt: skip
+SMALL: Mapping[str, Any] = {
+    "width": 48, "rounds": 1, "tokens": 48, "token_width": 64, "heads": 4, "layers": 1, "body": 256, "body_tokens": 32,
+}  # fmt: skip
+"""Options of the smallest training, for two CPU cores, and the sizes of its network."""
+
+
+@dataclass(frozen=True)
+class DrapeBatch:
+    """Box meshes with their bodies and drapes."""
+
+    surface: SurfaceBatch
+    given: Float[Tensor, "v g"]
+    """Edge labels, panel labels, whether on a seam."""
+    body: Float[Tensor, "b n 6"]
+    """Points of the skin [m] and normals, spread evenly: any first part is, too."""
+    draped: Float[Tensor, "v 3"]
+    """[m]"""
+
+
+class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
+    """Box mesh and body to positions."""
+
+    def __init__(
+        self,
+        config: SurfaceNetConfig | None = None,
+        *,
+        body: int = 2048,
+        body_tokens: int = 256,
+        second_rounds: int = 1,
+    ) -> None:
+        """``body``: points of the body; ``body_tokens``: points that are tokens; ``second_rounds``: of the second
+        network.
+        """
+        super().__init__()
+        self.config = config or SurfaceNetConfig()
+        self.body_points, self.body_tokens = body, body_tokens
+        width = self.config.width
+        self.body = nn.Sequential(*mlp(6 + 6 * FREQUENCIES, self.config.token_width, self.config.token_width))
+        self.first = SurfaceNet(self.config, features=GIVEN + NEAR)
+        self.first_move = nn.Sequential(*mlp(width, width, 3))
+        self.shared = nn.Linear(width, SHARED)
+        self.second = SurfaceNet(replace(self.config, rounds=second_rounds), features=SHARED + GIVEN + NEAR)
+        self.second_move = nn.Sequential(*mlp(width, width, 3))
+        self._is_warm = False
+
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrapedSurfaces":
+        """The box meshes with clusters, the bodies, and the drapes."""
+        return DrapedSurfaces(
+            garments, tokens=self.config.tokens, body=self.body_points, device=device, workers=workers
+        )
+
+    def compile_parts(self) -> None:
+        for net in (self.first, self.second):
+            net.compile_convolutions()
+
+    def loss(self, batch: DrapeBatch) -> dict[str, Tensor]:
+        first, second, inside = self._moved(batch)
+        weight = 1 / (batch.surface.counts[batch.surface.garments] * batch.surface.size)
+        truth = batch.draped
+
+        def mean(values: Float[Tensor, " v"]) -> Float[Tensor, ""]:
+            return (values * weight).sum()
+
+        neighbours = batch.surface.neighbours
+        lengths = batch.surface.lengths
+        edges = (gathered(second, neighbours) - second[:, None]) - (truth[neighbours] - truth[:, None])
+        off = edges.norm(dim=-1) / lengths.clamp(min=1e-3) * (lengths > 0)
+        terms = {
+            "first": mean(distance(first, truth)) / UNIT,
+            "positions": mean(distance(second, truth)) / UNIT,
+            "edges": mean(off.sum(dim=-1) / (lengths > 0).sum(dim=-1).clamp(min=1)),
+            "body": mean(inside) / UNIT,
+        }
+        return {name: WEIGHTS[name] * term for name, term in terms.items()}
+
+    def predict(self, batch: DrapeBatch) -> list[DrapedVertices]:
+        """Positions, and the mean time of a garment in this batch; the first call is repeated for its time."""
+        on_gpu = batch.draped.is_cuda
+        with torch.no_grad(), torch.autocast("cuda", torch.bfloat16, enabled=on_gpu):
+            if not self._is_warm:
+                self._moved(batch)
+                self._is_warm = True
+            begun = _synchronised(batch.draped.device)
+            _, found, _ = self._moved(batch)
+            seconds = _synchronised(batch.draped.device) - begun
+        vertices = found.double().cpu().numpy() * METRE + CENTRE
+        counts = batch.surface.counts.tolist()
+        parts = np.split(vertices, np.cumsum(counts)[:-1])
+        return [DrapedVertices(part, 1e3 * seconds / len(counts)) for part in parts]
+
+    def _moved(self, batch: DrapeBatch) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions after each network [m], and the depth in the body after the second."""
+        surface = batch.surface
+        skin = batch.body[:, : self.body_tokens]
+        context = self.body(torch.cat([skin, waves(skin[..., :3])], dim=-1))
+        near = nearest_skin(surface.positions, surface, batch.body)
+        features, _, _ = self.first(surface, torch.cat([batch.given, near], dim=-1), context)
+        first = surface.positions + _in_float32(self.first_move, features)
+        # The second network starts from where the first has put the garment, without changing it.
+        put = first.detach()
+        near = nearest_skin(put, surface, batch.body)
+        given = torch.cat([self.shared(features).float(), batch.given, near], dim=-1)
+        features, _, _ = self.second(replace(surface, positions=put), given, context)
+        second = first + UNIT * _in_float32(self.second_move, features)
+        return first, second, depth(second, surface, batch.body)
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
+    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``."""
+    given = {**(SMALL if smoke else {}), **options}
+    names = ("body", "body_tokens", "second_rounds")
+    own = {name: given.pop(name) for name in names if name in given}
+    unknown = set(given) - set(SurfaceNetConfig.__dataclass_fields__)
+    if unknown:
+        known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, *names])
+        raise ConfigError(f"no size {min(unknown)} of a drape_surrogate network: choose of {known}")
+    return DrapeSurrogate(SurfaceNetConfig(**given), **own)
+
+
+def _in_float32(part: nn.Module, features: Float[Tensor, "v w"]) -> Float[Tensor, "v d"]:
+    """The output of a part of the network: bfloat16 would round a metre to half a centimetre."""
+    with torch.autocast(features.device.type, enabled=False):
+        found: Tensor = part(features.float())
+    return found
+
+
+def distance(one: Float[Tensor, "v 3"], other: Float[Tensor, "v 3"]) -> Float[Tensor, " v"]:
+    """Distances of points."""
+    return (one - other).square().sum(dim=-1).add(1e-10).sqrt()
+
+
+def _synchronised(device: torch.device) -> float:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+# ------------------------------------------------------------------------------------------------------------- the body
+
+
+@torch.no_grad()
+def nearest_rows(
+    positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Tensor, "b n 6"]
+) -> Int[Tensor, " v"]:
+    """The row of ``body``, all bodies one after the other, of the nearest point of the wearer."""
+    parts = torch.split(positions, surface.counts.tolist())
+    rows = [torch.cdist(part, points[:, :3]).argmin(dim=1) for part, points in zip(parts, body, strict=True)]
+    return torch.cat(rows) + surface.garments * body.shape[1]
+
+
+def nearest_skin(
+    positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Tensor, "b n 6"]
+) -> Float[Tensor, "v 7"]:
+    """Offset of the nearest point of the skin, its normal, and the height of the vertex over it."""
+    found = body.flatten(0, 1)[nearest_rows(positions, surface, body)]
+    offset = found[:, :3] - positions
+    height = -(offset * found[:, 3:]).sum(dim=-1, keepdim=True)
+    return torch.cat([offset * SEEN, found[:, 3:], height * SEEN], dim=-1)
+
+
+def depth(positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Tensor, "b n 6"]) -> Float[Tensor, " v"]:
+    """Depth below ``SKIN`` over the body [m], measured along the normal of its nearest point."""
+    found = body.flatten(0, 1)[nearest_rows(positions.detach(), surface, body)]
+    height = ((positions - found[:, :3]) * found[:, 3:]).sum(dim=-1)
+    return (SKIN - height).clamp(min=0)
+
+
+# --------------------------------------------------------------------------------------------------------- the examples
+
+
+class DrapedSurfaces:
+    """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random."""
+
+    def __init__(self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0) -> None:
+        meshes = (_mesh_of(garments, k) for k in range(len(garments)))
+        surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
+        self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
+        labels = np.concatenate([_given(garments, k) for k in range(len(garments))])
+        self._given = torch.from_numpy(labels).to(device)
+        drapes = [(garments.ragged["verts"][k] - CENTRE) / METRE for k in range(len(garments))]
+        self._draped = torch.from_numpy(np.concatenate(drapes).astype(np.float32)).to(device)
+        self._body = torch.from_numpy(np.stack(body_points(garments, body, workers=workers))).to(device)
+
+    def __len__(self) -> int:
+        return len(self.store)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> DrapeBatch:
+        """The garments ``rows``."""
+        surface, chosen = self.store.batch(rows)
+        batch = DrapeBatch(
+            surface, self._given[chosen].float(), self._body[rows.to(chosen.device)], self._draped[chosen]
+        )
+        if chance is None:
+            return batch
+        turn = drawn_turn(rows, len(self), chance, chosen.device, growth=0.0, jitter=0.0)
+        given = batch.given.clone()
+        labels = given[:, : len(EDGE_LABELS)]
+        swapped = turn.mirrored[surface.garments, None]
+        given[:, : len(EDGE_LABELS)] = torch.where(swapped, labels[:, MIRRORED_EDGES], labels)
+        body = torch.cat([part @ turn.matrices.transpose(1, 2) for part in torch.split(batch.body, 3, dim=-1)], dim=-1)
+        draped = (turn.matrices[surface.garments] @ batch.draped[..., None])[..., 0]
+        return DrapeBatch(turn.of(surface), given, body, draped)
+
+
+def _mesh_of(garments: GarmentSet, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Box mesh, faces, and the flat length of the edge after each corner of each face [cm]."""
+    ragged = garments.ragged
+    flat = ragged["uv"][k].astype(float)[ragged["corners"][k]]
+    lengths = np.linalg.norm(flat[:, [1, 2, 0]] - flat, axis=-1)
+    return ragged["box"][k], ragged["faces"][k], lengths
+
+
+def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Surface:
+    vertices, faces, lengths = mesh
+    return surface_of(vertices, faces, clusters=tokens, lengths=lengths)
+
+
+def _given(garments: GarmentSet, k: int) -> Bool[np.ndarray, "v g"]:
+    """Edge labels, labels of the panels, and whether on a seam, for each vertex."""
+    ragged = garments.ragged
+    found = np.zeros((len(ragged["box"][k]), GIVEN), bool)
+    labels = ragged["labels"][k]
+    labels = labels[labels[:, 1] < len(EDGE_LABELS)]
+    found[labels[:, 0], labels[:, 1]] = True
+    roles = ragged["panels"][k][:, PanelColumn.LABEL].astype(int)
+    roles = np.where(roles < len(PANEL_LABELS), roles, 0)
+    found[ragged["faces"][k].ravel(), len(EDGE_LABELS) + np.repeat(roles[ragged["panel_id"][k]], 3)] = True
+    found[ragged["seams"][k][:, 0], -1] = True
+    return found

@@ -1,0 +1,45 @@
+"""The garment that a verb is about: a sample of a data set, or the pattern in a specification file."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gcd_dataset.cli.verb import open_source
+from gcd_dataset.errors import ShardError, SpecError
+
+if TYPE_CHECKING:
+    from gcd_dataset.records import Pattern, Sample
+
+__all__ = ["names_a_file", "pattern_of", "sample_of"]
+
+
+def names_a_file(source: str) -> bool:
+    """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
+    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).is_file())
+
+
+def pattern_of(options: argparse.Namespace) -> "Pattern":
+    """The pattern in the specification file ``what``."""
+    from gcd_dataset.spec import read_pattern
+    from gcd_dataset.validate import require_valid
+
+    return require_valid(read_pattern(Path(options.what)), source=options.what)
+
+
+def sample_of(options: argparse.Namespace) -> "Sample":
+    """The sample at ``index`` of the data set ``what``, local or remote; of the split ``train`` without ``split``."""
+    from gcd_dataset.shards import ShardReader
+
+    reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
+    if options.index >= len(reader):
+        raise ShardError(
+            f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 to {len(reader) - 1}"
+        )
+    return reader.sample(options.index)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error

@@ -1,0 +1,212 @@
+"""Patterns as DXF for pattern CAD, in the layers of AAMA and ASTM.
+
+The layers and the ``Identifier:value`` texts are those of ASTM D6673-10, *Standard Practice for Sewn Products Pattern
+Data Interchange—Data Format*, §4.3, which was withdrawn in 2019 without a replacement; ANSI/AAMA-292 has the same
+layers 1 to 14. The encoding of a notch, a point with its depth in group 30, its width in 39 and its angle in 50, is
+that of the ePattern guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
+
+The file is DXF R12 without tables and without layouts, which the readers of pattern CAD expect: see ``ezdxf``'s
+``gerber_D6673``. Each piece is a block, inserted once on one sheet.
+"""
+
+import io
+import math
+import re
+import unicodedata
+from collections.abc import Iterable
+from datetime import date
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gcd_dataset import __version__
+from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
+from gcd_dataset.exports.packing import pack
+from gcd_dataset.exports.pieces import CutPiece, cut_pieces
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import Pattern, Sample
+
+__all__ = ["DxfLayer", "dxf", "dxf_bytes"]
+
+MM = 10.0  # millimetres in a centimetre
+DECIMALS = 2  # of a millimetre
+STANDARD = "ASTM/D13Proposal 1 Version:D6673-10"
+TEXT, NUMBER, SYSTEM = 5.0, 3.5, 2.5  # mm, heights of texts
+NAME_SHARE = 0.8  # share of the room that texts may take
+LINE = 1.6  # distance of lines of text, in heights
+LETTER = 0.7  # mean width of a letter, in heights
+GAP = 2.0  # cm between pieces on the sheet
+ASPECT = 1.6  # width over height of the sheet, about
+LONGEST_NAME = 31  # letters of a block's name in R12
+BASE_SIZE = "BASE"
+SAME = 0.02  # mm between a point of the sew line and one of the cut line that are one
+
+
+class DxfLayer(StrEnum):
+    """Layers of ASTM D6673-10, §4.3, that an export uses."""
+
+    CUT = "1"
+    """Piece boundary; also the texts about style and piece."""
+    TURN = "2"
+    CURVE = "3"
+    NOTCH = "4"
+    MIRROR = "6"
+    """Line at which the cloth is folded."""
+    GRAIN = "7"
+    DRILL = "13"
+    SEW = "14"
+    ANNOTATION = "15"
+
+
+def dxf(
+    garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 1.0, created: date | None = None
+) -> None:
+    """Write the pattern as DXF.
+
+    ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
+    ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a
+    pattern that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
+    """
+    path = require_suffix(path, ".dxf")
+    write_whole(path, dxf_bytes(garment, seam_allowance=seam_allowance, created=created))
+
+
+def dxf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, created: date | None = None) -> bytes:
+    """The content of the file that ``dxf`` writes; equal patterns give equal bytes."""
+    drawing = optional("ezdxf.document").Drawing  # ``ezdxf.new`` warns of units, which R12 has not
+    exporter = optional("ezdxf.addons.gerber_D6673")
+    pattern = pattern_of(garment)
+    pieces = cut_pieces(pattern, seam_allowance=seam_allowance)
+    size, material = _size_and_material(garment)
+    document = drawing.new("R12")
+    space = document.modelspace()
+    names = _block_names(pieces)
+    for piece, name, at in zip(pieces, names, _places(pieces), strict=True):
+        block = document.blocks.new(name)
+        _draw_piece(block, piece, pattern, [f"Size Name:{size}", *([f"Material:{material}"] if material else [])])
+        space.add_blockref(name, _mm(at), dxfattribs={"layer": DxfLayer.CUT.value})
+    style = [
+        f"Style Name:{ascii_text(pattern.name)}",
+        *([] if created is None else [f"Creation Date:{created:%d-%m-%Y}"]),
+        f"Author:gcd_dataset;gcd_dataset;{__version__}",
+        f"Sample Size:{size}",
+        "Grade Rule Table:",
+        "Units:METRIC",
+        STANDARD,
+    ]
+    _write_lines(space, style, np.array([0.0, -GAP * MM]), SYSTEM, DxfLayer.CUT)
+    stream = io.StringIO()
+    exporter.export_stream(document, stream)
+    return stream.getvalue().encode("ascii", "replace")
+
+
+def ascii_text(text: str) -> str:
+    """The text in the 7-bit characters that the standard allows: letters lose their accents, others become ``_``.
+
+    >>> ascii_text("Cós 1/2")
+    'Cos 1/2'
+    """
+    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return re.sub(r"[^ -~]", "_", plain)
+
+
+# -------------------------------------------------------------------------------------------------------------- pieces
+
+
+def _draw_piece(block: Any, piece: CutPiece, pattern: Pattern, facts: Iterable[str]) -> None:
+    """Add the entities of a piece to its block, in the panel's plane [mm]."""
+    _write_texts(block, piece, facts)
+    for line, layer in ((piece.cut, DxfLayer.CUT), (piece.sew, DxfLayer.SEW)):
+        points = [_mm(point) for point in line]
+        block.add_polyline2d(points, close=True, dxfattribs={"layer": layer.value})
+    _draw_points(block, piece.cut, piece.cut_corner)
+    if len(piece.cut) != len(piece.sew) or np.abs(piece.cut - piece.sew).max() * MM > SAME:
+        _draw_points(block, piece.sew, piece.sew_corner)
+    for notch in piece.notches:
+        x, y = _mm(notch.point)
+        angle = round(math.degrees(math.atan2(notch.inward[1], notch.inward[0])) % 360, 3)
+        block.add_point(
+            (x, y, round(MM * notch.depth, DECIMALS)), dxfattribs={"layer": DxfLayer.NOTCH.value, "angle": angle}
+        )
+    for hole in piece.drills:
+        block.add_point(_mm(hole), dxfattribs={"layer": DxfLayer.DRILL.value})
+    for fold in piece.folds:
+        block.add_line(_mm(fold[0]), _mm(fold[1]), dxfattribs={"layer": DxfLayer.MIRROR.value})
+    block.add_line(_mm(piece.grain[0]), _mm(piece.grain[1]), dxfattribs={"layer": DxfLayer.GRAIN.value})
+    for number in piece.numbers:
+        height = min(NUMBER, 0.3 * MM * number.room)
+        at = (
+            MM * number.point + 1.3 * height * number.inward - 0.5 * height * np.array([LETTER * len(number.text), 1.0])
+        )
+        _write_lines(block, [number.text], at, height, DxfLayer.ANNOTATION)
+
+
+def _write_texts(block: Any, piece: CutPiece, facts: Iterable[str]) -> None:
+    """The name and system texts of a piece, in the middle of its room for the name."""
+    name = ascii_text(piece.name)
+    notes = [name, "cut 1"]
+    system = [f"Piece Name:{name}", "Quantity:1,0", *facts]
+    room = MM * NAME_SHARE * piece.name_room
+    heights = [
+        min(largest, room / (LETTER * max(map(len, lines)))) for largest, lines in ((TEXT, notes), (SYSTEM, system))
+    ]
+    width = LETTER * max(height * max(map(len, lines)) for height, lines in zip(heights, (notes, system), strict=True))
+    tall = LINE * (heights[0] * len(notes) + heights[1] * len(system))
+    at = MM * piece.name_at + [-0.5 * width, 0.5 * tall - heights[0]]
+    _write_lines(block, notes, at, heights[0], DxfLayer.ANNOTATION)
+    _write_lines(block, system, at - [0.0, LINE * heights[0] * len(notes)], heights[1], DxfLayer.CUT)
+
+
+def _draw_points(block: Any, points: Float[np.ndarray, "n 2"], corner: Bool[np.ndarray, " n"]) -> None:
+    """The turn and curve points of a closed line: all of its points."""
+    for point, is_corner in zip(points, corner.tolist(), strict=True):
+        layer = DxfLayer.TURN if is_corner else DxfLayer.CURVE
+        block.add_point(_mm(point), dxfattribs={"layer": layer.value})
+
+
+def _write_lines(space: Any, lines: Iterable[str], at: Float[np.ndarray, "2"], height: float, layer: DxfLayer) -> None:
+    """Lines of text, the first at ``at`` [mm]."""
+    x, y = np.round(at, DECIMALS).tolist()
+    for number, line in enumerate(lines):
+        text = space.add_text(line, height=round(height, DECIMALS), dxfattribs={"layer": layer.value})
+        text.set_placement((x, round(y - number * LINE * height, DECIMALS)))
+
+
+# --------------------------------------------------------------------------------------------------------------- sheet
+
+
+def _places(pieces: tuple[CutPiece, ...]) -> Float[np.ndarray, "p 2"]:
+    """Insertion points of the pieces on one sheet [cm]."""
+    boxes = np.stack([piece.box for piece in pieces])
+    sizes = boxes[:, 1] - boxes[:, 0]
+    area = float((sizes + GAP).prod(axis=1).sum())
+    corners, _ = pack(sizes, width=max(float(sizes[:, 0].max()), math.sqrt(ASPECT * area)), gap=GAP)
+    return corners - boxes[:, 0]
+
+
+def _block_names(pieces: tuple[CutPiece, ...]) -> list[str]:
+    """A different name of letters, digits, - and _ for the block of each piece."""
+    names: list[str] = []
+    for piece in pieces:
+        plain = re.sub(r"[^A-Za-z0-9_-]", "_", ascii_text(piece.name))
+        tries = (plain[: LONGEST_NAME - len(end)] + end for end in ("", *(f"_{n}" for n in range(2, len(pieces) + 2))))
+        taken = {name.upper() for name in names}
+        names.append(next(name for name in tries if name.upper() not in taken))
+    return names
+
+
+def _size_and_material(garment: Sample | Pattern) -> tuple[str, str]:
+    """Name of the size, the body for which a sample was cut, and of the fabric."""
+    if not isinstance(garment, Sample):
+        return BASE_SIZE, ""
+    fabric = "" if garment.fabric is None else garment.fabric.name
+    return ascii_text(garment.provenance.body_name or BASE_SIZE), ascii_text(fabric)
+
+
+def _mm(point: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """A point in millimetres, rounded as the standard wants."""
+    x, y = np.round(MM * np.asarray(point), DECIMALS).tolist()
+    return x, y

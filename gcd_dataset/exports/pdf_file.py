@@ -1,0 +1,454 @@
+"""Patterns as PDF at true scale, tiled on pages with marks: print, trim, glue, cut.
+
+Sew lines are drawn as Bézier curves; cut lines are polylines within 0.1 mm. The first page, or on large paper a block
+on the sheet, is the legend: a square of 10 cm to check the scale, the map of the pages, the pieces, the kinds of lines.
+"""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, arc_centre, from_frame
+from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
+from gcd_dataset.exports.pieces import CutPiece, cut_pieces
+from gcd_dataset.exports.tiling import MARGIN, OVERLAP, Page, Paper, Tiling, paper_named, tile
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import Panel, Pattern, Sample
+
+__all__ = ["bezier_pieces", "pdf", "pdf_bytes"]
+
+POINTS = 72 / 2.54  # of a PDF in a centimetre
+CUT_WIDTH, SEW_WIDTH, GRAIN_WIDTH, FRAME_WIDTH = 0.035, 0.02, 0.025, 0.01  # cm
+DASH = (0.4, 0.2)  # cm, of the sew line
+GREY, PALE = 0.45, 0.85
+ARC_STEP = np.radians(30.0)  # an arc of 30° differs from its Bézier curve by 4e-7 of the radius
+NAME, SMALL, TINY = 0.8, 0.42, 0.32  # cm, sizes of letters
+LETTER = 0.55  # mean width of a letter, in its size
+NAME_SHARE, NAME_HEIGHT = 0.8, 0.12  # size of a name, at most: share of its room, of the height of the piece
+ARROW = (0.5, 0.18)  # cm, length and half width of an arrow head
+DRILL = 0.25  # cm, radius of a drill hole's circle
+MARK = 0.5  # cm, half the diagonal of a registration mark
+TEST_SQUARE = 10.0  # cm
+LEGEND = (18.0, 25.0)  # cm, width and height
+MAP = (17.0, 8.5)  # cm, of the map of pages
+FONT, BOLD = "Helvetica", "Helvetica-Bold"
+
+
+def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 1.0, paper: str = "a4") -> None:
+    """Write the pattern as PDF.
+
+    ``seam_allowance``: cloth beyond the sew line [cm]; ``paper``: a name of ``PAPERS``. Raises ``ConfigError`` for a
+    name that does not end in ``.pdf``, an unknown paper or an allowance out of range, ``PatternError`` for a pattern
+    that cannot be sewn, ``ExtraMissing`` without reportlab, ``OutputError``.
+    """
+    path = require_suffix(path, ".pdf")
+    write_whole(path, pdf_bytes(garment, seam_allowance=seam_allowance, paper=paper))
+
+
+def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: str = "a4") -> bytes:
+    """The content of the file that ``pdf`` writes; equal patterns give equal bytes."""
+    canvas_class = optional("reportlab.pdfgen.canvas").Canvas
+    size, pattern = paper_named(paper), pattern_of(garment)
+    pieces = cut_pieces(pattern, seam_allowance=seam_allowance)
+    sheet = _sheet(pieces, pattern, size, seam_allowance)
+    file = io.BytesIO()
+    canvas = canvas_class(file, pagesize=(size.width * POINTS, size.height * POINTS), invariant=1, pageCompression=1)
+    canvas.setTitle(_latin(pattern.name))
+    canvas.setCreator("gcd_dataset")
+    if not size.is_large:
+        _begin(canvas)
+        _draw_legend(canvas, sheet, (size.width - LEGEND[0]) / 2, (size.height + LEGEND[1]) / 2)
+        canvas.showPage()
+    for number, page in enumerate(sheet.tiling.pages):
+        _begin(canvas)
+        _draw_page(canvas, sheet, page, number)
+        canvas.showPage()
+    canvas.save()
+    return file.getvalue()
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """All that is drawn: the pieces, in their places, and the legend."""
+
+    name: str
+    pieces: tuple[CutPiece, ...]
+    shifts: Float[np.ndarray, "p 2"]
+    """From each panel's plane to the sheet, y up [cm]."""
+    tiling: Tiling
+    legend_at: tuple[float, float] | None
+    """Upper left corner of the legend on the sheet; ``None``: on a page of its own."""
+    allowance: float
+
+
+def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowance: float) -> _Sheet:
+    boxes = np.stack([piece.box for piece in pieces])
+    sizes = boxes[:, 1] - boxes[:, 0] + CUT_WIDTH
+    lows = boxes[:, 0] - 0.5 * CUT_WIDTH
+    cloth = [shapely.Polygon(piece.cut - low) for piece, low in zip(pieces, lows, strict=True)]
+    if paper.is_large:
+        sizes, cloth = np.vstack([sizes, LEGEND]), [*cloth, shapely.box(0, 0, *LEGEND)]
+    tiling = tile(sizes, cloth, paper)
+    legend_at = None
+    if paper.is_large:
+        x, y = tiling.corners[-1].tolist()
+        legend_at = (x, y + LEGEND[1])
+    return _Sheet(pattern.name, pieces, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
+
+
+# --------------------------------------------------------------------------------------------------------------- pages
+
+
+def _begin(canvas: Any) -> None:
+    """A page whose unit is a centimetre."""
+    canvas.scale(POINTS, POINTS)
+    canvas.setLineCap(1)
+    canvas.setLineJoin(1)
+
+
+def _draw_page(canvas: Any, sheet: _Sheet, page: Page, number: int) -> None:
+    paper, tiling = sheet.tiling.paper, sheet.tiling
+    (width, height), (x, y) = paper.window, tiling.origin(page)
+    canvas.saveState()
+    clip = canvas.beginPath()
+    clip.rect(MARGIN, MARGIN, width, height)
+    canvas.clipPath(clip, stroke=0, fill=0)
+    canvas.translate(MARGIN - x, MARGIN + height - y)  # the sheet, y up
+    window = shapely.box(x, y - height, x + width, y)
+    for piece, shift in zip(sheet.pieces, sheet.shifts, strict=True):
+        if shapely.Polygon(piece.cut + shift).intersects(window):
+            canvas.saveState()
+            canvas.translate(*shift.tolist())
+            _draw_piece(canvas, piece)
+            canvas.restoreState()
+    if sheet.legend_at is not None:
+        _draw_legend(canvas, sheet, *sheet.legend_at)
+    canvas.restoreState()
+    _draw_marks(canvas, sheet, page)
+    canvas.setFillGray(GREY)
+    text = f"{page.label}   page {number + 1} of {len(tiling.pages)}   {_latin(sheet.name)}"
+    _text(canvas, text, MARGIN + 0.2, 0.4 * MARGIN, TINY, centred=False)
+    canvas.drawRightString(paper.width - MARGIN - 0.2, 0.4 * MARGIN, "print at 100 %")
+    canvas.setFillGray(0)
+
+
+def _draw_marks(canvas: Any, sheet: _Sheet, page: Page) -> None:
+    """The borders of the page's cell, with half of a registration mark towards each neighbour.
+
+    Solid: the border at which the page is trimmed; dashed: the border to which the neighbour is glued.
+    """
+    paper, tiling = sheet.tiling.paper, sheet.tiling
+    (width, height), (across, down) = paper.window, paper.cell
+    left, top = MARGIN, MARGIN + height
+    right, bottom = left + across, top - down
+    labels = {(other.row, other.column): other.label for other in tiling.pages}
+    canvas.saveState()
+    canvas.setStrokeGray(GREY)
+    canvas.setFillGray(GREY)
+    canvas.setLineWidth(FRAME_WIDTH)
+    sides = (
+        ((0, -1), (left, bottom), (left, top), False),
+        ((-1, 0), (left, top), (right, top), False),
+        ((0, 1), (right, bottom), (right, top), True),
+        ((1, 0), (left, bottom), (right, bottom), True),
+    )
+    for (down_by, right_by), start, end, is_glued in sides:
+        neighbour = labels.get((page.row + down_by, page.column + right_by))
+        if neighbour is None:
+            continue
+        reach = OVERLAP if is_glued else 0.0
+        canvas.setDash([0.1, 0.2] if is_glued else [])
+        if right_by:
+            canvas.line(start[0], MARGIN, end[0], top)
+        else:
+            canvas.line(left, start[1], left + width, end[1])
+        canvas.setDash([])
+        x, y = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
+        _diamond(canvas, x, y)
+        if is_glued:
+            canvas.saveState()
+            canvas.translate(x + (0.5 * reach if right_by else 2.2), y - (0.5 * reach if down_by else -2.2))
+            if right_by:
+                canvas.rotate(90)
+            _text(canvas, f"glue {neighbour} here", 0.0, -0.35 * TINY, TINY)
+            canvas.restoreState()
+        else:
+            inside = (0.35, 1.4) if right_by else (1.4, -0.6)
+            _text(canvas, f"to {neighbour}", x + inside[0], y + inside[1], TINY, centred=False)
+    canvas.restoreState()
+
+
+def _diamond(canvas: Any, x: float, y: float) -> None:
+    """A registration mark: the half on each page complete each other."""
+    path = canvas.beginPath()
+    path.moveTo(x - MARK, y)
+    for corner in ((x, y + MARK), (x + MARK, y), (x, y - MARK)):
+        path.lineTo(*corner)
+    path.close()
+    canvas.drawPath(path, stroke=1, fill=0)
+    canvas.line(x - MARK, y, x + MARK, y)
+    canvas.line(x, y - MARK, x, y + MARK)
+
+
+# -------------------------------------------------------------------------------------------------------------- pieces
+
+
+def _draw_piece(canvas: Any, piece: CutPiece) -> None:
+    """A piece in the panel's plane [cm]."""
+    canvas.setLineWidth(CUT_WIDTH)
+    _polygon(canvas, piece.cut)
+    canvas.setLineWidth(SEW_WIDTH)
+    canvas.setDash(list(DASH))
+    _sew_line(canvas, piece.panel)
+    canvas.setDash([])
+    canvas.setLineWidth(CUT_WIDTH)
+    for notch in piece.notches:
+        canvas.line(*notch.point.tolist(), *(notch.point + notch.depth * notch.inward).tolist())
+    canvas.setLineWidth(SEW_WIDTH)
+    for x, y in piece.drills.tolist():
+        canvas.circle(x, y, DRILL)
+        canvas.line(x - DRILL, y, x + DRILL, y)
+        canvas.line(x, y - DRILL, x, y + DRILL)
+    for fold in piece.folds:
+        _draw_fold(canvas, fold)
+    canvas.setLineWidth(GRAIN_WIDTH)
+    _arrow(canvas, piece.grain[0], piece.grain[1])
+    _arrow(canvas, piece.grain[1], piece.grain[0])
+    _write_name(canvas, piece)
+    canvas.setFillGray(GREY)
+    for number in piece.numbers:
+        size = min(SMALL, 0.3 * number.room)
+        x, y = (number.point + 1.4 * size * number.inward).tolist()
+        _text(canvas, number.text, x, y - 0.35 * size, size)
+    canvas.setFillGray(0)
+
+
+def _write_name(canvas: Any, piece: CutPiece) -> None:
+    name, notes = _latin(piece.name), "cut 1, right side up"
+    room = NAME_SHARE * piece.name_room
+    x, y = piece.name_at.tolist()
+    size = min(NAME, NAME_HEIGHT * float(np.ptp(piece.cut[:, 1])), room / (LETTER * len(name)))
+    _text(canvas, name, x, y, size, font=BOLD)
+    small = min(SMALL, 0.7 * size, room / (LETTER * len(notes)))
+    _text(canvas, notes, x, y - 1.4 * small, small)
+
+
+def _draw_fold(canvas: Any, fold: Float[np.ndarray, "2 2"]) -> None:
+    """The mark of a fold: a bracket with two arrows towards the edge, on the cloth."""
+    along = (fold[1] - fold[0]) / np.linalg.norm(fold[1] - fold[0])
+    inward = np.array([-along[1], along[0]])
+    for share in (0.25, 0.75):
+        tip = fold[0] + share * (fold[1] - fold[0])
+        _arrow(canvas, tip + 1.2 * inward, tip)
+    start, end = fold[0] + 0.25 * (fold[1] - fold[0]), fold[0] + 0.75 * (fold[1] - fold[0])
+    canvas.line(*(start + 1.2 * inward).tolist(), *(end + 1.2 * inward).tolist())
+    x, y = (0.5 * (start + end) + 1.6 * inward).tolist()
+    _text(canvas, "fold", x, y, SMALL)
+
+
+def _arrow(canvas: Any, tail: Float[np.ndarray, "2"], tip: Float[np.ndarray, "2"]) -> None:
+    canvas.line(*tail.tolist(), *tip.tolist())
+    length = float(np.linalg.norm(tip - tail))
+    along = (tip - tail) / max(length, 1e-9)
+    base = tip - min(ARROW[0], 0.4 * length) * along
+    across = ARROW[1] * np.array([-along[1], along[0]])
+    path = canvas.beginPath()
+    path.moveTo(*tip.tolist())
+    path.lineTo(*(base + across).tolist())
+    path.lineTo(*(base - across).tolist())
+    path.close()
+    canvas.drawPath(path, stroke=0, fill=1)
+
+
+def _polygon(canvas: Any, points: Float[np.ndarray, "n 2"]) -> None:
+    path = canvas.beginPath()
+    path.moveTo(*points[0].tolist())
+    for point in points[1:].tolist():
+        path.lineTo(*point)
+    path.close()
+    canvas.drawPath(path, stroke=1, fill=0)
+
+
+def _sew_line(canvas: Any, panel: Panel) -> None:
+    path = canvas.beginPath()
+    path.moveTo(*panel.edge_ends(0)[0])
+    for index, edge in enumerate(panel.edges):
+        start, end = panel.edge_ends(index)
+        if edge.curve == LINE:
+            path.lineTo(*end)
+        for control0, control1, to in bezier_pieces(start, end, edge.curve):
+            path.curveTo(*control0, *control1, *to)
+    path.close()
+    canvas.drawPath(path, stroke=1, fill=0)
+
+
+def bezier_pieces(start: Point, end: Point, curve: Curve) -> list[tuple[Point, Point, Point]]:
+    """A curve as cubic Bézier curves, each as two control points and the end [cm]; none for a line.
+
+    Exact for Bézier curves; of an arc each piece spans 30° at most.
+    """
+    match curve:
+        case Quadratic(control):
+            (x, y), (x0, y0), (x1, y1) = from_frame(start, end, control), start, end
+            return [
+                ((x0 + 2 * (x - x0) / 3, y0 + 2 * (y - y0) / 3), (x1 + 2 * (x - x1) / 3, y1 + 2 * (y - y1) / 3), end)
+            ]
+        case Cubic(control0, control1):
+            return [(from_frame(start, end, control0), from_frame(start, end, control1), end)]
+        case Arc():
+            return _arc_pieces(start, end, curve)
+        case _:
+            return []
+
+
+def _arc_pieces(start: Point, end: Point, arc: Arc) -> list[tuple[Point, Point, Point]]:
+    centre, first, sweep = arc_centre(start, end, arc)
+    count = max(1, int(np.ceil(abs(sweep) / ARC_STEP - 1e-9)))
+    angles = first + sweep * np.arange(count + 1) / count
+    reach = 4 / 3 * np.tan(sweep / count / 4)  # of the control points, in radii
+    radial = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    across = np.stack([-radial[:, 1], radial[:, 0]], axis=1)
+    on_arc = centre + arc.radius * radial
+    after, before = on_arc + arc.radius * reach * across, on_arc - arc.radius * reach * across
+    on_arc[-1] = end
+    return [
+        ((c0[0], c0[1]), (c1[0], c1[1]), (to[0], to[1]))
+        for c0, c1, to in zip(after[:-1].tolist(), before[1:].tolist(), on_arc[1:].tolist(), strict=True)
+    ]
+
+
+# -------------------------------------------------------------------------------------------------------------- legend
+
+
+def _draw_legend(canvas: Any, sheet: _Sheet, left: float, top: float) -> None:
+    """Title, test square, meaning of the lines, pieces and map of the pages, below a corner [cm]."""
+    canvas.saveState()
+    canvas.translate(left, top)
+    title = _latin(sheet.name)
+    _text(canvas, title, 0, -0.9, min(0.9, LEGEND[0] / (0.6 * len(title))), font=BOLD, centred=False)
+    tiling = sheet.tiling
+    pages = f"{len(tiling.pages)} page{'s' if len(tiling.pages) > 1 else ''} {tiling.paper.name.upper()}"
+    facts = f"{len(sheet.pieces)} pieces on {pages}; seam allowance {sheet.allowance:g} cm, included"
+    _text(canvas, facts, 0, -1.7, SMALL, centred=False)
+    canvas.setLineWidth(FRAME_WIDTH)
+    canvas.rect(0, -2.4 - TEST_SQUARE, TEST_SQUARE, TEST_SQUARE)
+    _text(canvas, "10 cm × 10 cm", 5.0, -7.2, 0.6, font=BOLD)
+    _text(canvas, "Measure both sides. Print at 100 %,", 5.0, -8.2, TINY)
+    _text(canvas, "without “fit to page”.", 5.0, -8.7, TINY)
+    _draw_key(canvas, sheet, 10.8, -2.6)
+    _list_pieces(canvas, sheet.pieces, -13.3)
+    _draw_map(canvas, sheet, -LEGEND[1] + MAP[1])
+    canvas.restoreState()
+
+
+def _draw_key(canvas: Any, sheet: _Sheet, x: float, y: float) -> None:
+    """The meaning of the lines."""
+    rows = ("cut", "sew", "notch", "double", "grain", "drill", "number")
+    texts = {
+        "cut": "cut line",
+        "sew": "sew line",
+        "notch": "notch: matches one on the other edge",
+        "double": "double notch: tells both ends apart",
+        "grain": "grain (warp)",
+        "drill": "drill hole of a dart",
+        "number": "seam: sew equal numbers together",
+    }
+    for row, kind in enumerate(rows):
+        level = y - 0.75 * row
+        canvas.setLineWidth(CUT_WIDTH)
+        match kind:
+            case "cut":
+                canvas.line(x, level, x + 1.5, level)
+            case "sew":
+                canvas.setLineWidth(SEW_WIDTH)
+                canvas.setDash(list(DASH))
+                canvas.line(x, level, x + 1.5, level)
+                canvas.setDash([])
+            case "notch" | "double":
+                canvas.line(x, level + 0.2, x + 1.5, level + 0.2)
+                for at in (0.75,) if kind == "notch" else (0.55, 0.95):
+                    canvas.line(x + at, level + 0.2, x + at, level - 0.2)
+            case "grain":
+                canvas.setLineWidth(GRAIN_WIDTH)
+                ends = np.array([[x, level], [x + 1.5, level]])
+                _arrow(canvas, ends[0], ends[1])
+                _arrow(canvas, ends[1], ends[0])
+            case "drill":
+                canvas.setLineWidth(SEW_WIDTH)
+                canvas.circle(x + 0.75, level, DRILL)
+                canvas.line(x + 0.75 - DRILL, level, x + 0.75 + DRILL, level)
+                canvas.line(x + 0.75, level - DRILL, x + 0.75, level + DRILL)
+            case _:
+                canvas.setFillGray(GREY)
+                _text(canvas, "7", x + 0.75, level - 0.15, SMALL)
+                canvas.setFillGray(0)
+        _text(canvas, texts[kind], x + 1.8, level - 0.12, TINY, centred=False)
+    steps = (
+        "Trim each page at its solid border. Glue",
+        "it to the dashed border of the page at its",
+        "left or above; the diamonds must meet.",
+    )
+    for row, step in enumerate(steps):
+        _text(canvas, step, x, y - 5.8 - 0.5 * row, TINY, centred=False)
+
+
+def _list_pieces(canvas: Any, pieces: Sequence[CutPiece], top: float) -> None:
+    """The pieces with the size of their cloth, in columns."""
+    columns = 2 if len(pieces) <= 10 else 3
+    rows = -(-len(pieces) // columns)
+    step = min(0.46, 2.9 / rows)
+    size = min(TINY, 0.75 * step)
+    for number, piece in enumerate(pieces):
+        column, row = divmod(number, rows)
+        width, height = (piece.box[1] - piece.box[0]).tolist()
+        line = f"{_latin(piece.name)}: {width:.1f} × {height:.1f} cm"
+        _text(canvas, line, column * LEGEND[0] / columns, top - step * row, size, centred=False)
+
+
+def _draw_map(canvas: Any, sheet: _Sheet, top: float) -> None:
+    """The pages and pieces, small; pages that are not printed are grey."""
+    tiling = sheet.tiling
+    (across, down), printed = tiling.paper.cell, set(tiling.pages)
+    width, height = tiling.columns * across + OVERLAP, tiling.rows * down + OVERLAP
+    scale = min(MAP[0] / width, MAP[1] / height)
+    canvas.saveState()
+    canvas.translate(0.5 * (LEGEND[0] - scale * width), top)
+    canvas.setLineWidth(FRAME_WIDTH)
+    for row in range(tiling.rows):
+        for column in range(tiling.columns):
+            page = Page(row, column)
+            x, y = scale * column * across, -scale * row * down
+            canvas.setFillGray(1.0 if page in printed else PALE)
+            canvas.setStrokeGray(GREY)
+            wide = across + (OVERLAP if column + 1 == tiling.columns else 0.0)
+            tall = down + (OVERLAP if row + 1 == tiling.rows else 0.0)
+            canvas.rect(x, y - scale * tall, scale * wide, scale * tall, stroke=1, fill=1)
+            if page in printed:
+                canvas.setFillGray(GREY)
+                size = min(0.7, 0.3 * scale * min(across, down))
+                _text(canvas, page.label, x + 0.5 * scale * across, y - 0.5 * scale * down - 0.35 * size, size)
+    canvas.setStrokeGray(0)
+    canvas.setLineWidth(0.02)
+    for piece, shift in zip(sheet.pieces, sheet.shifts, strict=True):
+        _polygon(canvas, scale * (piece.cut + shift - [0.0, tiling.height]))
+    canvas.restoreState()
+
+
+# --------------------------------------------------------------------------------------------------------------- texts
+
+
+def _text(canvas: Any, text: str, x: float, y: float, size: float, *, font: str = FONT, centred: bool = True) -> None:
+    """A line of text with its base line at ``y``; ``size`` [cm]."""
+    canvas.setFont(font, size)
+    (canvas.drawCentredString if centred else canvas.drawString)(x, y, text)
+
+
+def _latin(text: str) -> str:
+    """The text in the letters that the fonts of every PDF reader have."""
+    return text.encode("cp1252", "replace").decode("cp1252")

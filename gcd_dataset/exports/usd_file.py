@@ -1,0 +1,154 @@
+"""Draped garments as USD: garment with a subset and a material for each panel, body, and seams as curves."""
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset.exports.cloth import (
+    SKIN,
+    TILE,
+    panel_colour,
+    seam_vertices,
+    smooth_normals,
+    texture_coordinates,
+)
+from gcd_dataset.exports.inputs import body_of, draped_mesh, optional, require_suffix
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import Body, Sample
+
+__all__ = ["usd"]
+
+METRES_PER_UNIT = 0.01
+SEAM_WIDTH = 0.3  # cm
+SEAM_COLOUR = (0.15, 0.15, 0.15)
+ROUGHNESS = 0.9
+SUFFIXES = (".usd", ".usda", ".usdc")
+
+
+def usd(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+    """Write the draped garment, on its body, as USD: text for ``.usda``, binary for ``.usd`` and ``.usdc``.
+
+    Centimetres (``metersPerUnit`` 0.01), y up. ``garment`` is one mesh, its vertices in the order of the sample's
+    ``verts``, with texture coordinates ``primvars:st`` (1 is ``tile`` cm of cloth) and a ``GeomSubset`` with a material
+    for each panel; ``seams`` are linear curves, one for each seam of the pattern, in order, from the start of its left
+    edge. ``body``: whether to include the body, if the sample holds its shape. Raises ``ShardError`` for a sample
+    without a drape, ``ConfigError`` for another suffix, ``ExtraMissing`` without usd-core, ``OutputError``.
+    """
+    path = require_suffix(path, *SUFFIXES)
+    stage = _stage(sample, tile, body)
+    # USD writes by suffix, and to names that it opens itself.
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / f"garment{path.suffix.lower()}"
+        stage.GetRootLayer().Export(str(draft))
+        write_whole(path, draft.read_bytes())
+
+
+def _stage(sample: Sample, tile: float, with_body: bool) -> Any:
+    pxr_usd, geom, tf = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom", "Tf"))
+    draped_mesh(sample)
+    stage = pxr_usd.Stage.CreateInMemory()
+    geom.SetStageUpAxis(stage, geom.Tokens.y)
+    geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
+    root = geom.Xform.Define(stage, f"/{tf.MakeValidIdentifier(sample.key)}")
+    root.GetPrim().SetCustomDataByKey("pattern", sample.pattern.name)
+    stage.SetDefaultPrim(root.GetPrim())
+    top = str(root.GetPath())
+    _add_garment(stage, top, sample, tile)
+    _add_seams(stage, top, sample)
+    if with_body and (body := body_of(sample)) is not None:
+        _add_body(stage, top, body)
+    return stage
+
+
+def _add_garment(stage: Any, top: str, sample: Sample, tile: float) -> None:
+    geom, shade, sdf, tf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf", "Tf"))
+    mesh, drape = draped_mesh(sample)
+    garment = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
+    garment.CreateDoubleSidedAttr(True)
+    st = geom.PrimvarsAPI(garment).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
+    st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
+    st.SetIndices(_array("IntArray", mesh.corners.ravel()))
+    garment.GetPrim().SetCustomDataByKey("tile_cm", tile)
+    colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
+    display = garment.CreateDisplayColorPrimvar(geom.Tokens.uniform)
+    display.Set(_array("Vec3fArray", colours))
+    display.SetIndices(_array("IntArray", mesh.panel_id))
+    names = _identifiers(mesh.panel_names, tf)
+    for number, name in enumerate(names):
+        faces = _array("IntArray", np.flatnonzero(mesh.panel_id == number))
+        subset = geom.Subset.CreateGeomSubset(
+            garment, name, geom.Tokens.face, faces, shade.Tokens.materialBind, geom.Tokens.partition
+        )
+        subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
+        _bind(stage, subset, f"{top}/materials/{name}", panel_colour(number))
+
+
+def _add_seams(stage: Any, top: str, sample: Sample) -> None:
+    geom = optional("pxr.UsdGeom")
+    mesh, drape = draped_mesh(sample)
+    lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, sample.pattern)]
+    lines = [line if len(line) > 1 else np.repeat(line[:1], 2, axis=0) for line in lines if len(line)]
+    if not lines:
+        return
+    curves = geom.BasisCurves.Define(stage, f"{top}/seams")
+    curves.CreateTypeAttr(geom.Tokens.linear)
+    curves.CreateWrapAttr(geom.Tokens.nonperiodic)
+    points = np.concatenate(lines)
+    curves.CreatePointsAttr(_array("Vec3fArray", points))
+    curves.CreateCurveVertexCountsAttr(_array("IntArray", np.array([len(line) for line in lines])))
+    curves.CreateWidthsAttr(_array("FloatArray", np.array([SEAM_WIDTH])))
+    curves.SetWidthsInterpolation(geom.Tokens.constant)
+    curves.CreateExtentAttr(_array("Vec3fArray", np.stack([points.min(0), points.max(0)])))
+    curves.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SEAM_COLOUR])))
+
+
+def _add_body(stage: Any, top: str, body: Body) -> None:
+    geom = optional("pxr.UsdGeom")
+    skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
+    skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
+    _bind(stage, skin, f"{top}/materials/body", SKIN)
+
+
+def _add_mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """A triangle mesh with smooth normals that is not subdivided."""
+    geom = optional("pxr.UsdGeom")
+    mesh = geom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(_array("Vec3fArray", vertices))
+    mesh.CreateFaceVertexCountsAttr(_array("IntArray", np.full(len(faces), 3)))
+    mesh.CreateFaceVertexIndicesAttr(_array("IntArray", faces.ravel()))
+    mesh.CreateSubdivisionSchemeAttr(geom.Tokens.none)
+    mesh.CreateNormalsAttr(_array("Vec3fArray", smooth_normals(vertices, faces)))
+    mesh.SetNormalsInterpolation(geom.Tokens.vertex)
+    mesh.CreateExtentAttr(_array("Vec3fArray", np.stack([vertices.min(0), vertices.max(0)])))
+    return mesh
+
+
+def _bind(stage: Any, bound: Any, path: str, colour: tuple[float, float, float]) -> None:
+    """Give a mesh or subset a material of one colour."""
+    gf, sdf, shade = (optional(f"pxr.{name}") for name in ("Gf", "Sdf", "UsdShade"))
+    material = shade.Material.Define(stage, path)
+    shader = shade.Shader.Define(stage, f"{path}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", sdf.ValueTypeNames.Color3f).Set(gf.Vec3f(*colour))
+    shader.CreateInput("roughness", sdf.ValueTypeNames.Float).Set(ROUGHNESS)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    shade.MaterialBindingAPI.Apply(bound.GetPrim()).Bind(material)
+
+
+def _array(kind: str, values: np.ndarray) -> Any:
+    """The values as an array of USD, such as ``Vec3fArray``."""
+    dtype = np.int32 if kind == "IntArray" else np.float32
+    return getattr(optional("pxr.Vt"), kind).FromNumpy(np.ascontiguousarray(values, dtype))
+
+
+def _identifiers(names: tuple[str, ...], tf: Any) -> list[str]:
+    """A different identifier for each panel; ``body`` is that of the skin's material."""
+    found: list[str] = []
+    for name in names:
+        identifier = tf.MakeValidIdentifier(name)
+        while identifier in found or identifier == "body":
+            identifier += "_"
+        found.append(identifier)
+    return found

@@ -1,0 +1,362 @@
+"""``doctor``: examines a data set for faults that harm a training."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset.doctor import checks
+from gcd_dataset.doctor.census import Census, SplitCensus
+from gcd_dataset.doctor.checks import Check, Harm
+from gcd_dataset.doctor.duplicates import DIMENSIONS, NEAR, difference, near_pairs
+from gcd_dataset.doctor.files import published_faults, shard_file_faults, split_file_faults
+from gcd_dataset.doctor.garment import FIELDS_READ, Fault, Garment, garment_faults
+from gcd_dataset.doctor.report import Report, SplitSummary, Tally
+from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
+from gcd_dataset.files import user_path
+from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
+from gcd_dataset.loaders.base import Garments
+from gcd_dataset.release import PublishedBatches, PublishedGarments
+from gcd_dataset.shards.contents import layout_in, require_splits
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.layout import BODIES, FAILED, FOREIGN, GARMENTS, key_of
+from gcd_dataset.shards.published import is_published
+from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
+
+__all__ = ["doctor"]
+
+QUICK = 200  # garments of each split that are read with ``quick``
+BATCH = 16  # garments in one read, in parallel from a server
+MOST_COMPARED = 5000  # candidates for near duplicates that are read again
+FEW_FAILED = 0.02  # share of failed drapes that a training bears
+FEW_LEAKED = 0.01  # share of patterns known from another split that moves a score less than its confidence interval
+FEW_REPEATED = 0.05  # share of repeated patterns above which an epoch is visibly smaller
+HDF5 = (".h5", ".hdf5")
+FILES = "files"
+SPLITS = ("train", "validation", "test")
+
+
+def doctor(
+    source: str | Path,
+    *,
+    quick: bool = False,
+    endpoint: str | None = None,
+    cache_dir: str | Path | None = None,
+    on_progress: ProgressCallback = ignore_progress,
+) -> Report:
+    """Examine a data set: shards in a folder, at a URL or on the Hub, an HDF5 file, or GarmentCodeData as published.
+
+    Garments are read one after another; 130 bytes of each are kept, to find designs, bodies and patterns that occur
+    twice. ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are
+    examined in full. ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default
+    ``~/.cache/gcd_dataset``, and for the indices of published archives, by default beside them.
+
+    >>> from gcd_dataset.verbs import doctor
+    >>> [finding.check.name for finding in doctor("shards").harmful]  # doctest: +SKIP
+    ['leaked-design', 'nan']
+
+    Raises ``ShardError`` for a source without garments or that cannot be opened, ``ConfigError`` for a data set of
+    bodies or of another program.
+    """
+    begun = time.perf_counter()
+    examination = _Examination(_opened(source, endpoint, cache_dir), quick, on_progress)
+    return replace(examination.report(), seconds=time.perf_counter() - begun)
+
+
+# ------------------------------------------------------------------------------------------------------------- sources
+
+
+@dataclass(frozen=True)
+class _Split:
+    """The garments of one split."""
+
+    name: str
+    garments: Garments | None
+    """``None`` if the split cannot be opened."""
+    problem: str = ""
+    name_of: Callable[[int], str] | None = None
+    """Position to the garment's name; ``None``: keys."""
+
+    def key(self, position: int) -> str:
+        """The name of a garment, for examples."""
+        if self.name_of is not None:
+            return self.name_of(position)
+        assert self.garments is not None
+        try:
+            return key_of(int(self.garments.recipe(position)["index"]))
+        except GcdError:
+            return f"number {position}"
+
+
+@dataclass(frozen=True)
+class _Source:
+    name: str
+    splits: tuple[_Split, ...]
+    folder: Path | None = None
+    """The folder of shards on this machine; ``None`` for others."""
+    published: PublishedBatches | None = None
+    garment_lists: tuple[PublishedGarments, ...] = ()
+
+
+def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
+    path = user_path(source) if "://" not in str(source) else None
+    if path is not None and path.suffix in HDF5 and path.is_file():
+        return _Source(str(path), (_hdf5_split(path),))
+    if path is not None and path.is_dir() and is_published(path):
+        return _published(path, cache_dir)
+    return _shards(str(source), endpoint, cache_dir)
+
+
+def _hdf5_split(path: Path) -> _Split:
+    known = Hdf5Garments(path).fields
+    return _Split(Hdf5Garments(path, ("meta",)).split, Hdf5Garments(path, _examined(known), dtype=None))
+
+
+def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
+    from gcd_dataset.hub.opening import open_store
+    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.source import Folder, Repo, parse_source
+
+    parsed = parse_source(source)
+    options: dict[str, Any] = {} if isinstance(parsed, Folder) else {"cache_dir": cache_dir}
+    if isinstance(parsed, Repo):
+        options["endpoint"] = endpoint
+    store = open_store(source, Remote(**options))
+    folder = store.folder if isinstance(store, FolderStore) else None
+    manifest = store.manifest()
+    names = tuple(manifest.splits) if manifest is not None else ("train",)
+    if folder is not None:
+        names = require_splits(folder)
+        if any(layout_in(folder, split) == BODIES for split in names):
+            raise ConfigError(f"{folder}: a data set of bodies: gcd doctor examines garments; gcd verify checks bodies")
+    splits = tuple(_shard_split(source, name, options) for name in sorted(names, key=_split_order))
+    return _Source(store.location(), splits, folder)
+
+
+def _split_order(name: str) -> tuple[int, str]:
+    """Sort key: train, validation, test, then the others; garments of later splits are compared with earlier ones."""
+    return (SPLITS.index(name) if name in SPLITS else len(SPLITS), name)
+
+
+def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
+    try:
+        known = GarmentDataset(source, split, **options)
+        if getattr(known, "layout", GARMENTS).kind == FOREIGN or "meta" not in known.fields:
+            raise ConfigError(f"{source}: tars of another program: gcd doctor knows garments of this package only")
+        return _Split(split, GarmentDataset(source, split, _examined(known.fields), dtype=None, **options))
+    except RemoteError:
+        raise
+    except ShardError as error:
+        return _Split(split, None, str(error))
+
+
+def _published(path: Path, cache_dir: str | Path | None) -> _Source:
+    batches = PublishedBatches(path, cache_dir=cache_dir)
+    names = SPLITS if batches.split_file is not None else ("all",)
+    lists = tuple(PublishedGarments(batches, name) for name in names)
+    splits = []
+    for garments in lists:
+        if len(garments):
+            data = PublishedGarmentCodeData(batches, garments.split, fields=_examined(None), dtype=None)
+            splits.append(_Split(garments.split, data, name_of=data.name))
+    if not splits:
+        lists[0].require_any()
+    return _Source(str(path), tuple(splits), published=batches, garment_lists=lists)
+
+
+def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
+    """The fields to read. Published garments have no shape weights; their points are sampled on reading."""
+    if known is None:
+        return tuple(name for name in FIELDS_READ if name not in ("body", "points"))
+    return tuple(name for name in FIELDS_READ if name in known)
+
+
+# -------------------------------------------------------------------------------------------------------- examination
+
+
+class _Examination:
+    """Reads every garment once, then compares them."""
+
+    def __init__(self, source: _Source, quick: bool, on_progress: ProgressCallback) -> None:
+        self.source, self.quick, self._on_progress = source, quick, on_progress
+        self.tally, self.census = Tally(), Census()
+        self.harms: dict[tuple[Check, str], Harm] = {}
+        self.wearers: set[str] = set()
+
+    def report(self) -> Report:
+        """Run all checks."""
+        for split in self.source.splits:
+            self._read(split)
+        self._compare_splits()
+        self._compare_patterns()
+        for name, census in self.census.splits.items():
+            self._summarise(name, census)
+        self._check_files()
+        totals = {name: len(census) for name, census in self.census.splits.items()}
+        summaries = tuple(self._summary(split) for split in self.source.splits)
+        return Report(self.source.name, summaries, self.tally.findings(totals, self.harms))
+
+    def _read(self, split: _Split) -> None:
+        census = self.census.splits[split.name] = SplitCensus()
+        if split.garments is None:
+            self.tally.add(checks.UNREADABLE, split.name, "", [split.problem])
+            return
+        positions = _positions(len(split.garments), QUICK if self.quick else None)
+        progress = Progress(len(positions), 0, split=split.name)
+        self._on_progress(progress)
+        for position, item in _items(split.garments, positions):
+            progress = progress.with_sample()
+            self._on_progress(progress)
+            if isinstance(item, GcdError):
+                self.tally.add(checks.UNREADABLE, split.name, split.key(position), [str(item)])
+                continue
+            garment = Garment.of(item)
+            census.add(position, garment)
+            self.wearers.add(str(garment.meta.get("body") or ""))
+            self._count(split, position, garment_faults(garment))
+
+    def _count(self, split: _Split, position: int, faults: Iterator[Fault]) -> None:
+        found: dict[Check, list[str]] = {}
+        for check, text in faults:
+            found.setdefault(check, []).append(text)
+        if split.name == FAILED:  # its garments are not trained on, and may have any shape
+            found = {check: texts for check, texts in found.items() if check is checks.REFERENCES}
+        for check, texts in found.items():
+            key = split.key(position) if self.tally.wants_example(check, split.name) else ""
+            self.tally.add(check, split.name, key, list(dict.fromkeys(texts)))
+
+    # -------------------------------------------------------------------------------------------------- whole splits
+
+    def _compare_splits(self) -> None:
+        """Designs and bodies that splits share, and shares that differ."""
+        for name, check in (("design", checks.LEAKED_DESIGN), ("body", checks.LEAKED_BODY)):
+            for first, second, rows in self.census.shared(name):
+                for row in rows.tolist():
+                    key = self._key(second, row) if self.tally.wants_example(check, second) else ""
+                    self.tally.add(check, second, key, [f"also in {first}"])
+                if name == "body" and self.source.published is not None:
+                    # The official split is by design; its random bodies are drawn from the same 5,000 people.
+                    self.harms[check, second] = Harm.WARNING
+        for split, text in self.census.unlike():
+            self.tally.add(checks.SKEWED, split, "", [text])
+
+    def _compare_patterns(self) -> None:
+        """Equal and nearly equal patterns, within a split and across splits."""
+        names = [name for name in self.census.splits if name != FAILED]
+        parts = [self.census.splits[name] for name in names]
+        split = np.repeat(np.arange(len(names)), [len(part) for part in parts])
+        row = np.concatenate([np.zeros(0, int), *(np.arange(len(part)) for part in parts)])
+        if not len(row):
+            return
+        structure, exact = (
+            np.concatenate([np.frombuffer(getattr(part, name), np.int64) for part in parts])
+            for name in ("structure", "exact")
+        )
+        projected = [np.frombuffer(part.projected, np.float32).reshape(-1, DIMENSIONS) for part in parts]
+        known = np.flatnonzero(structure)
+        equal, candidates = near_pairs(structure[known], exact[known], np.concatenate(projected)[known])
+        pairs = [tuple(known[pair].tolist()) for pair in equal]
+        for one, two in known[candidates[:MOST_COMPARED]].tolist():
+            tensors = [self._tensor(names[split[at]], int(row[at])) for at in (one, two)]
+            if None not in tensors and difference(*tensors) < NEAR:
+                pairs.append((one, two))
+        seen: set[tuple[Check, int]] = set()
+        for one, two in sorted(pairs, key=lambda pair: pair[1]):
+            first, second = names[split[one]], names[split[two]]
+            check = checks.DUPLICATES if first == second else checks.LEAKED_PATTERN
+            if (check, two) not in seen:
+                seen.add((check, two))
+                key = ""
+                if self.tally.wants_example(check, second):
+                    key = f"{self._key(second, int(row[two]))} as {self._key(first, int(row[one]))}"
+                self.tally.add(check, second, key, [] if first == second else [f"also in {first}"])
+        for number, name in enumerate(names):
+            if self.tally.count(checks.LEAKED_PATTERN, name) <= FEW_LEAKED * len(parts[number]):
+                self.harms[checks.LEAKED_PATTERN, name] = Harm.WARNING
+            if self.tally.count(checks.DUPLICATES, name) > FEW_REPEATED * len(parts[number]):
+                self.harms[checks.DUPLICATES, name] = Harm.HARMFUL
+
+    def _summarise(self, split: str, census: SplitCensus) -> None:
+        """Faults that show in counts: arrays that some garments lack, failed drapes, one kind for all."""
+        count = len(census)
+        for names, lacking, first in census.lacking():
+            self.tally.add(checks.MISSING, split, self._split(split).key(first), [", ".join(names)], lacking)
+        absent = [name for name in FIELDS_READ if name not in self._fields(split)]
+        if count and absent and self.source.published is None:
+            self.tally.add(checks.FEW_FIELDS, split, "", [", ".join(absent)], len(absent))
+        for text in census.dominant():
+            self.tally.add(checks.SKEWED, split, "", [text])
+        if self.tally.count(checks.FAILED_DRAPE, split) <= FEW_FAILED * count:
+            self.harms[checks.FAILED_DRAPE, split] = Harm.WARNING
+
+    def _check_files(self) -> None:
+        if self.source.folder is not None:
+            for split in self.source.splits:
+                try:
+                    for check, name, text in shard_file_faults(self.source.folder, split.name):
+                        self.tally.add(check, split.name, name, [text])
+                except ShardError as error:
+                    self.tally.add(checks.UNREADABLE, split.name, "", [str(error)])
+            names = [split.name for split in self.source.splits]
+            for check, name, text in split_file_faults(self.source.folder, names):
+                self.tally.add(check, FILES, name, [text])
+        if self.source.published is not None:
+            wearers = None if self.quick else self.wearers
+            for check, name, text in published_faults(self.source.published, self.source.garment_lists, wearers):
+                self.tally.add(check, FILES, name, [text])
+
+    def _summary(self, split: _Split) -> SplitSummary:
+        census = self.census.splits[split.name]
+        shares = {name: dict(amounts.most_common()) for name, amounts in census.shares.items() if amounts}
+        whole = 0 if split.garments is None else len(split.garments)
+        return SplitSummary(split.name, whole, len(census), shares, census.medians())
+
+    # -------------------------------------------------------------------------------------------------------- look-up
+
+    def _split(self, name: str) -> _Split:
+        return next(split for split in self.source.splits if split.name == name)
+
+    def _fields(self, name: str) -> Sequence[str]:
+        garments = self._split(name).garments
+        return () if garments is None else garments.fields
+
+    def _key(self, split: str, row: int) -> str:
+        return self._split(split).key(self.census.splits[split].position[row])
+
+    def _tensor(self, split: str, row: int) -> Any:
+        garments = self._split(split).garments
+        assert garments is not None
+        return Garment.of(garments[self.census.splits[split].position[row]]).tensor
+
+
+def _positions(count: int, most: int | None) -> list[int]:
+    """All positions, or ``most`` of them, evenly spaced."""
+    if most is None or count <= most:
+        return list(range(count))
+    return np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
+
+
+def _items(garments: Garments, positions: Sequence[int]) -> Iterator[tuple[int, Mapping[str, Any] | GcdError]]:
+    """Position and item, or the error for a damaged one. Raises ``RemoteError`` for a server that fails."""
+    for first in range(0, len(positions), BATCH):
+        batch = list(positions[first : first + BATCH])
+        try:
+            items: list[Mapping[str, Any] | GcdError] = list(garments[batch])
+        except RemoteError:
+            raise
+        except GcdError:
+            items = [_item(garments, position) for position in batch]
+        yield from zip(batch, items, strict=True)
+
+
+def _item(garments: Garments, position: int) -> Mapping[str, Any] | GcdError:
+    try:
+        item: Mapping[str, Any] = garments[position]
+    except RemoteError:
+        raise
+    except GcdError as error:
+        return error
+    return item

@@ -1,0 +1,75 @@
+"""Answers as scores, pictures and files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.judging import draw_mesh, intervals, judge_of, means_of
+from benchmarks.reconstruction.models import box_mesh, mean_measures, nearest_labels
+from benchmarks.reconstruction.tasks import task_named
+from benchmarks.reconstruction.vertex_labels import VertexLabels
+from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
+
+CPU = torch.device("cpu")
+
+
+def test_means_and_intervals_are_those_of_the_metrics(six: GarmentSet) -> None:
+    scores = [score_pattern(six.pattern(k), six.pattern(0)) for k in range(len(six))]
+    low, high = bootstrap_interval(scores, np.random.default_rng(0))
+    means = mean_scores(scores)
+    assert means_of(scores) == pytest.approx(vars_of(means))
+    found = intervals(scores)
+    for name in PatternScore.__dataclass_fields__:
+        assert found[name] == pytest.approx([getattr(score, name) for score in (means, low, high)])
+
+
+def vars_of(score: PatternScore) -> dict[str, float]:
+    return {name: getattr(score, name) for name in PatternScore.__dataclass_fields__}
+
+
+def test_labels_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
+    answers, judge = nearest_labels.answers(draped, draped, device=CPU), judge_of(task_named("T4"))
+    right, wrong = (
+        judge.picture(answers, draped),
+        judge.picture(
+            [VertexLabels(answer.panels * 0, answer.classes, answer.seams, answer.edges) for answer in answers], draped
+        ),
+    )
+    assert right.shape == wrong.shape
+    assert not np.array_equal(right, wrong)
+    judge.write(answers, draped, tmp_path)
+    stored = np.load(tmp_path / "predictions" / f"{draped.keys[0]}.npz")
+    assert np.array_equal(stored["panels"], answers[0].panels)
+
+
+def test_measures_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
+    answers, judge = mean_measures.answers(draped, draped, device=CPU), judge_of(task_named("T5"))
+    assert judge.picture(answers, draped).ndim == 3
+    judge.write(answers, draped, tmp_path)
+    stored = json.loads((tmp_path / "predictions" / f"{draped.keys[1]}.json").read_text())
+    assert list(stored) == list(MEASURES)
+    assert [score.error_cm for score in judge.scores(answers, draped)] == pytest.approx(
+        [score.error_cm for score in judge.scores(answers[::-1], draped)]
+    )
+
+
+def test_drapes_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
+    answers, judge = box_mesh.answers(draped, draped, device=CPU), judge_of(task_named("T6"), watching=True)
+    assert judge.picture(answers, draped).ndim == 3
+    judge.write(answers, draped, tmp_path)
+    stored = np.load(tmp_path / "predictions" / f"{draped.keys[0]}.npz")
+    assert np.allclose(stored["vertices"], draped.ragged["box"][0])
+    assert {score.self_crossings for score in judge.scores(answers, draped)} == {0}
+
+
+def test_the_nearer_of_two_faces_is_seen() -> None:
+    low, high = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0]], float), np.array([[0, 0, 5], [9, 0, 5], [0, 9, 5]], float)
+    vertices, faces = np.concatenate([low, high]), np.array([[0, 1, 2], [3, 4, 5]])
+    picture = draw_mesh(vertices, faces, np.array([0, 1]), frame=vertices, size=60)
+    assert np.allclose(picture[35, 25] / 255, PALETTE[1], atol=0.02)

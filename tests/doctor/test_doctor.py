@@ -1,0 +1,588 @@
+"""Each fault is found in a data set that carries just this fault, and a good data set has none."""
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.doctor.checks import CHECKS, Harm
+from gcd_dataset.doctor.report import Report
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import BodyShape, Outcome, Pattern, Sample
+from gcd_dataset.release.body_folder import FOLDER, KINDS
+from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.hdf5 import write_hdf5
+from gcd_dataset.shards.tar import END, tar_entry
+from gcd_dataset.verbs import doctor
+from tests.release import published
+
+TRAIN, TEST = 30, 10
+Samples = list[Sample]
+
+
+@cache
+def good() -> tuple[Sample, ...]:
+    """Garments of a train split, then those of a test split."""
+    return tuple(fake_sample(0, index) for index in range(TRAIN + TEST))
+
+
+def written(folder: Path, train: Sequence[Sample], test: Sequence[Sample] = (), *, shard_size: int = 100) -> Path:
+    for split, samples in {"train": train, "test": test}.items():
+        if samples:
+            with ShardWriter(folder, split=split, seed=0, recipe={"fake": True}, shard_size=shard_size) as writer:
+                for sample in samples:
+                    writer.write(sample)
+    return folder
+
+
+def edited(folder: Path, edit: Callable[[Samples, Samples], None]) -> Report:
+    train, test = list(good()[:TRAIN]), list(good()[TRAIN:])
+    edit(train, test)
+    return doctor(written(folder, train, test))
+
+
+def names(report: Report, harm: Harm = Harm.HARMFUL) -> set[str]:
+    return {finding.check.name for finding in report.findings if finding.harm is harm}
+
+
+def test_a_good_data_set_has_no_finding(tmp_path: Path) -> None:
+    report = edited(tmp_path, lambda train, test: None)
+    assert report.findings == ()
+    assert [(split.name, split.count, split.examined) for split in report.splits] == [
+        ("train", 30, 30),
+        ("test", 10, 10),
+    ]
+    assert report.splits[0].shares["outcome"] == {"SETTLED": TRAIN}
+
+
+# ------------------------------------------------------------------------------------------------ faults of garments
+
+
+def with_mesh(sample: Sample, **arrays: Any) -> Sample:
+    assert sample.box_mesh is not None
+    return replace(sample, box_mesh=replace(sample.box_mesh, **arrays))
+
+
+def with_drape(sample: Sample, **values: Any) -> Sample:
+    assert sample.drape is not None
+    return replace(sample, drape=replace(sample.drape, **values))
+
+
+def moved(sample: Sample, change: Callable[[np.ndarray], np.ndarray]) -> Sample:
+    """The garment with its vertices changed, before sewing and at rest."""
+    assert sample.box_mesh is not None and sample.drape is not None
+    there = with_mesh(sample, vertices=change(sample.box_mesh.vertices))
+    return with_drape(there, vertices=change(sample.drape.vertices))
+
+
+def not_a_number(sample: Sample) -> Sample:
+    assert sample.drape is not None
+    vertices = np.array(sample.drape.vertices)
+    vertices[3, 1] = np.nan
+    return with_drape(sample, vertices=vertices)
+
+
+def in_metres(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    return with_mesh(moved(sample, lambda at: at / 100), uv=sample.box_mesh.uv / 100)
+
+
+def uv_in_metres(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    return with_mesh(sample, uv=sample.box_mesh.uv / 100)
+
+
+def measured_in_metres(sample: Sample) -> Sample:
+    return replace(sample, measurements=replace(sample.measurements, height=1.7))
+
+
+def drawn_in_metres(sample: Sample) -> Sample:
+    """The pattern, its placement included."""
+
+    def smaller(pattern: Pattern) -> Pattern:
+        panels = [
+            replace(
+                p, vertices=p.vertices / 100, placement=replace(p.placement, translation=p.placement.translation / 100)
+            )
+            for p in pattern.panels
+        ]
+        return replace(pattern, panels=tuple(panels))
+
+    return with_pattern(sample, smaller)
+
+
+def lying(sample: Sample) -> Sample:
+    """z up, as in Blender."""
+    return moved(sample, lambda at: np.stack([at[:, 0], -at[:, 2], at[:, 1] + 60], axis=1))
+
+
+def turned_round(sample: Sample) -> Sample:
+    return moved(sample, lambda at: at * [-1.0, 1.0, -1.0])
+
+
+def inside_out(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    mesh = sample.box_mesh
+    return with_mesh(sample, faces=mesh.faces[:, ::-1], corners=mesh.corners[:, ::-1])
+
+
+def partly_inside_out(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    faces, corners = np.array(sample.box_mesh.faces), np.array(sample.box_mesh.corners)
+    faces[::5], corners[::5] = faces[::5, ::-1], corners[::5, ::-1]
+    return with_mesh(sample, faces=faces, corners=corners)
+
+
+def mirrored(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    return with_mesh(sample, uv=sample.box_mesh.uv * [-1.0, 1.0])
+
+
+def unsewn(sample: Sample) -> Sample:
+    """Each panel has vertices of its own along the seams."""
+    assert sample.box_mesh is not None and sample.drape is not None
+    mesh, vertex = sample.box_mesh, sample.box_mesh.uv_vertex
+    seam_of = dict(mesh.seams.tolist())
+    seams = np.array([(row, seam_of[at]) for row, at in enumerate(vertex.tolist()) if at in seam_of])
+    labels = {name: np.flatnonzero(np.isin(vertex, ids)) for name, ids in mesh.labels.items()}
+    apart = with_mesh(
+        sample,
+        vertices=mesh.vertices[vertex],
+        faces=mesh.corners,
+        uv_vertex=np.arange(len(vertex)),
+        seams=seams[np.argsort(seams[:, 1], kind="stable")],
+        labels=labels,
+    )
+    return with_drape(apart, vertices=sample.drape.vertices[vertex])
+
+
+def with_pattern(sample: Sample, change: Callable[[Pattern], Pattern]) -> Sample:
+    return replace(sample, pattern=change(sample.pattern))
+
+
+def bow_tie(sample: Sample) -> Sample:
+    """The front's upper corners exchanged: its sides cross."""
+
+    def crossed(pattern: Pattern) -> Pattern:
+        front, back = pattern.panels
+        return replace(pattern, panels=(replace(front, vertices=front.vertices[[0, 1, 3, 2]]), back))
+
+    tied = with_pattern(sample, crossed)
+    return replace(tied, gathers=tied.pattern.gather_ratios())
+
+
+def reversed_loop(sample: Sample) -> Sample:
+    """The back's loop runs the other way round; its seams name the same edges."""
+
+    def turned(pattern: Pattern) -> Pattern:
+        front, back = pattern.panels
+        edges = tuple(replace(edge, start=edge.end, end=edge.start) for edge in reversed(back.edges))
+        number = {old: new for new, old in enumerate(reversed(range(len(edges))))}
+        seams = tuple(replace(s, right=replace(s.right, edge=number[s.right.edge])) for s in pattern.seams)
+        return replace(pattern, panels=(front, replace(back, edges=edges)), seams=seams)
+
+    return with_pattern(sample, turned)
+
+
+def missing_seam(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    seams = np.array(sample.box_mesh.seams)
+    seams[:, 1] += 5
+    return with_mesh(sample, seams=seams)
+
+
+GARMENT_FAULTS = [
+    (not_a_number, "nan", "verts"),
+    (in_metres, "units", "vertices in metres"),
+    (uv_in_metres, "units", "uv and vertices have different units"),
+    (measured_in_metres, "units", "measures in metres"),
+    (lying, "axes", "y is not up: the garment is not above the floor"),
+    (turned_round, "axes", "front and back are exchanged"),
+    (inside_out, "winding", "normals point into the body"),
+    (partly_inside_out, "winding", "both ways within a panel"),
+    (mirrored, "mirrored-uv", "all panels"),
+    (unsewn, "open-seams", "both edges are on the border of the mesh"),
+    (
+        lambda sample: replace(sample, gathers=(1.5, 1.0)),
+        "seam-lengths",
+        "edges of other lengths than meta[gathers] says",
+    ),
+    (bow_tie, "invalid-patterns", "outline crosses itself"),
+    (missing_seam, "references", "seams refers to rows that stitches lacks"),
+    (lambda sample: replace(sample, drape=None), "missing-members", "verts"),
+    (lambda sample: with_drape(sample, outcome=Outcome.NOT_SETTLED), "failed-drapes", "outcome NOT_SETTLED"),
+]
+
+
+@pytest.mark.parametrize(("edit", "name", "fault"), GARMENT_FAULTS, ids=[f"{n}-{f}" for _, n, f in GARMENT_FAULTS])
+def test_a_fault_of_garments_is_found_and_no_other(
+    tmp_path: Path, edit: Callable[[Sample], Sample], name: str, fault: str
+) -> None:
+    def of_three(train: Samples, test: Samples) -> None:
+        train[4:7] = map(edit, train[4:7])
+
+    report = edited(tmp_path, of_three)
+    assert names(report) == {name}
+    found = report.finding(name)
+    assert found is not None
+    assert (found.split, found.count, found.total) == ("train", 3, TRAIN)
+    assert found.details == {fault: 3}
+    assert found.examples == () or found.examples[0] == "gcd_000000004"
+
+
+def test_a_loop_that_runs_the_wrong_way_round_is_found(tmp_path: Path) -> None:
+    flat = [replace(sample, box_mesh=None, drape=None, points=None) for sample in good()[:TRAIN]]
+    assert not names(doctor(written(tmp_path / "good", flat)))
+    report = doctor(written(tmp_path / "bad", [*map(reversed_loop, flat[:3]), *flat[3:]]))
+    assert names(report) == {"reversed-loops"}
+
+
+# --------------------------------------------------------------------------------------------------- faults of splits
+
+
+def same_design(train: Samples, test: Samples) -> None:
+    test[2] = replace(test[2], design=train[5].design)
+
+
+def same_body(train: Samples, test: Samples) -> None:
+    test[2] = replace(test[2], shape=train[5].shape)
+
+
+def same_pattern(train: Samples, test: Samples) -> None:
+    """The garment of a train design, on another body, with its own key."""
+    test[2] = replace(twin(train[5], test[2]), gathers=test[2].gathers)
+
+
+def nearly_same_pattern(train: Samples, test: Samples) -> None:
+    test[2] = lengthened(twin(train[5], test[2]), 0.1)
+
+
+def twin(sample: Sample, other: Sample) -> Sample:
+    """``sample`` with key, design and body of ``other``."""
+    kept = {name: getattr(other, name) for name in ("key", "provenance", "design", "shape", "measurements")}
+    return replace(sample, **kept)
+
+
+def lengthened(sample: Sample, by: float) -> Sample:
+    """The garment with its hems lowered by ``by`` cm."""
+
+    def longer(pattern: Pattern) -> Pattern:
+        lower = [panel.vertices - [[0.0, by], [0.0, by], [0.0, 0.0], [0.0, 0.0]] for panel in pattern.panels]
+        return replace(
+            pattern, panels=tuple(replace(p, vertices=v) for p, v in zip(pattern.panels, lower, strict=True))
+        )
+
+    return with_pattern(sample, longer)
+
+
+SPLIT_FAULTS = [
+    (same_design, "leaked-design", "gcd_000000032"),
+    (same_body, "leaked-body", "gcd_000000032"),
+    (same_pattern, "leaked-pattern", "gcd_000000032 as gcd_000000005"),
+    (nearly_same_pattern, "leaked-pattern", "gcd_000000032 as gcd_000000005"),
+]
+
+
+@pytest.mark.parametrize(("edit", "name", "example"), SPLIT_FAULTS, ids=[edit.__name__ for edit, _, _ in SPLIT_FAULTS])
+def test_splits_that_share_garments_are_found(
+    tmp_path: Path, edit: Callable[[Samples, Samples], None], name: str, example: str
+) -> None:
+    report = edited(tmp_path, edit)
+    assert names(report) == {name}
+    found = report.finding(name)
+    assert found is not None
+    assert (found.count, found.split, found.examples, found.details) == (1, "test", (example,), {"also in train": 1})
+
+
+def test_a_small_share_of_known_patterns_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.verbs.examining.FEW_LEAKED", 0.1)
+    report = edited(tmp_path, same_pattern)
+    assert (names(report), names(report, Harm.WARNING)) == (set(), {"leaked-pattern"})
+
+
+def test_a_pattern_drawn_in_metres_is_found(tmp_path: Path) -> None:
+    def one(train: Samples, test: Samples) -> None:
+        train[4] = drawn_in_metres(train[4])
+
+    report = edited(tmp_path, one)
+    assert names(report) == {"units"}
+    assert report.findings[0].details == {"pattern of a size unlikely for a person": 1}
+
+
+def test_a_ruffle_of_eight_metres_is_no_wrong_unit(tmp_path: Path) -> None:
+    """Its edges are long, but most edges of the garment are not."""
+    pattern = generated_ruffle()
+    assert max(np.ptp(panel.vertices, axis=0).max() for panel in pattern.panels) > 400
+    flat = replace(good()[0], pattern=pattern, box_mesh=None, drape=None, points=None, gathers=())
+    assert "units" not in names(doctor(written(tmp_path, [flat])))
+
+
+def generated_ruffle() -> Pattern:
+    """A skirt of five levels, gathered at each."""
+    levels = {"level_ruffle": 1.7, "num_levels": 5, "base": "PencilSkirt", "level": "Skirt2"}
+    design = {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": levels}
+    return outfit(measure(build_body(neutral_shape())), design_from_dict(design))
+
+
+def test_a_pattern_that_differs_by_centimetres_is_no_duplicate(tmp_path: Path) -> None:
+    def longer(train: Samples, test: Samples) -> None:
+        test[2] = lengthened(twin(train[5], test[2]), 2.0)
+
+    assert not names(edited(tmp_path, longer))
+
+
+def test_the_neutral_body_may_be_in_every_split(tmp_path: Path) -> None:
+    neutral = BodyShape(np.zeros(8))
+
+    def dressed(train: Samples, test: Samples) -> None:
+        for samples in (train, test):
+            made = replace(samples[0].provenance, body_name="neutral")
+            samples[0] = replace(samples[0], shape=neutral, provenance=made)
+
+    assert not names(edited(tmp_path, dressed))
+
+
+def test_repeated_patterns_are_a_warning_and_many_are_harmful(tmp_path: Path) -> None:
+    def repeat(count: int) -> Callable[[Samples, Samples], None]:
+        def edit(train: Samples, test: Samples) -> None:
+            train[20 : 20 + count] = [twin(train[7], other) for other in train[20 : 20 + count]]
+
+        return edit
+
+    few, many = edited(tmp_path / "few", repeat(1)), edited(tmp_path / "many", repeat(4))
+    assert (names(few), names(few, Harm.WARNING)) == (set(), {"duplicates"})
+    assert names(many) == {"duplicates"}
+    found = many.finding("duplicates")
+    assert found is not None
+    assert (found.count, found.examples[0]) == (4, "gcd_000000020 as gcd_000000007")
+
+
+def test_one_kind_for_nearly_all_garments_is_a_warning(tmp_path: Path) -> None:
+    def shirts(train: Samples, test: Samples) -> None:
+        train[:] = [dressed_in(sample, "Shirt") for sample in train]
+
+    report = edited(tmp_path, shirts)
+    assert (names(report), names(report, Harm.WARNING)) == (set(), {"skewed"})
+    assert report.findings[0].details == {"upper Shirt: 100%": 1}
+
+
+def test_splits_with_other_shares_are_a_warning(tmp_path: Path) -> None:
+    samples = [fake_sample(0, index) for index in range(120)]
+    train = [dressed_in(sample, ("Shirt", "FittedShirt")[n % 2]) for n, sample in enumerate(samples[:60])]
+    test = [dressed_in(sample, ("Shirt", "FittedShirt")[n % 8 > 0]) for n, sample in enumerate(samples[60:])]
+    report = doctor(written(tmp_path, train, test))
+    assert names(report, Harm.WARNING) >= {"skewed"}
+    assert "in train" in next(iter(report.finding("skewed").details))  # type: ignore[union-attr]
+
+
+def dressed_in(sample: Sample, upper: str) -> Sample:
+    return replace(sample, design={**sample.design, "meta": {"upper": {"v": upper}}})
+
+
+def test_failed_garments_belong_into_the_failed_split(tmp_path: Path) -> None:
+    failed = [with_drape(not_a_number(sample), outcome=Outcome.DIVERGED) for sample in good()[:4]]
+    with ShardWriter(tmp_path, split="failed", seed=0, recipe={"fake": True}) as writer:
+        for sample in failed:
+            writer.write(sample)
+    assert not names(doctor(written(tmp_path, good()[4:TRAIN])))
+
+
+# ---------------------------------------------------------------------------------------------------- faults of files
+
+
+@pytest.fixture
+def shards(tmp_path: Path) -> Path:
+    return written(tmp_path / "shards", good()[:TRAIN], shard_size=8)
+
+
+def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) -> None:
+    reader = ShardReader(shards)
+    column = reader.layout.members.index("verts.npy")
+    path = shards / reader.index.shards[0]
+    content = bytearray(path.read_bytes())
+    content[int(reader.index.table.offset[2, column]) + 200] ^= 1
+    path.write_bytes(content)
+    report = doctor(shards)
+    assert names(report) == {"unreadable"}
+    found = report.finding("unreadable")
+    assert found is not None
+    assert (found.count, found.examples) == (1, ("gcd_000000002",))
+    assert "verts.npy" in next(iter(found.details))
+    assert report.splits[0].examined == TRAIN - 1
+
+
+def test_a_split_that_cannot_be_opened_is_a_finding(shards: Path) -> None:
+    path = shards / "train-00001.tar"
+    path.write_bytes(path.read_bytes()[:5000])
+    assert "unreadable" in names(doctor(shards))
+
+
+def test_members_that_the_index_does_not_list_are_found(shards: Path) -> None:
+    path = shards / "train-00003.tar"
+    content = path.read_bytes()[:-END]
+    at_end = tar_entry("gcd_000000099.notes.txt", b"added by hand")
+    path.write_bytes(content + at_end + bytes(END))
+    found = doctor(shards).finding("orphans")
+    assert found is not None
+    assert found.examples == ("train-00003.tar/gcd_000000099.notes.txt",)
+    assert found.details == {"members that the index does not list": 1}
+
+
+def test_tars_outside_manifest_and_index_are_found(shards: Path) -> None:
+    (shards / "train-00009.tar").write_bytes(
+        (written(shards.parent / "more", good()[TRAIN:], shard_size=20) / "train-00001.tar").read_bytes()
+    )
+    (shards / "index-old.npz").write_bytes(b"")
+    report = doctor(shards)
+    assert not names(report)
+    found = [finding for finding in report.findings if finding.check.name == "orphans"]
+    assert {text for finding in found for text in finding.details} == {
+        "shards that the index does not list",
+        "shards that manifest.json does not list",
+        "indices of splits without shards",
+    }
+
+
+def test_a_missing_shard_is_found(shards: Path) -> None:
+    (shards / "train-00002.tar").unlink()
+    report = doctor(shards)
+    assert names(report) == {"unreadable", "incomplete"}
+    assert report.finding("incomplete").examples == ("train-00002.tar", "train-00002.tar")  # type: ignore[union-attr]
+
+
+def test_an_unfinished_split_is_found(shards: Path) -> None:
+    (shards / ".unfinished-train.json").write_text('{"count": 40, "splits": ["train"]}')
+    report = doctor(shards)
+    assert names(report) == {"incomplete"}
+    assert "30 of 40 samples" in next(iter(report.findings[0].details))
+
+
+# ------------------------------------------------------------------------------------------------------ other sources
+
+
+def test_quick_reads_a_part_of_each_split(shards: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.verbs.examining.QUICK", 7)
+    report = doctor(shards, quick=True)
+    assert (report.splits[0].count, report.splits[0].examined) == (TRAIN, 7)
+    assert report.findings == ()
+
+
+def test_an_hdf5_file_is_examined_as_its_shards(tmp_path: Path) -> None:
+    samples = [*good()[:5], not_a_number(good()[5])]
+    reader = ShardReader(written(tmp_path / "shards", samples))
+    for _ in write_hdf5(reader, tmp_path / "train.h5"):
+        pass
+    report = doctor(tmp_path / "train.h5")
+    assert names(report) == {"nan"}
+    assert report.finding("nan").examples == ("gcd_000000005",)  # type: ignore[union-attr]
+
+
+def test_patterns_alone_have_few_fields_and_no_fault(tmp_path: Path) -> None:
+    flat = [replace(s, box_mesh=None, drape=None, points=None, front=None, back=None) for s in good()[:TRAIN]]
+    report = doctor(written(tmp_path, flat))
+    assert (names(report), names(report, Harm.NOTE)) == (set(), {"fields"})
+
+
+# ---------------------------------------------------------------------------------------------------------- published
+
+
+@pytest.fixture(scope="module")
+def first_release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return published.publish(tmp_path_factory.mktemp("first"))
+
+
+@pytest.fixture
+def release(first_release: Path, tmp_path: Path) -> Path:
+    """Two designs for training and one for testing, each on two bodies."""
+    return shutil.copytree(first_release, tmp_path / first_release.name)
+
+
+def test_a_broken_file_of_a_release_is_named(release: Path) -> None:
+    path = published.file_of(release, published.TRAIN[0], "segmentation")
+    path.write_text("front\n")
+    found = doctor(release).finding("unreadable")
+    assert found is not None
+    assert found.examples == (f"{published.BATCH}/default_body/{published.TRAIN[0]}",)
+    assert str(path) in next(iter(found.details))
+
+
+def test_garments_in_no_split_and_missing_ones_are_found(release: Path) -> None:
+    (path,) = release.glob("*split*.json")
+    lists = published.split_lists(release)
+    name = next(name for name in lists if name.startswith("test"))
+    lists[name] = [entry.replace(published.TEST[0], "rand_AAAAAAAAA9") for entry in lists[name]]
+    path.write_text(json.dumps(lists))
+    report = doctor(release)
+    orphans, missing = report.finding("orphans"), report.finding("incomplete")
+    assert orphans is not None and missing is not None
+    assert orphans.details == {"garments in no split": 2}
+    assert missing.details == {"listed in the split, but neither on disk nor failed": 2}
+
+
+def test_bodies_without_garment_and_without_mesh_are_found(release: Path) -> None:
+    people = release / FOLDER
+    for name in ("00000", "00077"):
+        for kind in KINDS.values():
+            path = people / kind.format(name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text("")
+    (people / KINDS["straight"].format("00000")).unlink()
+    report = doctor(release)
+    orphans, bodiless = report.finding("orphans"), report.finding("bodiless")
+    assert orphans is not None and bodiless is not None
+    assert (orphans.examples, orphans.details) == ((f"{FOLDER}/00077",), {"bodies without a garment": 1})
+    assert bodiless.details["a body without mesh or metadata"] == 1
+    assert doctor(release, quick=True).finding("bodiless") is None  # not all wearers are known
+
+
+def test_the_release_of_the_reference_system_has_no_harmful_finding(examples: Path, tmp_path: Path) -> None:
+    report = doctor(examples / "published" / "GarmentCodeData_v2_unpacked", cache_dir=tmp_path)
+    assert [(split.name, split.examined) for split in report.splits] == [("train", 2), ("test", 2)]
+    assert not report.harmful
+
+
+# --------------------------------------------------------------------------------------------------------------- verb
+
+
+def test_the_verb_prints_findings_in_order_of_harm_and_exits_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def edit(train: Samples, test: Samples) -> None:
+        same_design(train, test)
+        train[3] = not_a_number(train[3])
+        train[20] = twin(train[7], train[20])
+
+    edited(tmp_path, edit)
+    assert main(["doctor", str(tmp_path), "--quiet"]) == 1
+    text = capsys.readouterr().out
+    places = [text.index(f"({name})") for name in ("leaked-design", "nan", "duplicates")]
+    assert places == sorted(places)
+    assert "remedy: " in text and "effect: " in text and text.endswith("2 harmful, 1 warning\n")
+    assert main(["doctor", str(tmp_path), "--quiet", "--json"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert [finding["check"] for finding in report["findings"]] == ["leaked-design", "nan", "duplicates"]
+    assert report["findings"][1]["examples"] == ["gcd_000000003"]
+
+
+def test_the_verb_exits_0_for_a_good_data_set(shards: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", str(shards), "--quiet"]) == 0
+    assert capsys.readouterr().out.endswith("nothing harmful found\n")
+
+
+def test_every_check_says_what_it_does_to_a_training_and_the_remedy() -> None:
+    assert len({check.name for check in CHECKS}) == len(CHECKS)
+    assert all(check.effect and check.remedy and check.fault for check in CHECKS)
+
+
+def test_the_guide_names_every_check() -> None:
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "doctor.md").read_text()
+    assert [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")] == [c.name for c in CHECKS]

@@ -1,0 +1,105 @@
+"""``gcd export`` of one garment or pattern."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import trimesh
+from pypdf import PdfReader
+
+from gcd_dataset.cli import main
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.records import Sample
+from gcd_dataset.shards import ShardWriter
+from gcd_dataset.spec import write_pattern
+from tests.exports.dxf_reader import read_dxf
+from tests.exports.patterns import squares
+
+
+@pytest.fixture(scope="module")
+def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of two samples, the second without a drape."""
+    folder = tmp_path_factory.mktemp("shards")
+    with ShardWriter(folder, seed=3, recipe=recipe_of(MakeConfig())) as writer:
+        writer.write(worn)
+        second = replace(worn, key="gcd_000000001", provenance=replace(worn.provenance, index=1))
+        writer.write(replace(second, drape=None, box_mesh=None))
+    return folder
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    write_pattern(squares(), tmp_path / "squares_specification.json")
+    return tmp_path / "squares_specification.json"
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.mark.parametrize("form", ["glb", "obj", "ply", "usd", "dxf", "pdf"])
+def test_a_sample_in_each_format(form: str, shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", shards, f"--{form}", tmp_path / f"a.{form}") == 0
+    assert capsys.readouterr().out == f"{tmp_path}/a.{form}\n"
+    assert (tmp_path / f"a.{form}").stat().st_size > 1000
+
+
+def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_path: Path) -> None:
+    assert run("export", shards, "--glb", tmp_path / "a.glb", "--tile", "4", "--no-body") == 0
+    scene = trimesh.load(tmp_path / "a.glb")
+    assert scene.metadata["gcd"]["tile_cm"] == 4.0
+    assert "body" not in scene.geometry
+    assert run("export", shards, "--index", "1", "--pdf", tmp_path / "a.pdf", "--paper", "letter") == 0
+    assert float(PdfReader(tmp_path / "a.pdf").pages[0].mediabox.width) == pytest.approx(612, abs=0.1)
+    assert run("export", spec, "--dxf", tmp_path / "a.dxf", "--seam-allowance", "0.5") == 0
+    [cut] = read_dxf(tmp_path / "a.dxf")["one"].of("1", "POLYLINE")
+    assert {abs(x) for point in cut.vertices for x in point} == {5.0, 405.0}  # mm
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (
+            ["SHARDS", "--index", "1", "--glb", "a.glb"],
+            1,
+            "sample gcd_000000001 holds no drape: make the data set with",
+        ),
+        (["SHARDS", "--index", "2", "--pdf", "a.pdf"], 1, "sample 2 of 2: give one from 0 to 1"),
+        (["SHARDS", "--glb", "a.gltf"], 2, "a.gltf: the file is GLB: end its name in .glb"),
+        (["SHARDS", "--glb", "a.glb", "--pdf", "a.pdf"], 2, "--glb, --obj, --ply, --usd, --dxf, --pdf: one of them"),
+        (["SHARDS", "--glb", "a.glb", "--tile", "0"], 2, "a texture tile of 0 cm: give a positive length"),
+        (
+            ["SHARDS", "--hdf5", "a.h5", "--index", "1"],
+            2,
+            "--index is for --glb, --obj, --ply, --usd, --dxf, --pdf: leave",
+        ),
+        (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
+        (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
+        (["SHARDS", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
+        (["SPEC", "--usd", "a.usd"], 2, "a specification holds no drape, which --usd needs: run gcd drape"),
+        (["SPEC", "--pdf", "a.pdf", "--index", "0"], 2, "--index is for a data set, and"),
+        (
+            ["SPEC", "--dxf", "a.dxf", "--seam-allowance", "-1"],
+            2,
+            "a seam allowance of -1 cm: give one from 0 to 10 cm",
+        ),
+        (["missing.json", "--pdf", "a.pdf"], 1, "missing.json: no such file"),
+    ],
+)
+def test_errors_are_one_line_with_a_remedy(
+    words: list[str],
+    code: int,
+    message: str,
+    shards: Path,
+    spec: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    known = {"SHARDS": str(shards), "SPEC": str(spec)}
+    assert run("export", *(known.get(word, word) for word in words)) == code
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == [spec.name]

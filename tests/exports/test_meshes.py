@@ -1,0 +1,203 @@
+"""GLB, OBJ, PLY and USD files, read back."""
+
+import json
+import struct
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from pxr import Usd, UsdGeom, UsdShade
+
+from gcd_dataset import exports
+from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
+from gcd_dataset.exports.blender_import import read_facts
+from gcd_dataset.exports.cloth import seam_vertices, smooth_normals, texture_coordinates
+from gcd_dataset.generator.body import build_body
+from gcd_dataset.records import BoxMesh, Drape, Sample
+from tests.helpers import patch, tube
+
+WRITERS: dict[str, Callable[..., None]] = {
+    "glb": exports.glb,
+    "obj": exports.obj,
+    "ply": exports.ply,
+    "usd": exports.usd,
+}
+
+
+def parts(sample: Sample) -> tuple[BoxMesh, Drape]:
+    assert sample.box_mesh is not None
+    assert sample.drape is not None
+    return sample.box_mesh, sample.drape
+
+
+def test_a_glb_has_a_node_and_a_material_for_each_panel(worn: Sample, tmp_path: Path) -> None:
+    exports.glb(worn, tmp_path / "a.glb")
+    scene, (mesh, drape) = trimesh.load(tmp_path / "a.glb"), parts(worn)
+    assert set(scene.geometry) == {*mesh.panel_names, "body"}
+    for number, name in enumerate(mesh.panel_names):
+        panel = scene.geometry[name]
+        assert panel.visual.material.name == name
+        assert len(panel.faces) == (mesh.panel_id == number).sum()
+        exact = drape.vertices[mesh.faces[mesh.panel_id == number]] / 100
+        assert panel.triangles == pytest.approx(exact, abs=1e-6)  # metres
+    body = scene.geometry["body"]
+    assert worn.shape is not None
+    assert body.extents == pytest.approx(np.ptp(build_body(worn.shape).vertices, axis=0) / 100, rel=1e-5)
+
+
+def test_textures_have_one_scale(worn: Sample, tmp_path: Path) -> None:
+    """A texture of 5 cm covers as many squares as the cloth has areas of 25 cm²; none is mirrored."""
+    exports.glb(worn, tmp_path / "a.glb", tile=5.0, body=False)
+    scene, (mesh, _) = trimesh.load(tmp_path / "a.glb"), parts(worn)
+    assert "body" not in scene.geometry
+    for number, name in enumerate(mesh.panel_names):
+        panel = scene.geometry[name]
+        assert areas(panel.visual.uv[panel.faces]) > 0
+        exact = areas(mesh.uv[mesh.corners[mesh.panel_id == number]])
+        assert areas(panel.visual.uv[panel.faces]) == pytest.approx(abs(exact) / 25.0, rel=1e-4)
+
+
+def areas(corners: np.ndarray) -> float:
+    """Signed area of flat triangles [f, 3, 2]."""
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return float(0.5 * (ax * by - ay * bx).sum())
+
+
+def test_the_facts_of_a_glb_are_read_without_a_library(worn: Sample, tmp_path: Path) -> None:
+    exports.glb(worn, tmp_path / "a.glb", tile=20.0)
+    facts = read_facts(tmp_path / "a.glb")
+    assert facts["panels"] == list(parts(worn)[0].panel_names)
+    assert (facts["garment"], facts["tile_cm"], facts["body"]) == (worn.key, 20.0, True)
+
+
+def test_other_files_are_no_garments(tmp_path: Path) -> None:
+    content = json.dumps({"scenes": [{}]}).encode()
+    chunk = struct.pack("<I4s", len(content), b"JSON") + content
+    (tmp_path / "a.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunk)) + chunk)
+    with pytest.raises(ValueError, match="no garment of gcd_dataset"):
+        read_facts(tmp_path / "a.glb")
+    (tmp_path / "a.glb").write_bytes(b"solid")
+    with pytest.raises(ValueError, match="not a GLB file"):
+        read_facts(tmp_path / "a.glb")
+
+
+def test_an_obj_is_sewn_and_has_the_vertices_of_the_sample(worn: Sample, tmp_path: Path) -> None:
+    exports.obj(worn, tmp_path / "a.obj", body=False)
+    lines, (mesh, drape) = (tmp_path / "a.obj").read_text().splitlines(), parts(worn)
+    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    assert vertices == pytest.approx(drape.vertices, abs=1e-3)
+    faces = np.array([[c.split("/")[0] for c in line.split()[1:]] for line in lines if line.startswith("f ")], int) - 1
+    order = np.argsort(mesh.panel_id, kind="stable")
+    assert np.array_equal(faces, mesh.faces[order])
+    used = [line.split()[1] for line in lines if line.startswith("usemtl")]
+    made = [line.split()[1] for line in (tmp_path / "a.mtl").read_text().splitlines() if line.startswith("newmtl")]
+    assert used == made == list(mesh.panel_names)
+    assert "mtllib a.mtl" in lines
+
+
+def test_an_obj_loads_with_its_body_and_materials(worn: Sample, tmp_path: Path) -> None:
+    exports.obj(worn, tmp_path / "a.obj")
+    scene = trimesh.load(tmp_path / "a.obj", process=False)
+    names = {geometry.visual.material.name for geometry in scene.geometry.values()}
+    assert names == {*parts(worn)[0].panel_names, "body"}
+
+
+def test_a_ply_has_the_vertices_of_the_sample(worn: Sample, tmp_path: Path) -> None:
+    exports.ply(worn, tmp_path / "a.ply")
+    garment, (mesh, drape) = trimesh.load(tmp_path / "a.ply", process=False), parts(worn)
+    assert garment.vertices == pytest.approx(drape.vertices, abs=1e-3)
+    assert np.array_equal(garment.faces, mesh.faces)
+    colours = {tuple(row) for row in garment.visual.face_colors[mesh.panel_id == 0].tolist()}
+    assert len(colours) == 1
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
+def test_a_usd_stage_in_centimetres(suffix: str, worn: Sample, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    exports.usd(worn, path, tile=5.0)
+    assert path.read_bytes()[:8] == (b"#usda 1." if suffix == ".usda" else b"PXR-USDC")
+    stage, (mesh, drape) = Usd.Stage.Open(str(path)), parts(worn)
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    top = str(stage.GetDefaultPrim().GetPath())
+    garment = UsdGeom.Mesh(stage.GetPrimAtPath(f"{top}/garment"))
+    assert np.array(garment.GetPointsAttr().Get()) == pytest.approx(drape.vertices, abs=1e-3)
+    assert np.array_equal(np.array(garment.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3), mesh.faces)
+    st = UsdGeom.PrimvarsAPI(garment).GetPrimvar("st")
+    assert st.GetInterpolation() == "faceVarying"
+    flat = np.array(st.ComputeFlattened()).reshape(-1, 3, 2)
+    assert areas(flat) == pytest.approx(np.abs([areas(mesh.uv[c[None]]) for c in mesh.corners]).sum() / 25.0, rel=1e-4)
+
+
+def test_usd_subsets_are_the_panels_and_bind_their_materials(worn: Sample, tmp_path: Path) -> None:
+    exports.usd(worn, tmp_path / "a.usdc")
+    stage, (mesh, _) = Usd.Stage.Open(str(tmp_path / "a.usdc")), parts(worn)
+    garment = UsdGeom.Mesh(stage.GetPrimAtPath(f"{stage.GetDefaultPrim().GetPath()}/garment"))
+    subsets = UsdGeom.Subset.GetAllGeomSubsets(garment)
+    assert [subset.GetPrim().GetCustomDataByKey("panel") for subset in subsets] == list(mesh.panel_names)
+    for number, subset in enumerate(subsets):
+        assert np.array_equal(np.array(subset.GetIndicesAttr().Get()), np.flatnonzero(mesh.panel_id == number))
+        material, _ = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()
+        assert material.GetPath().name == subset.GetPath().name
+    valid, reason = UsdGeom.Subset.ValidateFamily(garment, "face", "materialBind")
+    assert valid, reason
+
+
+def test_usd_seams_run_along_the_garment(worn: Sample, tmp_path: Path) -> None:
+    """Neighbouring points of a seam are joined by an edge of the mesh; a seam has the vertices that the mesh lists."""
+    exports.usd(worn, tmp_path / "a.usdc", body=False)
+    stage, (mesh, drape) = Usd.Stage.Open(str(tmp_path / "a.usdc")), parts(worn)
+    top = stage.GetDefaultPrim().GetPath()
+    curves = UsdGeom.BasisCurves(stage.GetPrimAtPath(f"{top}/seams"))
+    assert not stage.GetPrimAtPath(f"{top}/body")
+    assert len(curves.GetCurveVertexCountsAttr().Get()) == len(worn.pattern.seams)
+    sides = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
+    edges = {tuple(side) for side in sides.tolist()}
+    ordered = seam_vertices(mesh, worn.pattern)
+    assert np.array(curves.GetPointsAttr().Get()) == pytest.approx(drape.vertices[np.concatenate(ordered)], abs=1e-3)
+    for number, vertices in enumerate(ordered):
+        assert set(vertices.tolist()) == set(mesh.seams[mesh.seams[:, 1] == number, 0].tolist())
+        steps = np.sort(np.stack([vertices[:-1], vertices[1:]], axis=1), axis=1)
+        assert all(tuple(step) in edges for step in steps.tolist())
+
+
+def test_normals_of_a_tube_are_radial() -> None:
+    mesh = tube(24, 6, radius=10.0)
+    normals = smooth_normals(mesh.vertices, mesh.faces)
+    outward = mesh.vertices * [1.0, 0.0, 1.0] / 10.0
+    assert np.abs((normals * outward).sum(axis=1)) == pytest.approx(np.ones(len(normals)), abs=2e-3)
+
+
+def test_a_panel_drawn_from_the_inside_is_mirrored_in_its_texture() -> None:
+    sheet = patch(2, 2)
+    inside = replace(sheet, corners=sheet.corners[:, ::-1])
+    assert texture_coordinates(inside, 2.0) == pytest.approx(sheet.uv * [-0.5, 0.5])
+    assert texture_coordinates(sheet, 2.0) == pytest.approx(sheet.uv / 2.0)
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_a_sample_without_a_drape_is_refused(form: str, worn: Sample, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match=f"sample {worn.key} holds no drape"):
+        WRITERS[form](replace(worn, drape=None), tmp_path / f"a.{form}")
+    mesh, drape = parts(worn)
+    torn = replace(worn, drape=replace(drape, vertices=np.full_like(mesh.vertices, np.nan)))
+    with pytest.raises(ShardError, match="its drape diverged"):
+        WRITERS[form](torn, tmp_path / f"a.{form}")
+    with pytest.raises(ConfigError, match="end its name in"):
+        WRITERS[form](worn, tmp_path / "a.txt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_garment_of_unknown_body_is_exported_alone(worn: Sample, tmp_path: Path) -> None:
+    exports.glb(replace(worn, shape=None), tmp_path / "a.glb")
+    assert read_facts(tmp_path / "a.glb")["body"] is False
+
+
+def test_usd_without_its_library(worn: Sample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pxr.Usd", None)
+    with pytest.raises(ExtraMissing, match=r"pxr is not installed: run pip install 'gcd-dataset\[export\]'"):
+        exports.usd(worn, tmp_path / "a.usd")

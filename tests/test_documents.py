@@ -1,0 +1,142 @@
+"""The documents agree with the code, with the reports of the benchmarks, and with each other."""
+
+import doctest
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from docs.tools import figures, marked, tables
+from docs.tools.figures import FIGURES, StaleError, read_report
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.meta import GARMENT
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+PAGES += sorted(DOCS.rglob("*.md"))
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+LARGEST_PICTURE = 250_000  # bytes
+
+
+@pytest.mark.parametrize("name", tables.DOCUMENTS)
+def test_generated_parts_are_up_to_date(name: str) -> None:
+    text = (ROOT / name).read_text()
+    assert marked.marked_names(text)
+    assert tables.updated(text) == text, f"{name} is stale: python -m docs.tools.tables"
+
+
+def test_every_document_with_generated_parts_is_listed() -> None:
+    found = {str(page.relative_to(ROOT)) for page in PAGES if marked.marked_names(page.read_text())}
+    assert found == set(tables.DOCUMENTS)
+
+
+def test_every_part_is_shown() -> None:
+    shown = {part for name in tables.DOCUMENTS for part in marked.marked_names((ROOT / name).read_text())}
+    assert shown == set(tables.TABLES)
+
+
+def test_a_changed_report_makes_the_table_stale(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for path in figures.REPORTS.glob("*.md"):
+        (tmp_path / path.name).write_text(
+            re.sub(r"(?m)^\| drape\.clean \| \S+ ", "| drape.clean | 0.5 ", path.read_text())
+        )
+    before = figures.short_figures()
+    monkeypatch.setattr(figures, "REPORTS", tmp_path)
+    read_report.cache_clear()
+    try:
+        assert "50.0 % of 1,000" in figures.short_figures()
+        assert figures.short_figures() != before
+        (tmp_path / "scale.md").write_text("# scale\n")
+        read_report.cache_clear()
+        with pytest.raises(StaleError, match=r"scale\.md has no '"):
+            figures.figures_table()
+    finally:
+        read_report.cache_clear()
+
+
+def test_every_figure_has_a_command_and_hardware() -> None:
+    for figure in FIGURES:
+        report = read_report(figure.report)
+        assert (figure.command or report.fact("command")).strip("`").startswith("python -m benchmarks."), figure.what
+        assert figure.on or report.fact("hardware"), figure.what
+
+
+def test_the_readme_is_short_and_names_its_limits() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) < 120
+    assert len(text.split()) < 1200
+    assert "make demo" in text
+    assert "make test" in text
+    assert "docs/limits.md" in text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_to_files_lead_to_files(page: Path) -> None:
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    files = [target.partition("#")[0] for target in LINK.findall(text) if "://" not in target]
+    assert [file for file in files if file and not (page.parent / file).exists()] == []
+
+
+def test_links_to_headings_of_the_readme_lead_to_headings() -> None:
+    """The site's own links are checked when it is built; the README is not on the site."""
+    for target in LINK.findall((ROOT / "README.md").read_text()):
+        file, _, anchor = target.partition("#")
+        if anchor and "://" not in target:
+            headings = re.findall(r"^#+ (.*)$", (ROOT / file).read_text(), re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
+
+
+def test_the_index_table_lists_the_arrays_of_an_index(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path, seed=0, recipe={"fake": True}) as writer:
+        for index in range(2):
+            writer.add(index, encode_sample(fake_sample(0, index)))
+    text = (DOCS / "format.md").read_text()
+    section = text[text.index("## `index-SPLIT.npz`") : text.index("## Bodies")]
+    told = dict(re.findall(r"^\| `(\w+)` \| (\w+) \|", section, re.MULTILINE))
+    with np.load(tmp_path / "index-train.npz") as arrays:
+        kinds = {"i": "i", "u": "u", "b": "bool", "U": "text"}
+        stored = {name: arrays[name].dtype for name in arrays}
+    sized = {
+        name: kinds[dtype.kind] + (str(8 * dtype.itemsize) if dtype.kind in "iu" else "")
+        for name, dtype in stored.items()
+    }
+    assert told == sized
+
+
+def test_the_meta_table_lists_the_keys_of_a_meta_file() -> None:
+    text = (DOCS / "format.md").read_text()
+    section = text[text.index("## `meta.json`") : text.index("## `rejects.jsonl`")]
+    told = set(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE))
+    assert told == {*GARMENT, "holds", "recipe_sha256", "crc32", "crc32_before"}
+
+
+def test_every_field_has_a_unit_and_arrays_an_axis() -> None:
+    assert set(tables.UNITS) == set(FIELDS)
+    assert set(tables.ROWS) == {field for field, member in FIELDS.items() if member.endswith(".npy")}
+
+
+def test_pictures_are_small_and_shown() -> None:
+    pages = "".join(page.read_text() for page in PAGES)
+    pictures = sorted((DOCS / "images").iterdir())
+    assert len(pictures) >= 8
+    for picture in pictures:
+        content = picture.read_bytes()
+        assert len(content) <= LARGEST_PICTURE, picture.name
+        assert Image.open(io.BytesIO(content)).width >= 600
+        assert picture.name in pages, f"{picture.name} is on no page"
+
+
+def test_the_script_draws_the_pictures_that_are_there() -> None:
+    names = re.findall(r'^    "(\w+)": \1,$', (DOCS / "tools" / "pictures.py").read_text(), re.MULTILINE)
+    assert {f"{name}.jpg" for name in names} == {path.name for path in (DOCS / "images").iterdir()}
+
+
+@pytest.mark.parametrize("module", [figures, marked, tables], ids=lambda module: str(module.__name__))
+def test_examples_in_the_tools(module: object) -> None:
+    assert doctest.testmod(module).failed == 0  # type: ignore[arg-type]
