@@ -78,7 +78,7 @@ def intervals(scores: Sequence[Any]) -> dict[str, list[float]]:
 
 
 class Patterns:
-    """Answers are patterns: specification files, which the evaluator reads too, as it reads ``inputs`` and ``bodies``."""
+    """Answers are patterns: specification files, which the evaluator reads, as it does ``inputs`` and ``bodies``."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
         return scores_of(answers, [garments.pattern(k) for k in range(len(garments))], workers=workers)

@@ -329,7 +329,7 @@ def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t
         places, order = places.gather(1, rank[..., None].expand(-1, -1, 3)), order.gather(1, rank)
         parts *= 2
     order = order.reshape(batch, total, 1).expand(-1, -1, points.shape[2])
-    return points.gather(1, order).unflatten(1, (count, -1))
+    return points.gather(1, order).view(batch, count, -1, points.shape[2])
 
 
 class PanelDecoder(nn.Module):
