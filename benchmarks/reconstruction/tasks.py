@@ -78,6 +78,10 @@ TASKS = {
     for task in (
         Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=POSE),
         Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=POSE),
+        Task(
+            "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
+            points=8192, extra=("pose", "scan"),
+        ),
         Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
