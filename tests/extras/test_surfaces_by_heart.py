@@ -34,14 +34,14 @@ def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[di
     module, garments = load_model(model), skirts()
     learner: Learner[Any, Any] = module.build(smoke=True, options=options)
     examples = learner.prepare(garments, device=CPU)
-    config = TrainConfig(**{**module.SMOKE, "steps": steps, "batch": 4})
+    config = TrainConfig(**{**module.SMOKE, "steps": steps, "batch": 4, "log_every": 1})
     trained = train(learner, examples, config, device=CPU)
     answers = trained.learner.predict(examples.batch(torch.arange(len(garments))))
     return judge_of(task_named(module.TASKS[0]), watching=True).scores(answers, garments), trained.curve
 
 
 def test_the_labels_of_four_meshes() -> None:
-    scores, curve = by_heart("segmentation", 400)
+    scores, curve = by_heart("segmentation", 300)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.panel_label for score in scores]) > 0.97
     assert np.mean([score.panel_class for score in scores]) > 0.97
@@ -54,7 +54,7 @@ def test_the_measures_of_four_bodies() -> None:
 
 
 def test_the_drapes_of_four_garments() -> None:
-    scores, curve = by_heart("drape_surrogate", 400)
+    scores, curve = by_heart("drape_surrogate", 300)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.error_cm for score in scores]) < 3.0
 

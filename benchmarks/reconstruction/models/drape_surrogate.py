@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -92,6 +92,9 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         self.shared = nn.Linear(width, SHARED)
         self.second = SurfaceNet(replace(self.config, rounds=second_rounds), features=SHARED + GIVEN + NEAR)
         self.second_move = nn.Sequential(*mlp(width, width, 3))
+        for move in (self.first_move, self.second_move):  # at first nothing moves
+            nn.init.zeros_(cast(nn.Linear, move[-1]).weight)
+            nn.init.zeros_(cast(nn.Linear, move[-1]).bias)
         self._is_warm = False
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrapedSurfaces":
