@@ -57,7 +57,7 @@ def judge_of(task: Task, *, watching: bool = False) -> Judge:
         return Vertices()
     if task.name == "T5":
         return Measures()
-    return Drapes(crossings=not watching) if task.name == "T6" else Patterns()
+    return Drapes(crossings=not watching) if task.name == "T6" else Patterns(draped=bool(task.options.get("drape")))
 
 
 def means_of(scores: Sequence[Any]) -> dict[str, float]:
@@ -77,8 +77,12 @@ def intervals(scores: Sequence[Any]) -> dict[str, list[float]]:
 # --------------------------------------------------------------------------------------------------------- the patterns
 
 
+@dataclass(frozen=True)
 class Patterns:
     """Answers are patterns: specification files, which the evaluator reads, as it does ``inputs`` and ``bodies``."""
+
+    draped: bool = False
+    """Whether the points are of drapes, which drapes of the answers should meet; only then they are written."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
         return scores_of(answers, [garments.pattern(k) for k in range(len(garments))], workers=workers)
@@ -95,7 +99,7 @@ class Patterns:
             for key, pattern in zip(garments.keys, patterns, strict=True):
                 named = replace(pattern, name=key, extra={"properties": {"kind": kinds[key]}})
                 write_pattern(named, out / folder / f"{key}.json")
-        if garments.points.shape[1]:
+        if self.draped and garments.points.shape[1]:
             _write_inputs(garments, make_folder(out / "inputs"))
         if "pose" in garments.ragged:
             _write_bodies(garments, make_folder(out / "bodies"))

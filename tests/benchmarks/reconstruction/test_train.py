@@ -4,14 +4,10 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from benchmarks.reconstruction.scoring.bodies import wearers_of
-from benchmarks.reconstruction.scoring.distances import read_shape
 from benchmarks.reconstruction.train import main
 from benchmarks.run import main as run_case
-from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.metrics import mean_scores, score_pattern
 from gcd_dataset.spec import read_pattern
 
@@ -38,12 +34,6 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert sum(float(row["iou"]) for row in rows) / 3 == pytest.approx(again.iou)
     assert (out / "pictures" / "test.png").stat().st_size > 1000
     assert [read_pattern(other).extra["properties"]["kind"] for _, other in pairs] == ["skirt"] * 3
-    wearers = wearers_of(str(out / "bodies"))
-    for other in patterns_in(out / "truth"):
-        points = read_shape(out / "inputs" / other.name.replace(".json", ".npy")).samples
-        box_mesh = build_box_mesh(read_pattern(other), spacing=6.0).vertices
-        assert np.abs(points.mean(axis=0) - box_mesh.mean(axis=0)).max() < 15.0
-        assert 140.0 < wearers.wearer(other.stem, legs_apart=False)[1].height < 210.0
 
     written = (out / "report.json").read_text()
     assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
