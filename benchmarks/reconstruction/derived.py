@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gcd_dataset.loaders import VIEW_FIELDS, Scan
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS
@@ -22,6 +23,7 @@ __all__ = [
     "panel_class",
 ]
 
+SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 PANEL_CLASSES = (
     "other",
@@ -83,8 +85,15 @@ def _pose(item: Item) -> np.ndarray:
     return np.array([[pose["arm_angle"], float(pose["legs_apart"])]], np.float32)
 
 
+def _scan(item: Item) -> np.ndarray:
+    scanned = Scan(n=1, points=SCAN_POINTS, size=SCAN_SIZE)(item)
+    return np.asarray(scanned["scan"].numpy())
+
+
 DERIVED: Mapping[str, Derived] = {
     "panel_classes": Derived(("meta",), _panel_classes),
     "pose": Derived(("meta",), _pose),
+    "scan": Derived(VIEW_FIELDS, _scan),
 }
-"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart."""
+"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
+``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

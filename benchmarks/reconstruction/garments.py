@@ -102,7 +102,10 @@ class GarmentSet:
     measures: Float[np.ndarray, "g m"]
     """The body's measures, in the order of ``MEASURES`` [cm, degrees]."""
     points: Float[np.ndarray, "g n 6"]
-    """Surface points relative to ``CENTRE`` [cm] and normals, in random order, f16; n may be 0."""
+    """Surface points relative to ``CENTRE`` [cm] and normals, in random order, f16; n may be 0.
+
+    Those of a scan where the set was read with ``scan``; all at ``CENTRE`` if it measured nothing.
+    """
     ragged: Mapping[str, Ragged]
     """``panels``, ``edges``, ``stitches`` of a ``PatternTensor``; further fields such as ``verts`` and ``faces``."""
     recipe: Mapping[str, Any]
@@ -308,6 +311,7 @@ class _Packed:
         measures = np.array([item["measures"].get(name, np.nan) for name in MEASURES], dtype=np.float32)
         body = item["body"].numpy()
         arrays = derived_arrays(item, (*PATTERN, *self.extra))
+        points = self._points(arrays.pop("scan", None), item)
         ragged = {name: Ragged.of([array]) for name, array in arrays.items()}
         found = GarmentSet(
             keys=(f"{meta['seed']}_{meta['index']:09d}",),
@@ -316,18 +320,19 @@ class _Packed:
             bodies=np.array([_number(body.astype(np.float32).tobytes())]),
             shapes=body[None].astype(np.float32),
             measures=measures[None],
-            points=self._points(item)[None],
+            points=points[None],
             ragged=ragged,
             recipe={},
         )
         return found if settled else found.select([])
 
-    def _points(self, item: Item) -> Float[np.ndarray, "n 6"]:
+    def _points(self, scan: np.ndarray | None, item: Item) -> Float[np.ndarray, "n 6"]:
         if not self.points:
             return np.zeros((0, 6), np.float16)
-        found = item["points"][: self.points].double().numpy()
+        rows = item["points"].numpy() if scan is None else scan
+        found = rows[: self.points].astype(float)
         found[:, :3] -= CENTRE
-        return found.astype(np.float16)
+        return np.nan_to_num(found).astype(np.float16)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmarks.reconstruction.evaluate import scores_of
-from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.garments import CENTRE, GarmentSet
 from benchmarks.reconstruction.tasks import Task
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.colours import PALETTE
@@ -57,7 +57,7 @@ def judge_of(task: Task, *, watching: bool = False) -> Judge:
         return Vertices()
     if task.name == "T5":
         return Measures()
-    return Drapes(crossings=not watching) if task.name == "T6" else Patterns()
+    return Drapes(crossings=not watching) if task.name == "T6" else Patterns(draped=bool(task.options.get("drape")))
 
 
 def means_of(scores: Sequence[Any]) -> dict[str, float]:
@@ -77,8 +77,12 @@ def intervals(scores: Sequence[Any]) -> dict[str, list[float]]:
 # --------------------------------------------------------------------------------------------------------- the patterns
 
 
+@dataclass(frozen=True)
 class Patterns:
-    """Answers are patterns: specification files, which the evaluator reads too."""
+    """Answers are patterns: specification files, which the evaluator reads, as it does ``inputs`` and ``bodies``."""
+
+    draped: bool = False
+    """Whether the points are of drapes, which drapes of the answers should meet; only then they are written."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
         return scores_of(answers, [garments.pattern(k) for k in range(len(garments))], workers=workers)
@@ -89,10 +93,32 @@ class Patterns:
 
     def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
         truth = [garments.pattern(k) for k in range(len(garments))]
+        kinds = dict(zip(garments.keys, garments.kinds, strict=True))
         for folder, patterns in (("predictions", answers), ("truth", truth)):
             make_folder(out / folder)
             for key, pattern in zip(garments.keys, patterns, strict=True):
-                write_pattern(replace(pattern, name=key), out / folder / f"{key}.json")
+                named = replace(pattern, name=key, extra={"properties": {"kind": kinds[key]}})
+                write_pattern(named, out / folder / f"{key}.json")
+        if self.draped and garments.points.shape[1]:
+            _write_inputs(garments, make_folder(out / "inputs"))
+        if "pose" in garments.ragged:
+            _write_bodies(garments, make_folder(out / "bodies"))
+
+
+def _write_inputs(garments: GarmentSet, folder: Path) -> None:
+    """The points of each garment [cm], as ``KEY.npy``."""
+    for key, points in zip(garments.keys, garments.points, strict=True):
+        with open_whole(folder / f"{key}.npy") as file:
+            np.save(file, (points[:, :3].astype(float) + CENTRE).astype(np.float32))
+
+
+def _write_bodies(garments: GarmentSet, folder: Path) -> None:
+    """Shape weights of each wearer as ``KEY.npy``, the angle of the arms in ``KEY.meta.json``."""
+    for k, key in enumerate(garments.keys):
+        with open_whole(folder / f"{key}.npy") as file:
+            np.save(file, garments.shapes[k])
+        angle = float(garments.ragged["pose"][k][0, 0])
+        write_whole(folder / f"{key}.meta.json", json.dumps({"pose": {"arm_angle": angle}}).encode())
 
 
 def beside_truth(answers: Sequence[Any], truth: Sequence[Any], *, size: int = SIDE) -> UInt8[np.ndarray, "h w 3"]:

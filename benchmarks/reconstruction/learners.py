@@ -6,7 +6,7 @@ frozen dataclass of tensors with one row for each example.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
@@ -69,6 +69,11 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     def predict(self, batch: Batch) -> list[Answer]:
         """The answer to each example of a batch: a ``Pattern``, or an array."""
 
+    def answers(self, examples: Examples[Batch], count: int, *, batch: int, workers: int = 0) -> Iterable[Answer]:
+        """The answers to the first ``count`` examples; ``workers`` processes may share work that needs no network."""
+        rows = torch.split(torch.arange(count), batch)
+        return [answer for part in rows for answer in self.predict(examples.batch(part))]
+
     def forward(self, batch: Batch) -> dict[str, Tensor]:
         """``loss``: the call that ``DistributedDataParallel`` watches."""
         return self.loss(batch)
@@ -96,7 +101,7 @@ class TensorExamples:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self:
         """The examples ``rows``, without augmentation."""
-        return self[rows.to(self.device)]
+        return self[rows.to(self.device, non_blocking=True)]
 
     @property
     def device(self) -> torch.device:

@@ -70,7 +70,7 @@ class PanelTargets(TensorExamples):
     def with_points(self, count: int, generator: torch.Generator) -> "PanelTargets":
         """The garments with ``count`` of their points, drawn at random."""
         chosen = torch.randperm(self.points.shape[1], generator=generator, device=generator.device)[:count]
-        return replace(self, points=self.points[:, chosen.to(self.points.device)])
+        return replace(self, points=self.points[:, chosen.to(self.points.device, non_blocking=True)])
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ CHECKED = 32  # garments that watch a training
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
+POSE = ("pose",)
+"""Of T0, T1 and T2: the bodies on which answers can be draped."""
 SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
@@ -74,9 +76,13 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192),
-        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192),
-        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE),
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=POSE),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=POSE),
+        Task(
+            "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
+            points=8192, extra=("pose", "scan"),
+        ),
+        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,

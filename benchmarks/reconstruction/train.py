@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--source", "", "folder, URL or Hub repository of garments; split by design and body")
     option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
     option("--fresh", 0, "room for garments made during the training, besides --train; 0: none")
-    option("--minutes", 0.0, f"time for the steps; {MINUTES:g} without --steps")
+    option("--minutes", 0.0, f"time for the steps alone, without loading and scoring; {MINUTES:g} without --steps")
     option("--steps", 0, "optimiser steps")
     option("--batch", 0, "garments of a step; 0: the model's own")
     option("--lr", 0.0, "highest learning rate; 0: the model's own")
@@ -173,7 +173,12 @@ def run(options: Options) -> Result | None:
         trained_at = time.perf_counter()
         answers = _answers(module, trained, split, options, device)
         scores = judge.scores(answers, split.test, workers=options.workers)
-    times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "test_s": time.perf_counter() - trained_at}
+        tested = time.perf_counter()
+    checked, steps = (trained.checked, trained.seconds) if trained else (0.0, 0.0)
+    times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "check_s": checked}
+    times["test_s"] = tested - trained_at
+    shown = f"{steps:.0f} s of steps so far; this call: {loaded - begun:.0f} s to load, {checked:.0f} s of checks, "
+    print(f"{shown}{tested - trained_at:.0f} s to answer and score, {tested - begun:.0f} s in all", file=sys.stderr)
     report = _report(options, split, scores, trained, {**times, "fresh": received})
     _write(out, judge, split.test, answers, scores, report)
     return Result(scores, report, trained)
@@ -255,8 +260,8 @@ def _answers(
         answer = cast(Callable[..., list[Any]], module.answers)
         return answer(split.train, split.test, device=device, workers=options.workers)
     examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
-    rows = torch.split(torch.arange(len(split.test)), options.config.batch)
-    return [answer for part in rows for answer in trained.learner.predict(examples.batch(part))]
+    count, batch = len(split.test), options.config.batch
+    return list(trained.learner.answers(examples, count, batch=batch, workers=options.workers))
 
 
 # ---------------------------------------------------------------------------------------------------------- the results

@@ -4,24 +4,24 @@ What is drawn in step k depends on the seed and k alone, so a stopped training t
 the same steps as one that was never stopped. ``torchrun`` starts several ranks; each takes its part of every batch.
 """
 
+import copy
 import csv
 import importlib.util
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
-from torch.optim.swa_utils import AveragedModel
 
 from benchmarks.reconstruction.learners import Examples, Learner
 from gcd_dataset.errors import ConfigError, GcdError
@@ -104,6 +104,8 @@ class Trained:
     steps: int
     seconds: float
     """Time of the steps."""
+    checked: float
+    """Time of checks and checkpoints in this call [s]."""
     curve: list[dict[str, float]]
     """Rows of the curves: step, seconds, learning rate, mean loss and its terms since the row before, checks."""
 
@@ -144,7 +146,7 @@ def train(
         run.restore(out / CHECKPOINT, examples)
         curves.resume(run.step)
     saved, mark = time.perf_counter(), time.perf_counter()
-    next_check = math.floor(run.progress * config.checks) + 1
+    next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
     while run.progress < 1 and (stop_after is None or run.step < stop_after):
         run.take_step(examples)
         elapsed = time.perf_counter() - mark
@@ -160,9 +162,9 @@ def train(
         if out is not None and (is_last or run.is_due(saved)):
             run.save(out / CHECKPOINT, examples)
             saved = time.perf_counter()
-        mark = time.perf_counter()
+        aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
     curves.close()
-    return Trained(run.average(), run.step, run.seconds, curves.rows)
+    return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
@@ -201,7 +203,8 @@ class _Run:
         self.step, self.seconds = 0, 0.0
         if device.type == "cuda":
             torch.set_float32_matmul_precision("high")  # TF32 outside autocast
-        self.averaged = AveragedModel(learner, multi_avg_fn=_average_with(config.ema), use_buffers=True)
+        self.averaged = copy.deepcopy(learner).requires_grad_(False)
+        self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
         if config.compile:
             learner.compile_parts()
         matrices = [p for p in learner.parameters() if p.requires_grad and p.ndim > 1]
@@ -211,7 +214,8 @@ class _Run:
         self.model: nn.Module = learner
         if _ranks() > 1:
             self.model = DistributedDataParallel(learner, find_unused_parameters=False)
-        self._sums: dict[str, Tensor] = {}
+        self._names: list[str] = []
+        self._sums: Tensor | None = None
         self._summed = 0
 
     @property
@@ -234,14 +238,15 @@ class _Run:
         self.model.train()
         with self._autocast():
             parts = self.model(batch)
-        loss = torch.stack([part.float() for part in parts.values()]).sum()
+        losses = torch.stack([part.float() for part in parts.values()])
+        loss = losses.sum()
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.learner.parameters(), config.largest_gradient)
         self.optimizer.step()
-        self.averaged.update_parameters(self.learner)
+        _average(self._pairs, config.ema, self.step)
         self.step += 1
-        self._add({"loss": loss, **parts})
+        self._add(list(parts), torch.cat([loss.detach()[None], losses.detach()]))
 
     def _progress_after(self) -> float:
         """Progress after the step that begins, so that the first step has a learning rate above 0."""
@@ -258,22 +263,21 @@ class _Run:
 
     def average(self) -> Learner[Any, Any]:
         """The averaged learner, in evaluation mode."""
-        return cast(Learner[Any, Any], self.averaged.module.eval())
+        return self.averaged.eval()
 
     def row(self, checked: Mapping[str, float]) -> dict[str, float]:
         """A row of the curves. Raises ``TrainingError`` for a loss that is not finite."""
-        means = {name: float(total) / self._summed for name, total in self._sums.items()}
+        assert self._sums is not None
+        means = dict(zip(["loss", *self._names], (self._sums / self._summed).tolist(), strict=True))
         if not math.isfinite(means["loss"]):
             raise TrainingError(f"step {self.step}: the loss is {means['loss']}: lower lr {self.config.lr:g}")
-        self._sums, self._summed = {}, 0
+        self._sums, self._summed = None, 0
         rate = float(self.optimizer.param_groups[0]["lr"])
         return {"step": self.step, "seconds": round(self.seconds, 2), "lr": rate, **means, **checked}
 
-    def _add(self, parts: Mapping[str, Tensor]) -> None:
-        self._summed += 1
-        for name, part in parts.items():
-            value = part.detach().float()
-            self._sums[name] = self._sums[name] + value if name in self._sums else value
+    def _add(self, names: list[str], losses: Tensor) -> None:
+        self._names, self._summed = names, self._summed + 1
+        self._sums = losses if self._sums is None else self._sums + losses
 
     def _autocast(self) -> AbstractContextManager[Any]:
         on = self.config.bf16 and self.device.type == "cuda"
@@ -323,20 +327,18 @@ class _Run:
             examples.load_state_dict(state["examples"])
 
 
-def _average_with(decay: float) -> Callable[[Any, Any, Any], None]:
-    """The update of a moving average: the mean of few steps at first, then with the decay."""
+@torch.no_grad()
+def _average(pairs: Sequence[tuple[Tensor, Tensor]], decay: float, step: int) -> None:
+    """Update pairs of average and weights after step ``step``: the mean of few steps at first, then with the decay.
 
-    @torch.no_grad()
-    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor | int) -> None:
-        steps = int(count)
-        weight = 1.0 - min(decay, (1 + steps) / (10 + steps)) if decay else 1.0
-        floating = [(a, c) for a, c in zip(averaged, current, strict=True) if a.is_floating_point()]
-        torch._foreach_lerp_([a for a, _ in floating], [c for _, c in floating], weight)
-        for a, c in zip(averaged, current, strict=True):
-            if not a.is_floating_point():
-                a.copy_(c)
-
-    return update
+    The number of the step is no tensor, so nothing waits for the device.
+    """
+    weight = 1.0 - min(decay, (1 + step) / (10 + step)) if decay and step else 1.0
+    floating = [pair for pair in pairs if pair[0].is_floating_point()]
+    torch._foreach_lerp_([a for a, _ in floating], [c for _, c in floating], weight)
+    for a, c in pairs:
+        if not a.is_floating_point():
+            a.copy_(c)
 
 
 def _seed_of(seed: int, step: int) -> int:

@@ -1,26 +1,29 @@
 """From surface points of a garment to the set of its panels, sewn.
 
-Points are grouped into regions, and each region becomes a token (Point-MAE, Pang et al., ECCV 2022); learned queries
-attend to the tokens, and each query may become a panel (DETR, Carion et al., ECCV 2020) with corners in the order of
-its loop. Panels are a set: the loss matches queries to panels at least cost, and a loop may start at any corner. The
-edges of all panels then attend to each other and to the tokens, and move; each chooses the edge that it is sewn to, or
-none.
+A balanced tree divides the points into regions of equal numbers, and each region becomes a token (Point-MAE, Pang et
+al., ECCV 2022; Kd-Networks, Klokov and Lempitsky, ICCV 2017); learned queries attend to the tokens, and each query may
+become a panel (DETR, Carion et al., ECCV 2020) with corners in the order of its loop. Panels are a set: the loss
+matches queries to panels at least cost, and a loop may start at any corner. The edges of all panels then attend to each
+other and to the tokens, and move; each chooses the edge that it is sewn to, or none.
+
+Nothing in a training step waits for the device: sizes do not depend on values there.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 from typing import Any, cast
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional
 
+from benchmarks.reconstruction.assignment import least_cost
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
@@ -40,6 +43,7 @@ __all__ = [
     "encoder",
     "match_panels",
     "panel_losses",
+    "regions_of",
     "rotation_of",
     "set_loss",
 ]
@@ -53,13 +57,15 @@ WEIGHTS = {
     "edges": 0.5, "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
 }  # fmt: skip
 REFINED = 2.0  # weight of the moved loops, relative to those of all layers of the decoder
+OF_EDGES = ("edge_panels", "edge_slots", "edge_kinds", "edge_labels", "partners", "turned")
 LEAST_EDGES = 3
 FIRST_EXTENT = 0.3  # UNIT, of panels before training
 LEAST_EXTENT = 1e-3  # UNIT
 TINY = 1e-12  # keeps the slope of square roots finite
-NO_PANEL = 1e6  # cost of a query for a place without a true panel
 NEVER = -1e4  # score of an edge as its own partner
 CHUNK = 64  # garments that a process encodes at once
+TOGETHER = 8  # garments that a process draws at once
+ROOM = 32  # edges: a batch has room for a multiple of this number
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
@@ -67,7 +73,8 @@ SMOKE: Mapping[str, Any] = {
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "queries": 12, "slots": 24, "edges": 96, "tokens": 32, "width": 64, "heads": 4, "layers": 1,
-    "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256, "stored_points": 1024,
+    "region_width": 32, "edge_width": 64, "edge_heads": 4, "edge_layers": 1, "seam_layers": 1, "points": 256,
+    "stored_points": 1024,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
@@ -81,7 +88,10 @@ class NetConfig:
     """Most edges of a panel."""
     edges: int = 320
     """Most edges of a garment."""
-    tokens: int = 384
+    tokens: int = 256
+    """Regions of the points; a power of 2."""
+    region_width: int = 128
+    """Features of a point."""
     width: int = 384
     heads: int = 6
     layers: int = 6
@@ -97,7 +107,7 @@ class NetConfig:
 
 @dataclass(frozen=True)
 class Predicted:
-    """What the queries say about panels; lengths in ``UNIT``."""
+    """What the queries say about panels; lengths in ``UNIT``. The fields may have a further dimension of layers."""
 
     exists: Float[Tensor, "b q"]
     """Logits."""
@@ -117,14 +127,25 @@ class Predicted:
         """Rotations of the panels."""
         return rotation_of(self.axes)
 
+    def __getitem__(self, index: Any) -> "Predicted":
+        """The same index of each field, such as a layer."""
+        return Predicted(*(column[index] for column in self._columns()))
 
-@dataclass(frozen=True)
-class Matched:
-    """Pairs of queries and true panels, one row for each."""
+    def detach(self) -> "Predicted":
+        """The same numbers, without gradients."""
+        return Predicted(*(column.detach() for column in self._columns()))
 
-    garments: Int[Tensor, " m"]
-    queries: Int[Tensor, " m"]
-    panels: Int[Tensor, " m"]
+    def of_queries(self, queries: Int[Tensor, "b p"]) -> "Predicted":
+        """What these queries say, in their order; the fields have a dimension of layers."""
+        found = []
+        for column in self._columns():
+            rows = column.flatten(3) if column.ndim > 3 else column[..., None]
+            at = queries[None, :, :, None].expand(len(rows), -1, -1, rows.shape[-1])
+            found.append(rows.gather(2, at).view(*column.shape[:2], queries.shape[1], *column.shape[3:]))
+        return Predicted(*found)
+
+    def _columns(self) -> list[Tensor]:
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 @dataclass(frozen=True)
@@ -143,6 +164,18 @@ class Edges:
         """Values of the queries' slots for each edge."""
         garments = torch.arange(len(slots), device=slots.device)[:, None]
         return values[garments, self.queries, slots]
+
+    def of_panels(self, values: Float[Tensor, "b q w"]) -> Float[Tensor, "b e w"]:
+        """Values of the queries for each edge; a product, whose gradient is faster than that of an index."""
+        chosen = functional.one_hot(self.queries, values.shape[1]).to(values.dtype)
+        return chosen @ values
+
+    @property
+    def hidden(self) -> Bool[Tensor, "b e"]:
+        """Edges that others do not attend to; never all of a garment."""
+        hidden = ~self.exists
+        hidden[:, 0] = False
+        return hidden
 
 
 @dataclass(frozen=True)
@@ -169,6 +202,8 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         """``points``: points of a garment in a step, drawn from the first ``stored_points``."""
         super().__init__()
         self.config = config or NetConfig()
+        if not 1 <= self.config.tokens <= points or self.config.tokens & (self.config.tokens - 1):
+            raise ConfigError(f"{self.config.tokens} tokens of {points} points: give a power of 2, at most the points")
         self.points, self.stored_points = points, stored_points
         self.tokens = PointTokens(self.config)
         self.decoder = PanelDecoder(self.config)
@@ -178,7 +213,9 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         bare = replace(garments, points=garments.points[:, :0])
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
-        return self.drawn_from(replace(targets, points=self.encoder().scaled(garments.points)).to(device))
+        edges = (targets.edge_panels >= 0).sum(dim=1)
+        whole = replace(targets, points=self.encoder().scaled(garments.points)).to(device)
+        return DrawnPoints(whole, self.points, edges)
 
     def drawn_from(self, encoded: TensorExamples) -> "DrawnPoints":
         return DrawnPoints(cast(PanelTargets, encoded), self.points)
@@ -188,17 +225,27 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
 
     def compile_parts(self) -> None:
-        self.tokens.compile()
+        self.tokens.encoder.compile()
         for layer in self.decoder.layers:
             layer.compile()
 
     def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
-        batch = batch[batch.exists.any(dim=1)]  # without garments beyond the network's sizes
         return set_loss(self.decoder, self.tokens(batch.points), batch)
 
     def predict(self, batch: PanelTargets) -> list[Pattern]:
+        return patterns_from(self._said(batch))
+
+    def answers(
+        self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
+    ) -> Iterator[Pattern]:
+        rows = torch.split(torch.arange(count), batch)
+        said = PanelTargets.join([self._said(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
+        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+
+    def _said(self, batch: PanelTargets) -> PanelTargets:
         with torch.no_grad():
-            return patterns_from(answers_of(self.decoder, self.tokens(batch.points[:, : self.points])))
+            return answers_of(self.decoder, self.tokens(batch.points[:, : self.points]))
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
@@ -218,12 +265,17 @@ class DrawnPoints:
 
     whole: PanelTargets
     points: int
+    edges: Int[Tensor, " g"] | None = None
+    """Edges of each garment, on the CPU, if they do not change: batches then leave out rows that are empty in all."""
 
     def __len__(self) -> int:
         return len(self.whole)
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PanelTargets:
         found = self.whole.batch(rows)
+        if self.edges is not None and len(rows):
+            room = ROOM * math.ceil(max(1, int(self.edges[rows].max())) / ROOM)
+            found = replace(found, **{name: getattr(found, name)[:, :room] for name in OF_EDGES})
         return found if chance is None else found.with_points(self.points, chance)
 
 
@@ -236,29 +288,48 @@ class PointTokens(nn.Module):
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
         self.config = config
-        width = config.width
-        self.region = nn.Sequential(nn.Linear(6, width // 2), nn.GELU(), nn.Linear(width // 2, width))
+        width, inner = config.width, config.region_width
+        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
+        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
+        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
+        self.form = nn.Linear(2 * inner, width)
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.encoder = encoder(config)
 
     def forward(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
-        """Tokens of the regions around the first points of each garment; points are in random order.
-
-        A region holds the points that are nearest to its centre: a choice of so many neighbours would take longer than
-        all of the network.
-        """
-        points = points.float()
-        centres = points[:, : self.config.tokens]
-        with torch.no_grad():
-            region = torch.cdist(points[..., :3], centres[..., :3]).argmin(dim=2)
-        own = centres[..., :3].gather(1, region[..., None].expand(-1, -1, 3))
-        offsets = (points[..., :3] - own) * REGION_SCALE
-        features = self.region(torch.cat([offsets, points[..., 3:]], dim=-1))
-        features = _largest_of_groups(features, region, centres.shape[1])
-        place = self.position(torch.cat([waves(centres[..., :3]), centres], dim=-1))
-        tokens: Tensor = self.encoder(self.merge(features + place))
+        """Tokens of the regions."""
+        with torch.autocast(points.device.type, enabled=False), torch.no_grad():
+            regions = regions_of(points.float(), self.config.tokens)
+            middles = regions.mean(dim=2)
+            offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
+            inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
+            places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
+        features = self.point(inputs)
+        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
+        features = self.form(self.region(features).amax(dim=2))
+        tokens: Tensor = self.encoder(self.merge(features + self.position(places)).float())
         return tokens
+
+
+def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
+    """The points in ``count`` regions of equal numbers; some points are left out unless ``count`` divides their number.
+
+    Each region is halved at the median of its longest side until there are enough; ``count`` is a power of 2.
+    """
+    batch, total = len(points), points.shape[1] // count * count
+    places = points[:, :total, :3]
+    order = torch.arange(total, device=points.device).expand(batch, -1)
+    parts = 1
+    while parts < count:
+        places, order = places.reshape(batch * parts, -1, 3), order.reshape(batch * parts, -1)
+        side = (places.amax(dim=1) - places.amin(dim=1)).argmax(dim=1)
+        along = places.gather(2, side[:, None, None].expand(-1, places.shape[1], 1))[..., 0]
+        rank = along.argsort(dim=1)
+        places, order = places.gather(1, rank[..., None].expand(-1, -1, 3)), order.gather(1, rank)
+        parts *= 2
+    order = order.reshape(batch, total, 1).expand(-1, -1, points.shape[2])
+    return points.gather(1, order).view(batch, count, -1, points.shape[2])
 
 
 class PanelDecoder(nn.Module):
@@ -280,16 +351,16 @@ class PanelDecoder(nn.Module):
         self.mover = EdgeMover(config)
         self.seams = SeamHead(config)
 
-    def forward(self, tokens: Float[Tensor, "b t w"]) -> tuple[list[Predicted], Float[Tensor, "b q w"]]:
-        """One ``Predicted`` per layer, and the features of the queries after the last."""
+    def forward(self, tokens: Float[Tensor, "b t w"]) -> tuple[Predicted, Float[Tensor, "b q w"]]:
+        """What the queries say after each layer, and their features after the last."""
         panels = self.queries.expand(len(tokens), -1, -1)
-        predicted = []
+        after = []
         for layer in self.layers:
             panels = layer(panels, tokens)
-            predicted.append(self._predicted(panels))
-        return predicted, panels
+            after.append(panels)
+        return self._predicted(torch.stack(after)), panels
 
-    def _predicted(self, panels: Float[Tensor, "b q w"]) -> Predicted:
+    def _predicted(self, panels: Float[Tensor, "l b q w"]) -> Predicted:
         # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
             panels = self.norm(panels.float())
@@ -330,18 +401,18 @@ class EdgeMover(nn.Module):
         self, edges: Edges, panels: Float[Tensor, "b q w"], said: Predicted, tokens: Float[Tensor, "b t w"]
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
         """``said`` with moved corners and bends, and the features of the edges."""
-        garments = torch.arange(len(tokens), device=tokens.device)[:, None]
-        features = self.describe(edges, panels[garments, edges.queries], said) + self.slot(edges.slots)
-        tokens = self.tokens(tokens)
+        features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
+        tokens, hidden = self.tokens(tokens), edges.hidden
         for layer in self.layers:
-            features = layer(features, tokens, tgt_key_padding_mask=~edges.exists)
+            features = layer(features, tokens, tgt_key_padding_mask=hidden)
         with torch.autocast(features.device.type, enabled=False):
             features = features.float()
-            moves = STEP_SCALE * self.head(self.norm(features)).unflatten(-1, (1 + BENDS, 2))
-            moves = moves * edges.exists[..., None, None]
-            at = (garments, edges.queries, edges.slots)
-            corners = said.corners.index_put(at, moves[..., 0, :], accumulate=True)
-            bends = said.bends.index_put(at, moves[..., 1:, :], accumulate=True)
+            moves = STEP_SCALE * self.head(self.norm(features)) * edges.exists[..., None]
+            at = edges.queries * said.corners.shape[2] + edges.slots
+            still = moves.new_zeros(len(moves), said.corners.shape[1] * said.corners.shape[2], moves.shape[-1])
+            moved = still.scatter_add(1, at[..., None].expand_as(moves), moves)
+            moved = moved.view(*said.corners.shape[:3], 1 + BENDS, 2)
+            corners, bends = said.corners + moved[..., 0, :], said.bends + moved[..., 1:, :]
         return replace(said, corners=corners, bends=bends), features
 
 
@@ -361,7 +432,7 @@ class SeamHead(nn.Module):
 
     def forward(self, edges: Edges, features: Float[Tensor, "b e v"], said: Predicted) -> Sewn:
         """``features``: of the moved edges."""
-        related = self.layers(self.describe(edges, features, said), src_key_padding_mask=~edges.exists)
+        related = self.layers(self.describe(edges, features, said), src_key_padding_mask=edges.hidden)
         with torch.autocast(features.device.type, enabled=False):
             related = related.float()
             return Sewn(
@@ -418,14 +489,6 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
     return 0.5 * (scores + scores.transpose(1, 2))
 
 
-def _largest_of_groups(
-    values: Float[Tensor, "b n w"], group: Int[Tensor, "b n"], groups: int
-) -> Float[Tensor, "b g w"]:
-    """The largest value of each feature in each group; 0 for an empty group."""
-    found = values.new_zeros(len(values), groups, values.shape[-1])
-    return found.scatter_reduce(1, group[..., None].expand_as(values), values, "amax", include_self=False)
-
-
 def encoder(config: NetConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
     layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
@@ -456,30 +519,48 @@ def set_loss(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"], true: PanelT
     """
     layers, panels = decoder(tokens)
     with torch.autocast(tokens.device.type, enabled=False):
-        parts, matched, shifts = panel_losses(layers, true)
-    edges = _true_edges(true, matched, shifts)
+        parts, queries, shifts = panel_losses(layers, true)
+    edges = _true_edges(true, queries, shifts)
     # Detached: moves and seams teach the tokens, not the first loops.
-    first = Predicted(*(getattr(layers[-1], name).detach() for name in Predicted.__dataclass_fields__))
-    moved, features = decoder.mover(edges, panels, first, tokens)
+    moved, features = decoder.mover(edges, panels, layers[-1].detach(), tokens)
     fixed = replace(moved, corners=moved.corners.detach(), bends=moved.bends.detach())
     sewn = decoder.seams(edges, features, fixed)
     with torch.autocast(tokens.device.type, enabled=False):
-        refined = _loop_losses(moved, true, matched, shifts)
+        refined = _loop_losses(moved[None].of_queries(queries), true, shifts[None])
         parts |= {name: parts[name] + REFINED * part for name, part in refined.items()}
         parts |= _seam_losses(sewn, true, edges.exists)
     return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
 
-def panel_losses(layers: list[Predicted], true: PanelTargets) -> tuple[dict[str, Tensor], Matched, Int[Tensor, " m"]]:
-    """Mean losses of the layers; the match of queries and panels by the last layer, which holds for all; its shifts."""
-    matched = match_panels(layers[-1], true)
-    shifts = [_shifts(layer, true, matched) for layer in layers]
-    parts = [_loss_of_layer(layer, true, matched, shift) for layer, shift in zip(layers, shifts, strict=True)]
-    return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}, matched, shifts[-1]
+def panel_losses(
+    layers: Predicted, true: PanelTargets
+) -> tuple[dict[str, Tensor], Int[Tensor, "b p"], Int[Tensor, "b p"]]:
+    """Mean losses of the layers, the query of each true panel, and the corner of its loop at which the query's starts.
+
+    The last layer's match of queries and panels holds for all. Rows beyond the panels of a garment hold no meaning.
+    """
+    queries = match_panels(layers[-1], true)
+    said = layers.of_queries(queries)
+    shifts = _shifts(said.corners, true)
+    count = len(layers.exists)
+    slots, kinds = said.edges.shape[-1], said.labels.shape[-1]
+    numbers, labels = (column.expand(count, -1, -1).flatten() for column in (true.edge_counts, true.labels))
+    of_panels = {
+        "extents": (said.extents.log() - true.extents.clamp(min=LEAST_EXTENT).log()).abs().mean(dim=-1),
+        "centres": (said.centres - true.centres).abs().mean(dim=-1),
+        # Of the columns as they are: rotations half a turn away from the truth would be a local minimum.
+        "rotations": (said.axes - _axes_of(true.rotations)).abs().mean(dim=-1),
+        "edges": functional.cross_entropy(said.edges.reshape(-1, slots), numbers, reduction="none"),
+        "labels": functional.cross_entropy(said.labels.reshape(-1, kinds), labels, reduction="none"),
+    }
+    existing = true.exists.expand(count, -1, -1)
+    parts = {name: _mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
+    parts["exists"] = _existence_loss(layers.exists, queries, true.exists)
+    return {**parts, **_loop_losses(said, true, shifts)}, queries, shifts[-1]
 
 
-def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
-    """Matched rows of garments, queries and true panels, at least total cost (Hungarian method)."""
+def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]:
+    """The query of each true panel, at least total cost (``least_cost``); 0 beyond the panels of a garment."""
     with torch.no_grad():
         likelihood = predicted.edges.log_softmax(dim=-1).clamp(min=-10.0)
         counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
@@ -490,32 +571,14 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Matched:
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
         )
-        table = cost.masked_fill(~true.exists[:, None], NO_PANEL).cpu().numpy()  # one copy to the host
-    pairs = []
-    for garment, costs in enumerate(table):
-        known = np.flatnonzero(costs[0] < NO_PANEL)
-        queries, chosen = linear_sum_assignment(costs[:, known])
-        pairs.append(np.stack([np.full(len(known), garment), queries, known[chosen]]))
-    return Matched(*torch.from_numpy(np.concatenate(pairs, axis=1)).to(cost.device))
+        return least_cost(cost.transpose(1, 2), true.exists)
 
 
-def _loss_of_layer(
-    predicted: Predicted, true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]
-) -> dict[str, Tensor]:
-    ours, theirs = (matched.garments, matched.queries), (matched.garments, matched.panels)
-    exists = torch.zeros_like(predicted.exists)
-    exists[ours] = 1.0
-    extents = true.extents[theirs].clamp(min=LEAST_EXTENT)
-    return {
-        "exists": functional.binary_cross_entropy_with_logits(predicted.exists, exists),
-        **_loop_losses(predicted, true, matched, shifts),
-        "extents": functional.l1_loss(predicted.extents[ours].log(), extents.log()),
-        "centres": functional.l1_loss(predicted.centres[ours], true.centres[theirs]),
-        # Of the columns as they are: rotations half a turn away from the truth would be a local minimum.
-        "rotations": functional.l1_loss(predicted.axes[ours], _axes_of(true.rotations[theirs])),
-        "edges": functional.cross_entropy(predicted.edges[ours], true.edge_counts[theirs]),
-        "labels": functional.cross_entropy(predicted.labels[ours], true.labels[theirs]),
-    }
+def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"], exists: Bool[Tensor, "b p"]) -> Tensor:
+    """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
+    chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
+    losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
+    return _mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
 
 
 def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
@@ -523,56 +586,59 @@ def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
     return rotations[..., :2].transpose(-1, -2).flatten(-2)
 
 
-def _shifts(predicted: Predicted, true: PanelTargets, matched: Matched) -> Int[Tensor, " m"]:
-    """The corner of each true loop at which the predicted loop starts: that of the least mean distance of corners."""
+def _shifts(corners: Float[Tensor, "l b p n 2"], true: PanelTargets) -> Int[Tensor, "l b p"]:
+    """The corner of each true loop at which the predicted loop starts: that of the least mean square distance."""
     with torch.no_grad():
-        counts = true.edge_counts[matched.garments, matched.panels]
-        corners = true.corners[matched.garments, matched.panels]
-        slot = torch.arange(corners.shape[1], device=counts.device)
-        turned = (slot[None, :, None] + slot) % counts[:, None, None]  # panel, shift, slot
-        rolled = corners[torch.arange(len(counts), device=counts.device)[:, None, None], turned]
-        apart = (predicted.corners[matched.garments, matched.queries][:, None] - rolled).abs().sum(dim=-1)
-        within = slot < counts[:, None]
-        cost = torch.where(within[:, None], apart, 0.0).sum(dim=-1)
-        return torch.where(within, cost, torch.inf).argmin(dim=-1)
+        counts = true.edge_counts.clamp(min=1)[..., None]
+        slot = torch.arange(true.corners.shape[2], device=counts.device)
+        starts = slot[:, None].expand(*counts.shape[:2], -1, 1)[..., 0]
+        rolled = _rolled(true.corners, starts.movedim(-1, 0), counts[..., 0])  # shift, garment, panel, slot
+        rolled = torch.where((slot < counts)[..., None], rolled, 0.0).flatten(-2)
+        # The distance is least where the product is largest: the squares do not depend on the shift.
+        products = torch.einsum("lbpk,sbpk->lbps", corners.flatten(-2), rolled)
+        return torch.where(slot < counts, products, -torch.inf).argmax(dim=-1)
 
 
-def _loop_losses(
-    predicted: Predicted, true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]
-) -> dict[str, Tensor]:
-    """Losses of corners and bends of loops that start at the corners ``shifts`` of the true ones.
+def _rolled(
+    values: Float[Tensor, "b p n *d"], shifts: Int[Tensor, "l b p"], counts: Int[Tensor, "b p"]
+) -> Float[Tensor, "l b p n *d"]:
+    """Values of loops that start at the corners ``shifts``."""
+    slot = torch.arange(values.shape[2], device=values.device)
+    turned = (slot + shifts[..., None]) % counts[..., None]
+    garments, panels = (torch.arange(size, device=values.device) for size in values.shape[:2])
+    return values[garments[:, None, None], panels[:, None], turned]
+
+
+def _loop_losses(said: Predicted, true: PanelTargets, shifts: Int[Tensor, "l b p"]) -> dict[str, Tensor]:
+    """Losses of corners and bends of the true panels' loops, which start at the corners ``shifts`` of the true ones.
 
     ``areas``: log(1 + d · perimeter / area), where d is the mean distance of corners and bends: for small d about the
     share of the area that differs, so that a centimetre counts more for a cuff than for a skirt.
     """
-    ours, theirs = (matched.garments, matched.queries), (matched.garments, matched.panels)
-    counts = true.edge_counts[theirs]
-    slot = torch.arange(true.corners.shape[2], device=counts.device)
-    turned = (slot + shifts[:, None]) % counts[:, None]
-    within, row = slot < counts[:, None], torch.arange(len(counts), device=counts.device)[:, None]
-    corners = predicted.corners[ours] - true.corners[theirs][row, turned]
-    bends = predicted.bends[ours] - true.bends[theirs][row, turned]
+    counts = true.edge_counts.clamp(min=1)
+    within = torch.arange(true.corners.shape[2], device=counts.device) < counts[..., None]
+    corners = said.corners - _rolled(true.corners, shifts, counts)
+    bends = said.bends - _rolled(true.bends, shifts, counts)
     distances = (corners.square().sum(dim=-1) + TINY).sqrt() + (bends.square().sum(dim=-1) + TINY).sqrt().mean(dim=-1)
-    return {
-        "corners": _mean_of_rows(corners.abs().mean(dim=-1), within).mean(),
-        "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within).mean(),
-        "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness[theirs]).mean(),
+    existing = true.exists.expand_as(shifts)
+    values = {
+        "corners": _mean_of_rows(corners.abs().mean(dim=-1), within),
+        "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within),
+        "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness),
     }
+    return {name: _mean_of(value, existing) for name, value in values.items()}
 
 
-def _mean_of_rows(values: Float[Tensor, "m n"], within: Bool[Tensor, "m n"]) -> Float[Tensor, " m"]:
-    return torch.where(within, values, 0.0).sum(dim=1) / within.sum(dim=1)
+def _mean_of_rows(values: Float[Tensor, "*m n"], within: Bool[Tensor, "*k n"]) -> Float[Tensor, " *m"]:
+    return torch.where(within, values, 0.0).sum(dim=-1) / within.sum(dim=-1)
 
 
-def _true_edges(true: PanelTargets, matched: Matched, shifts: Int[Tensor, " m"]) -> Edges:
+def _true_edges(true: PanelTargets, queries: Int[Tensor, "b p"], shifts: Int[Tensor, "b p"]) -> Edges:
     """The true edges, as slots of the queries that are matched to their panels."""
-    query_of, shift_of = torch.zeros_like(true.edge_counts), torch.zeros_like(true.edge_counts)
-    query_of[matched.garments, matched.panels] = matched.queries
-    shift_of[matched.garments, matched.panels] = shifts
     panels = true.edge_panels.long().clamp(min=0)
     counts = true.edge_counts.gather(1, panels).clamp(min=1)
-    slots = (true.edge_slots.long() - shift_of.gather(1, panels)) % counts
-    return Edges(query_of.gather(1, panels), slots, (slots + 1) % counts, true.edge_panels >= 0)
+    slots = (true.edge_slots.long() - shifts.gather(1, panels)) % counts
+    return Edges(queries.gather(1, panels), slots, (slots + 1) % counts, true.edge_panels >= 0)
 
 
 def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) -> dict[str, Tensor]:
@@ -595,7 +661,7 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
     return {**means, "turned": _mean_of(of_seams, is_sewn)}
 
 
-def _mean_of(values: Float[Tensor, "b e"], chosen: Bool[Tensor, "b e"]) -> Tensor:
+def _mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
     return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from benchmarks.reconstruction.garments import (
     CENTRE,
@@ -17,6 +18,7 @@ from benchmarks.reconstruction.garments import (
     read_folder,
     split_off,
 )
+from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -143,3 +145,23 @@ def test_a_stream_begins_at_any_garment() -> None:
 
 def _key(garments: GarmentSet) -> str:
     return garments.keys[0]
+
+
+def test_a_scan_shows_one_side_of_the_garment(tmp_path: Path) -> None:
+    config = MakeConfig(
+        resolution=8.0, picture=0, points=4096, stage="mesh", device="cpu", design=Overlay.from_dict(SKIRTS)
+    )
+    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(replace(config, stage="drape"))) as writer:
+        sample = make(5, 0, config)
+        assert sample.box_mesh is not None
+        drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+        writer.write(replace(sample, drape=drape))
+    whole, scanned = (
+        read_folder(str(tmp_path), points=points, extra=extra)
+        for points, extra in ((4096, ()), (8192, task_named("T1-scan").extra))
+    )
+    assert scanned.points.shape == (1, 8192, 6)
+    assert "scan" not in scanned.ragged
+    ours, theirs = scanned.points[0, :, :3].astype(float), whole.points[0, :, :3].astype(float)
+    assert 0.2 < np.mean(cKDTree(ours).query(theirs)[0] < 3.0) < 0.8
+    assert np.mean(cKDTree(theirs).query(ours)[0] < 6.0) > 0.95

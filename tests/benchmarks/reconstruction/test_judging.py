@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.judging import draw_mesh, intervals, judge_of, means_of
+from benchmarks.reconstruction.garments import GarmentSet, generated
+from benchmarks.reconstruction.judging import Patterns, draw_mesh, intervals, judge_of, means_of
 from benchmarks.reconstruction.models import box_mesh, mean_measures, nearest_labels
+from benchmarks.reconstruction.scoring.bodies import wearers_of
+from benchmarks.reconstruction.scoring.distances import read_shape
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.vertex_labels import VertexLabels
 from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
+from gcd_dataset.spec import read_pattern
+from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
 
@@ -73,3 +78,19 @@ def test_the_nearer_of_two_faces_is_seen() -> None:
     vertices, faces = np.concatenate([low, high]), np.array([[0, 1, 2], [3, 4, 5]])
     picture = draw_mesh(vertices, faces, np.array([0, 1]), frame=vertices, size=60)
     assert np.allclose(picture[35, 25] / 255, PALETTE[1], atol=0.02)
+
+
+def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path) -> None:
+    garments = generated(2, 0, points=512, extra=("pose",), drape=None, resolution=8.0, design=SKIRTS)
+    truth = [garments.pattern(k) for k in range(2)]
+    Patterns(draped=True).write(truth, garments, tmp_path)
+    wearers = wearers_of(str(tmp_path / "bodies"))
+    for key, pattern in zip(garments.keys, truth, strict=True):
+        assert read_pattern(tmp_path / "truth" / f"{key}.json").extra["properties"]["kind"] == "skirt"
+        points = read_shape(tmp_path / "inputs" / f"{key}.npy").samples
+        places = build_box_mesh(pattern, spacing=8.0).vertices
+        assert np.abs(np.ptp(points, axis=0) - np.ptp(places, axis=0)).max() < 5.0
+        assert np.abs(points.max(axis=0) - places.max(axis=0)).max() < 5.0
+        assert 140.0 < wearers.wearer(key, legs_apart=False)[1].height < 210.0
+    Patterns().write(truth, garments, tmp_path / "flat")
+    assert not (tmp_path / "flat" / "inputs").exists()

@@ -15,6 +15,7 @@ from benchmarks.reconstruction.models.panel_set import (
     build,
     match_panels,
     panel_losses,
+    regions_of,
     rotation_of,
 )
 from benchmarks.reconstruction.panel_targets import PanelTargets
@@ -89,11 +90,11 @@ def as_predicted(true: PanelTargets) -> Predicted:
 
 def test_the_targets_as_prediction_have_zero_loss(targets: PanelTargets) -> None:
     for changed in (targets, shuffled(targets), started_elsewhere(targets)):
-        parts, _, _ = panel_losses([as_predicted(changed)], targets)
+        parts, _, _ = panel_losses(as_predicted(changed)[None], targets)
         assert sum(part.item() for part in parts.values()) == pytest.approx(0.0, abs=1e-4)
-    matched = match_panels(as_predicted(targets), targets)
-    assert torch.equal(matched.queries, matched.panels)
-    assert len(matched.panels) == int(targets.exists.sum())
+    queries = match_panels(as_predicted(targets), targets)
+    own = torch.arange(queries.shape[1]).expand_as(queries)
+    assert torch.equal(queries[targets.exists], own[targets.exists])
 
 
 def test_an_answer_depends_on_its_own_garment_only(six: GarmentSet) -> None:
@@ -116,6 +117,40 @@ def test_answers_can_be_sewn_even_before_training(six: GarmentSet) -> None:
 def test_processes_encode_the_same_targets(six: GarmentSet) -> None:
     one, two = (learner().prepare(six, device=CPU, workers=workers).whole for workers in (0, 2))
     assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
+
+
+def test_regions_hold_equal_numbers_of_near_points() -> None:
+    chance = torch.Generator().manual_seed(0)
+    points = torch.rand(2, 513, 6, generator=chance)
+    regions = regions_of(points, 8)
+    assert regions.shape == (2, 8, 64, 6)
+    for found, given in zip(regions, points[:, :512], strict=True):
+        assert torch.equal(found.flatten(0, 1).sort(dim=0).values, given.sort(dim=0).values)
+    assert (regions[..., :3].amax(dim=2) - regions[..., :3].amin(dim=2)).mean() < 0.6  # halves of a unit cube
+    one_row = regions[0, :, :, 0].flatten()
+    assert not torch.equal(one_row, points[0, :512, 0])
+
+
+def test_rows_that_are_empty_in_all_garments_change_no_loss(six: GarmentSet) -> None:
+    network = learner()
+    examples = network.prepare(six, device=CPU)
+    batch = examples.batch(torch.arange(6))
+    whole = examples.whole[torch.arange(6)]
+    assert batch.edge_panels.shape[1] < whole.edge_panels.shape[1]
+    assert loss_of(network, batch) == pytest.approx(loss_of(network, whole), rel=1e-4)
+
+
+def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> None:
+    network = learner()
+    empty = replace(targets, exists=targets.exists & (torch.arange(6) > 0)[:, None])
+    empty = replace(empty, edge_panels=torch.where(torch.arange(6)[:, None] > 0, empty.edge_panels, -1))
+    network.zero_grad()
+    torch.autograd.backward(torch.stack(list(network.loss(empty).values())).sum())
+    ours = [p.grad.clone() for p in network.parameters() if p.grad is not None]
+    network.zero_grad()
+    torch.autograd.backward(torch.stack(list(network.loss(empty[1:]).values())).sum())
+    theirs = [p.grad for p in network.parameters() if p.grad is not None]
+    assert all(torch.allclose(one, other, atol=1e-4) for one, other in zip(ours, theirs, strict=True))
 
 
 def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
@@ -154,6 +189,11 @@ def test_two_columns_give_a_rotation() -> None:
     rotations = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
     assert torch.allclose(rotations @ rotations.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
     assert torch.allclose(torch.linalg.det(rotations), torch.ones(5))
+
+
+def test_regions_are_a_power_of_two() -> None:
+    with pytest.raises(ConfigError, match="24 tokens of 128 points: give a power of 2"):
+        learner(tokens=24)
 
 
 def test_an_unknown_size_is_refused() -> None:

@@ -33,6 +33,7 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
         rows = list(csv.DictReader(file))
     assert sum(float(row["iou"]) for row in rows) / 3 == pytest.approx(again.iou)
     assert (out / "pictures" / "test.png").stat().st_size > 1000
+    assert [read_pattern(other).extra["properties"]["kind"] for _, other in pairs] == ["skirt"] * 3
 
     written = (out / "report.json").read_text()
     assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
