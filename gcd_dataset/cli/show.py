@@ -23,7 +23,10 @@ def add_verbs(verbs: Any) -> None:
     """Add ``show``."""
     show = add_verb(verbs, "show", _show, "garments and patterns in a browser, as a picture, or as a page")
     show.add_argument(
-        "what", nargs="?", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON, or a folder of them"
+        "what",
+        nargs="?",
+        metavar="DATASET|SPEC",
+        help=f"{SOURCE_HELP}; GarmentCodeData as published; specification JSON, or a folder of it",
     )
     show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
     show.add_argument("--split", default="train", help="split of the data set (default: train)")
@@ -93,12 +96,16 @@ def _serve(options: argparse.Namespace) -> int:
 
 def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.viewer.album import ShardAlbum, spec_album
+    from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    is_specs = "://" not in options.what and folder.is_dir() and not (folder / "manifest.json").exists()
-    if options.truth is not None or names_a_file(options.what) or (is_specs and any(folder.glob("*.json"))):
+    is_no_set = "://" not in options.what and folder.is_dir() and not (folder / "manifest.json").exists()
+    if options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
         return spec_album(folder, options.truth)
+    if is_no_set and any(folder.glob("garments_5000_*")):
+        from gcd_dataset.loaders import PublishedGarmentCodeData
+
+        return PublishedAlbum(PublishedGarmentCodeData(folder, split=options.split or "train"), options.what)
     return ShardAlbum(ShardReader(open_source(options.what, options.endpoint), options.split or "train"), options.what)
 
 

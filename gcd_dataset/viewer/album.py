@@ -1,4 +1,4 @@
-"""The garments that a viewer turns over: those of a data set, or specification files with the truth beside them."""
+"""The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
 import json
 import threading
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -18,7 +19,10 @@ from gcd_dataset.spec import read_pattern
 from gcd_dataset.viewer.content import content_of
 from gcd_dataset.viewer.page import page_of
 
-__all__ = ["Album", "Found", "ShardAlbum", "SpecAlbum", "spec_album"]
+if TYPE_CHECKING:
+    from gcd_dataset.loaders import PublishedGarmentCodeData
+
+__all__ = ["Album", "Found", "PublishedAlbum", "ShardAlbum", "SpecAlbum", "spec_album"]
 
 CHUNK = 256  # samples whose metadata are read at once
 KEPT_MATCHES = 32  # filters whose matches are kept
@@ -201,6 +205,26 @@ class SpecAlbum(Album):
         keys = _positions(tuple(map(_key, self._paths)))
         wanted = _key(Path(text.strip()))
         return keys[wanted] if wanted in keys else super().position_of(text)
+
+
+class PublishedAlbum(Album):
+    """GarmentCodeData as published."""
+
+    def __init__(self, published: "PublishedGarmentCodeData", title: str) -> None:
+        self.title, self._published = title, published
+
+    def __len__(self) -> int:
+        return len(self._published)
+
+    def key(self, position: int) -> str:
+        return self._published.name(position)
+
+    def page(self, position: int, side: int = 0) -> str:
+        return page_of(content_of(self._published.sample(position)))
+
+    def position_of(self, text: str) -> int:
+        names = _positions(self._published.names)
+        return names[text.strip()] if text.strip() in names else super().position_of(text)
 
 
 def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:

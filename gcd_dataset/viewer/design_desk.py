@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments.parameter import Integer, Real, plain
 from gcd_dataset.generator.garments.space import leaves
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 from gcd_dataset.records import Body, Pattern
-from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.content import Content, crossing_vertices
 
 __all__ = ["Control", "Desk", "Drawing", "controls", "measure_controls"]
 
@@ -86,6 +86,8 @@ class Desk:
         """The pattern of the parameters and measures, by path. Raises ``ConfigError`` for values out of range."""
         design = self._design(values)
         used = frozenset(name.replace("_", "-") for name in design.sections_used())
+        if design.meta.upper is None and design.meta.bottom is None:
+            return Drawing(None, ("empty: choose meta.upper or meta.bottom",), used)
         try:
             drawn = DrawnOutfit.of(self._size(measures), design, name="design")
             return Drawing(drawn.pattern, tuple(map(str, check_outfit(drawn))), used)
@@ -102,6 +104,7 @@ class Desk:
         from gcd_dataset.generator.dressing import dress
         from gcd_dataset.generator.dressing.hold_edges import has_legs
         from gcd_dataset.generator.mesh import build_box_mesh
+        from gcd_dataset.generator.quality import principal_stretches
 
         drawing, size = self.draw(values, measures), self._size(measures)
         if drawing.pattern is None:
@@ -110,7 +113,17 @@ class Desk:
         pattern = dress(drawing.pattern, body, size).pattern
         mesh = build_box_mesh(pattern, spacing=COARSE)
         [drape] = drape_batch([DrapeJob(mesh, body, size)], device="auto")
-        return replace(content_of(pattern), mesh=mesh, draped=drape.vertices, body=body, outcome=drape.outcome)
+        placed = np.asarray(drape.vertices, float)
+        return Content(
+            "Design",
+            pattern,
+            mesh,
+            draped=drape.vertices,
+            body=body,
+            stretch=principal_stretches(mesh, drape.vertices)[:, 0],
+            crossed=crossing_vertices(placed, mesh.faces, body),
+            outcome=drape.outcome,
+        )
 
     def _design(self, values: Mapping[str, Any]) -> OutfitDesign:
         tree: dict[str, Any] = {}

@@ -215,6 +215,6 @@ def test_gcd_show_writes_the_drawing(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert png.stat().st_size > 1000
     assert capsys.readouterr().out.split() == [str(png), str(svg)]
     assert main(["show", str(spec), "--svg", str(png)]) == 2
-    assert "the picture is SVG, so end the name in .svg" in capsys.readouterr().err
-    assert main(["show", str(spec)]) == 2
-    assert "give --png FILE or --svg FILE" in capsys.readouterr().err
+    assert "the file is SVG, so end the name in .svg" in capsys.readouterr().err
+    assert main(["show", "--svg", str(svg)]) == 2
+    assert "give either a DATASET or SPEC, or --design" in capsys.readouterr().err

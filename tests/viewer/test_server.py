@@ -1,0 +1,126 @@
+"""The viewer's server: pages, filters and errors as answers, and requests that it refuses."""
+
+import json
+import threading
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from http.server import ThreadingHTTPServer
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.viewer.album import ShardAlbum
+from gcd_dataset.viewer.design_desk import Desk
+from gcd_dataset.viewer.server import Design, Gallery, serve
+
+
+class Running:
+    """A server in a thread."""
+
+    def __init__(self, site: Gallery | Design) -> None:
+        found: list[Any] = []
+        ready = threading.Event()
+
+        def started(server: ThreadingHTTPServer) -> None:
+            found.append(server)
+            ready.set()
+
+        options = {"show": found.append, "started": started}
+        self.thread = threading.Thread(target=serve, args=(site,), kwargs=options, daemon=True)
+        self.thread.start()
+        assert ready.wait(30)
+        self.address, self.server = found
+        self.port = urlsplit(self.address).port
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, str, str]:
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=60)
+        content = None if body is None else body if isinstance(body, str) else json.dumps(body)
+        given = {} if body is None else {"Content-Type": "application/json"}
+        connection.request(method, path, content, {**given, **headers})
+        answer = connection.getresponse()
+        found = answer.status, answer.headers.get_content_type(), answer.read().decode()
+        connection.close()
+        return found
+
+    def close(self) -> None:
+        self.server.shutdown()
+        self.thread.join(30)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    where = tmp_path_factory.mktemp("shards")
+    with ShardWriter(where, seed=0, recipe={}) as writer:
+        for index in range(3):
+            writer.write(fake_sample(0, index))
+    running = Running(Gallery(ShardAlbum(ShardReader(where), "<script>alert(1)</script>"), 1))
+    yield running
+    running.close()
+
+
+@pytest.fixture(scope="module")
+def design() -> Iterator[Running]:
+    running = Running(Design(Desk()))
+    yield running
+    running.close()
+
+
+def test_the_bar_starts_at_the_asked_garment_and_escapes_the_title(gallery: Running) -> None:
+    status, kind, text = gallery.ask("GET", "/")
+    assert (status, kind) == (200, "text/html")
+    assert '"start": 1' in text
+    assert "alert(1)</script>" not in text
+
+
+def test_garments_are_found_by_rank_and_by_index(gallery: Running) -> None:
+    found = json.loads(gallery.ask("GET", "/find?rank=4")[2])
+    assert found == {"position": 1, "rank": 1, "count": 3, "key": "gcd_000000001"}
+    assert json.loads(gallery.ask("GET", "/find?text=2")[2])["position"] == 2
+    status, kind, text = gallery.ask("GET", "/garment?position=2")
+    assert (status, kind) == (200, "text/html")
+    assert "gcd_000000002" in text
+
+
+@pytest.mark.parametrize(
+    "path", ["/nowhere", "/garment?position=3", "/garment?position=x", "/find?text=77", "/find?rank=" + "9" * 50]
+)
+def test_what_does_not_exist_is_an_error_in_one_line(path: str, gallery: Running) -> None:
+    status, kind, text = gallery.ask("GET", path)
+    assert (status, kind) == (404, "application/json")
+    error = json.loads(text)["error"]
+    assert error and "\n" not in error
+
+
+def test_another_host_name_is_refused(gallery: Running) -> None:
+    """A page of another site whose name resolves to this machine must not read the data."""
+    assert gallery.ask("GET", "/facets", Host="evil.example")[0] == 403
+
+
+def test_a_drawn_pattern_and_the_reasons_of_rules_are_answered(design: Running) -> None:
+    found = json.loads(design.ask("POST", "/draw", {"values": {"meta.upper": "Shirt"}, "measures": {}})[2])
+    assert found["svg"].startswith("<svg") and "shirt" in found["used"]
+    empty = json.loads(design.ask("POST", "/draw", {"values": {}, "measures": {}})[2])
+    assert any(fault.startswith("empty") for fault in empty["faults"])
+
+
+@pytest.mark.parametrize("body", ["{", "[]", {"values": 3}, {"values": {"meta.upper": "Toga"}}, "x" * 1_000_001])
+def test_invalid_requests_are_answered_with_an_error(body: Any, design: Running) -> None:
+    status, _, text = design.ask("POST", "/draw", body)
+    assert status == 404 and json.loads(text)["error"]
+    assert design.ask("GET", "/")[0] == 200  # the server goes on
+
+
+def test_a_request_of_another_type_is_refused(design: Running) -> None:
+    """Forms of other sites can post text, but not JSON."""
+    status, _, text = design.ask("POST", "/draw", "{}", **{"Content-Type": "text/plain"})
+    assert status == 404 and "application/json" in text
+
+
+def test_a_port_in_use_is_refused(gallery: Running) -> None:
+    with pytest.raises(ConfigError, match="--port"):
+        serve(Design(Desk()), port=gallery.port or 0, show=lambda _: None)
