@@ -1,14 +1,29 @@
 """Pieces of HTML that the page and the notebook displays share; every text of the data is escaped."""
 
 import base64
+import json
 from collections.abc import Iterable
+from functools import cache
 from html import escape
+from importlib import resources
 from typing import Any
 
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Pattern
 
-__all__ = ["inline_svg", "picture", "table"]
+__all__ = ["asset", "inline_svg", "picture", "script_data", "table"]
+
+
+@cache
+def asset(name: str) -> str:
+    """The text of a template, style or script of this package."""
+    return (resources.files(__package__) / name).read_text("utf-8")
+
+
+def script_data(value: Any) -> str:
+    """JSON text that cannot end its script element. Raises ``ValueError`` for numbers that are not finite."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def inline_svg(pattern: Pattern, attributes: str = "") -> str:

@@ -6,12 +6,9 @@ decodes them. All texts of the data are escaped, and the page's policy allows no
 
 import base64
 import hashlib
-import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from html import escape
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,7 @@ from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
 from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
-from gcd_dataset.viewer.markup import inline_svg, table
+from gcd_dataset.viewer.markup import asset, inline_svg, script_data, table
 
 __all__ = ["page_of"]
 
@@ -43,7 +40,7 @@ HINT = "Point at a panel or a seam"
 def page_of(content: Content) -> str:
     """The page as HTML text, to write as UTF-8."""
     mesh = content.mesh
-    script = "".join(map(_asset, SCRIPTS))
+    script = "".join(map(asset, SCRIPTS))
     parts = {
         "title": escape(content.title),
         "headline": _headline(content),
@@ -54,12 +51,12 @@ def page_of(content: Content) -> str:
         "view": "" if mesh is None else _view(content),
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
         "footer": FOOTER,
-        "style": _asset("page.css"),
-        "data": _script_safe(json.dumps(_data(content), separators=(",", ":"), allow_nan=False)),
+        "style": asset("page.css"),
+        "data": script_data(_data(content)),
         "script": script,
         "script_hash": _policy_hash(script),
     }
-    return _filled(_asset("page.html"), parts)
+    return _filled(asset("page.html"), parts)
 
 
 # ----------------------------------------------------------------------------------------------------------------- text
@@ -70,16 +67,6 @@ def _filled(template: str, parts: Mapping[str, str]) -> str:
     pieces = template.split("{{")
     tails = (piece.partition("}}") for piece in pieces[1:])
     return pieces[0] + "".join(parts[name] + rest for name, _, rest in tails)
-
-
-@cache
-def _asset(name: str) -> str:
-    return (resources.files(__package__) / name).read_text("utf-8")
-
-
-def _script_safe(text: str) -> str:
-    """JSON text that cannot end its script element."""
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _policy_hash(script: str) -> str:
@@ -122,7 +109,7 @@ def _view(content: Content) -> str:
         "crossings": _crossings_legend(content),
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
     }
-    return _filled(_asset("view.html"), parts)
+    return _filled(asset("view.html"), parts)
 
 
 def _crossings_legend(content: Content) -> str:

@@ -12,11 +12,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
-from functools import cache
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
 from os import environ
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -24,7 +22,7 @@ from urllib.parse import parse_qs, urlsplit
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.viewer.album import Album, Found, ShardAlbum
 from gcd_dataset.viewer.design_desk import Control, Desk, controls, measure_controls
-from gcd_dataset.viewer.markup import inline_svg
+from gcd_dataset.viewer.markup import asset, inline_svg, script_data
 from gcd_dataset.viewer.page import page_of
 
 __all__ = ["Answer", "Design", "Gallery", "serve"]
@@ -57,7 +55,7 @@ class Gallery:
         """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist."""
         if path == "/":
             given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
-            return _html(_asset("browse.html"), self._album.title, given)
+            return _html(asset("browse.html"), self._album.title, given)
         if path == "/facets":
             facets = {"grades": self._album.grades(), "tags": self._album.tags()}
             return _json({**facets, "read": self._album.read, "count": len(self._album)})
@@ -122,7 +120,7 @@ class Design:
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
-            return _html(_asset("design.html"), "Design", {"parameters": shown, "measures": measures})
+            return _html(asset("design.html"), "Design", {"parameters": shown, "measures": measures})
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
@@ -255,14 +253,8 @@ def _json(value: Mapping[str, Any]) -> Answer:
 
 
 def _html(template: str, title: str, given: Mapping[str, Any]) -> Answer:
-    data = json.dumps(given).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    text = template.replace("{{policy}}", POLICY, 1).replace("{{title}}", escape(title)).replace("{{data}}", data, 1)
-    return HTTPStatus.OK, HTML, text.encode()
-
-
-@cache
-def _asset(name: str) -> str:
-    return (resources.files(__package__) / name).read_text("utf-8")
+    head, _, tail = template.replace("{{policy}}", POLICY, 1).partition("{{data}}")
+    return HTTPStatus.OK, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 
 
 def _number(query: Mapping[str, str], name: str) -> int:
