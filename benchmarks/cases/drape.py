@@ -17,9 +17,9 @@ table lists the garments that did not settle. ``clean``: the share that settled 
 them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
 after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
 ``benchmarks.reference_sampler``. ``--ordering`` measures what the same bytes in any batch cost, see
-``benchmarks.draping.ordering``. ``--beside cpu``: the distance between the drapes of two devices, a noise floor for
-models that predict drapes. ``--peer newton`` also drapes the same meshes with Newton's ``SolverStyle3D``, configured as
-described in ``benchmarks.peers.newton``.
+``benchmarks.draping.ordering``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
+distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton`` also drapes
+the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
 
 import argparse
@@ -38,6 +38,7 @@ from benchmarks.draping.floor import compare_devices
 from benchmarks.draping.memory import gpu_peak_mb, measure_memory
 from benchmarks.draping.ordering import measure_ordering
 from benchmarks.draping.quality import quality
+from benchmarks.draping.sewn import measure_sewn
 from benchmarks.draping.workload import Worn, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--ablation", action="store_true", help="drape once per feature, with that feature switched")
     mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
     mode.add_argument("--beside", metavar="DEVICE", help="drape the sampled garments on this device too")
+    mode.add_argument("--sewn", action="store_true", help="count crossings at the end of sewing, before gravity")
     mode.add_argument("--ordering", action="store_true", help="time fixed-point and floating-point contact sums")
     mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")
@@ -95,8 +97,10 @@ def run(options: argparse.Namespace) -> Measured:
         require_newton()
     if options.count:
         return _run_sampled(options)
-    if options.ablation or options.memory or options.ordering or options.beside:
-        raise ConfigError("--ablation, --memory, --ordering and --beside drape sampled garments: give --count N alone")
+    if options.ablation or options.memory or options.ordering or options.beside or options.sewn:
+        raise ConfigError(
+            "--ablation, --memory, --ordering, --beside and --sewn need sampled garments: give --count N alone"
+        )
     bodies = {apart: _body(options, apart) for apart in (False, True)}
     once = read_patterns(options.spec)
     _warm_up(once[0], bodies[has_legs(once[0])], options.device)
@@ -146,6 +150,8 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
         return measure_memory(worn, options.memory, device=device, batch=options.batch)
     if options.beside:
         return compare_devices(worn, device, resolve_device(options.beside), batch=options.batch)
+    if options.sewn:
+        return measure_sewn(worn, device=device, batch=options.batch)
     if options.ordering:
         return measure_ordering([one.job for one in worn], device=device)
     if options.peer:

@@ -11,12 +11,13 @@ from benchmarks.draping.ablation import variants
 from benchmarks.draping.failures import write_failures
 from benchmarks.draping.memory import measure_memory
 from benchmarks.draping.quality import pass_paper, quality
+from benchmarks.draping.sewn import measure_sewn
 from benchmarks.draping.workload import Worn
 from benchmarks.peers.newton import require_newton, unmirrored
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape, Outcome
-from tests.helpers import SIZE, far_ball, patch
+from tests.helpers import SIZE, far_ball, joined, patch
 
 
 def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
@@ -25,6 +26,19 @@ def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
 
 def worn(index: int) -> Worn:
     return Worn(index, "neutral", "Shirt", "", "", DrapeJob(patch(4, 4), far_ball(), SIZE))
+
+
+def test_crossings_after_sewing_are_those_of_crossing_sheets_only() -> None:
+    """One sheet crosses nothing; of two sheets that cross at right angles, edges still cross when sewing ends."""
+    flat = patch(9, 9, place=np.eye(3)[:, :2], origin=(0.0, 100.0, 4.5))
+    upright = patch(9, 9, place=np.eye(3)[:, [1, 2]], origin=(4.5, 100.1, 0.03))
+    crossing = replace(worn(1), job=DrapeJob(joined(flat, upright), far_ball(), SIZE))
+    measured = measure_sewn([replace(worn(0), job=DrapeJob(flat, far_ball(), SIZE)), crossing], device="cpu", batch=2)
+    figures = {figure.metric: figure.value for figure in measured.figures}
+    assert figures["sewn_clean"] == 0.5
+    assert figures["sewn_body_p99"] == figures["sewn_through_p99"] == 0
+    [row] = measured.rows
+    assert row["index"] == 1 and row["self"] > 0
 
 
 def test_each_switch_is_varied_alone_in_one_variant() -> None:
