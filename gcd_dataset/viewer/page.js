@@ -175,7 +175,6 @@ function preparePattern() {
     group.setAttribute("aria-label", `panel ${data.panels[number].text}`);
     group.setAttribute("tabindex", number === 0 ? "0" : "-1");
     group.firstElementChild.classList.add("cloth");
-    group.firstElementChild.style.setProperty("--panel", `rgb(${data.panels[number].colour})`);
     group.addEventListener("pointerenter", () => light(panel));
     group.addEventListener("focus", () => light(panel));
     group.addEventListener("blur", () => light(null));
@@ -209,10 +208,20 @@ function preparePattern() {
       });
     });
   });
+  recolour(data.panels.map((panel) => panel.colour));
   svg.addEventListener("pointerleave", () => light(null));
   svg.addEventListener("pointermove", (event) => event.target === svg && light(null));
   svg.addEventListener("click", (event) => event.target === svg && state.pinned && pin(null));
   prepareSheet(svg);
+}
+
+/** Give the panels other colours, RGB bytes each, in both views. */
+function recolour(colours) {
+  document.querySelectorAll("#pattern [data-panel]").forEach((group, number) => {
+    data.panels[number].colour = colours[number];
+    group.firstElementChild.style.setProperty("--panel", `rgb(${colours[number]})`);
+  });
+  if (picture) quietly(() => setColours(state.colours));
 }
 
 /** Wheel and pinch zoom the drawing, dragging moves it, a double click shows all of it. */
@@ -434,6 +443,7 @@ function prepareScheme() {
 }
 
 async function start() {
+  document.documentElement.classList.toggle("framed", window.parent !== window);
   preparePattern();
   $("parts").addEventListener("change", (event) => {
     const [kind, number] = event.target.value.split(":");
@@ -444,7 +454,11 @@ async function start() {
   const view = askedView();
   if (view && SCHEMES.includes(view.scheme)) document.documentElement.dataset.scheme = view.scheme;
   prepareScheme();
-  window.gcdPage = { state, setStage, follow, light: (part, silent) => (silent ? quietly(() => light(part)) : light(part)) };
+  window.gcdPage = {
+    state, setStage, follow, recolour,
+    colours: () => data.panels.map((panel) => panel.colour),
+    light: (part, silent) => (silent ? quietly(() => light(part)) : light(part)),
+  };
   await startPicture();
   if (view) follow(view);
   quiet = false;
