@@ -8,6 +8,7 @@ from html import escape
 from importlib import resources
 from typing import Any
 
+from gcd_dataset.generator.lay_plan import LayPlan
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Pattern
 
@@ -26,9 +27,12 @@ def script_data(value: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def inline_svg(pattern: Pattern, attributes: str = "") -> str:
-    """The drawing of a pattern as an ``<svg>`` element without a size of its own; ``attributes``: HTML, escaped."""
-    text = pattern_svg(pattern).decode()
+def inline_svg(pattern: Pattern, attributes: str = "", plan: LayPlan | None = None) -> str:
+    """The drawing of a pattern as an ``<svg>`` element without a size of its own; ``attributes``: HTML, escaped.
+
+    ``plan``: the pattern's ``lay_out``, where it is known.
+    """
+    text = pattern_svg(pattern, plan).decode()
     head, _, rest = text[text.index("<svg") :].partition(">")
     kept = head[head.index("viewBox=") :]
     return f'<svg xmlns="http://www.w3.org/2000/svg" {attributes} {kept}>{rest}'

@@ -16,14 +16,16 @@ from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from os import environ
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.viewer.album import Album, Filter, Found
-from gcd_dataset.viewer.design_desk import Control, Desk, controls, measure_controls
 from gcd_dataset.viewer.markup import asset, inline_svg, script_data
 from gcd_dataset.viewer.page import page_of
+
+if TYPE_CHECKING:
+    from gcd_dataset.viewer.design_desk import Control, Desk
 
 __all__ = ["Answer", "Design", "Gallery", "serve"]
 
@@ -140,11 +142,14 @@ class Gallery:
 class Design:
     """Answers requests of the design page."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: "Desk") -> None:
         self._desk, self._lock = desk, threading.Lock()
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
         """The answer to ``GET path``. Raises ``ConfigError`` for another path."""
+        # Imported here: the drawing of designs takes as long to import as all the rest of a gallery.
+        from gcd_dataset.viewer.design_desk import controls, measure_controls
+
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
@@ -297,5 +302,5 @@ def _number(query: Mapping[str, str], name: str) -> int:
     return int(text)
 
 
-def _control(one: Control) -> dict[str, Any]:
+def _control(one: "Control") -> dict[str, Any]:
     return {**asdict(one), "section": one.section}
