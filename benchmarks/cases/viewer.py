@@ -50,16 +50,17 @@ def _round(folder: Path, count: int, home: Path) -> dict[str, float]:
     environment = {**os.environ, "HOME": str(home)}
     times: dict[str, float] = {}
     with shown(folder, first, environment) as site:
-        times["first_page"] = site.since_start
-        times["jump_reading"] = _median(site.timed_jump(position) for position in _jumps(count))
-        times["next_reading"] = _median(site.timed_next() for _ in range(NEXT))
+        times["first_page"], times["first_page_cpu"] = site.since_start, site.cpu_since_start
+        times["jump_reading"] = _median(site.timed_jump(position).wall for position in _jumps(count))
+        times["next_reading"] = _median(site.timed_next().wall for _ in range(NEXT))
         times["tags"] = site.wait_for_tags()
         times["peak_memory"] = site.peak_memory
     with shown(folder, first, environment) as site:
         times["first_page_again"] = site.since_start
         times["tags_again"] = site.wait_for_tags()
-        times["next"] = _median(site.timed_next() for _ in range(NEXT))
-        times["jump"] = _median(site.timed_jump(position) for position in _jumps(count))
+        times["next"] = _median(site.timed_next().wall for _ in range(NEXT))
+        jumps = [site.timed_jump(position) for position in _jumps(count)]
+        times["jump"], times["jump_cpu"] = (_median(column) for column in zip(*jumps, strict=True))
         times["filter"] = _median(site.timed_filter(rank) for rank in range(NEXT))
     pictures: Pictures | None = pictures_of(folder, first, environment, NEXT)
     if pictures is not None:
@@ -80,6 +81,7 @@ def _median(times: Iterable[float]) -> float:
 def _figures(best: Mapping[str, float], count: int) -> list[Figure]:
     seconds = [
         ("first_page", f"s from the command to the page of the first garment, of {count:,}"),
+        ("first_page_cpu", "CPU-s of the server until then"),
         ("first_page_again", "s, with tags in the cache"),
         ("first_picture", "s from the command to the drawn garment in Chromium"),
         ("tags", "s from the first page until all tags are read"),
@@ -90,6 +92,7 @@ def _figures(best: Mapping[str, float], count: int) -> list[Figure]:
         ("next_reading", "ms, while tags are read"),
         ("next_picture", "ms to the next garment drawn in Chromium"),
         ("jump", "ms to the page of any garment"),
+        ("jump_cpu", "CPU-ms of the server for it"),
         ("jump_reading", "ms, while tags are read"),
         ("filter", "ms to the answer of a filter by kind and outcome"),
     ]

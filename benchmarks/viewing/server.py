@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import os
 import subprocess
 import sys
 import threading
@@ -10,15 +11,23 @@ import time
 from collections.abc import Iterator, Mapping
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from benchmarks.viewing.workload import KIND, OUTCOME
 
-__all__ = ["Shown", "shown", "started"]
+__all__ = ["Cost", "Shown", "shown", "started"]
 
 PAUSE = 0.3  # s between garments: a glance
 POLL = 0.5  # s
+
+
+class Cost(NamedTuple):
+    """The time of a request [s]."""
+
+    wall: float
+    cpu: float
+    """Of the server, with its background work."""
 
 
 class Shown:
@@ -31,25 +40,27 @@ class Shown:
         self._garment(found["position"])
         self.since_start = time.perf_counter() - started
         """From the command to the first garment's page."""
+        self.cpu_since_start = self._cpu_seconds()
+        """CPU time of the server until then."""
         self._rank = found["rank"]
         self._shown, self._known = time.perf_counter(), math.nan
         self._watch = threading.Thread(target=self._watch_tags, daemon=True)
         self._watch.start()
 
-    def timed_next(self) -> float:
-        """The time to the page of the next garment."""
-        time.sleep(PAUSE)
+    def timed_next(self) -> Cost:
+        """The time to the page of the next garment, which was made ahead."""
         self._rank += 1
-        began = time.perf_counter()
-        self._garment(self._find(rank=self._rank)["position"])
-        return time.perf_counter() - began
+        return self._timed(rank=self._rank)
 
-    def timed_jump(self, index: int) -> float:
+    def timed_jump(self, index: int) -> Cost:
         """The time to the page of a garment by its index."""
+        return self._timed(text=index)
+
+    def _timed(self, **query: Any) -> Cost:
         time.sleep(PAUSE)
-        began = time.perf_counter()
-        self._garment(self._find(text=index)["position"])
-        return time.perf_counter() - began
+        cpu, began = self._cpu_seconds(), time.perf_counter()
+        self._garment(self._find(**query)["position"])
+        return Cost(time.perf_counter() - began, self._cpu_seconds() - cpu)
 
     def timed_filter(self, rank: int) -> float:
         """The time to the answer of a filter."""
@@ -63,7 +74,7 @@ class Shown:
         return self._known
 
     def _watch_tags(self) -> None:
-        while (facets := json.loads(self._get("/facets")))["known"] < facets["count"]:
+        while (facets := json.loads(self._get("/facets")))["known"] < facets["count"] or facets["reading"]:
             time.sleep(POLL)
         self._known = time.perf_counter() - self._shown
 
@@ -73,6 +84,10 @@ class Shown:
         status = Path(f"/proc/{self._process.pid}/status").read_text()
         (line,) = [line for line in status.splitlines() if line.startswith("VmHWM")]
         return int(line.split()[1]) / 1e3
+
+    def _cpu_seconds(self) -> float:
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def _find(self, **query: Any) -> dict[str, Any]:
         words = "&".join(f"{name}={str(value).replace(' ', '+')}" for name, value in query.items())

@@ -4,6 +4,7 @@ Each garment is shown by its self-contained page (``page``), in a frame below a 
 machine can reach the server, unless another address is given.
 """
 
+import contextlib
 import json
 import sys
 import threading
@@ -109,8 +110,13 @@ class Gallery:
         return {**asdict(found), "key": album.key(found.position) if found.count else ""}
 
     def _begin(self, found: Found) -> None:
-        """Begin the pages of a garment and of the next one."""
-        for position in (found.position, found.following) if found.count else ():
+        """Begin the pages of a garment; once they are made, those of the next one."""
+        if found.count:
+            pages = [self._begun(found.position, side) for side in range(len(self._album.beside))]
+            pages[-1].add_done_callback(lambda _: self._make_ahead(found.following))
+
+    def _make_ahead(self, position: int) -> None:
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
             for side in range(len(self._album.beside)):
                 self._begun(position, side)
 
