@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Iterable
 from functools import cache
 from html import escape
@@ -45,7 +46,11 @@ def picture(encoded: bytes, text: str, style: str = "") -> str:
     return f'<img alt="{escape(text)}" style="{style}" src="data:image/{kind};base64,{content}">'
 
 
-def table(rows: Iterable[tuple[str, Any]]) -> str:
-    """A table of names and values."""
-    lines = (f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
+def table(rows: Iterable[tuple[str, Any]], *, breaks: bool = False) -> str:
+    """A table of names and values; ``breaks``: a name may be broken after a dot or an underscore."""
+    lines = (f"<tr><th>{_name(str(name), breaks)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
     return f"<table>{''.join(lines)}</table>"
+
+
+def _name(text: str, breaks: bool) -> str:
+    return re.sub(r"([._])(?=.)", r"\1<wbr>", escape(text)) if breaks else escape(text)

@@ -124,7 +124,7 @@ def _crossings_legend(content: Content) -> str:
 def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
     return (
         f'<section class="card"><div class="strip"><h2>{escape(title)}</h2></div>'
-        f'<div class="scroll" tabindex="0">{table(rows)}</div></section>\n'
+        f'<div class="scroll" tabindex="0">{table(rows, breaks=True)}</div></section>\n'
     )
 
 

@@ -296,7 +296,8 @@ def _json(value: Mapping[str, Any]) -> Answer:
 
 
 def _html(template: str, title: str, given: Mapping[str, Any]) -> Answer:
-    head, _, tail = template.replace("{{policy}}", POLICY, 1).partition("{{data}}")
+    styled = template.replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
+    head, _, tail = styled.partition("{{data}}")
     return HTTPStatus.OK, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 
 

@@ -54,6 +54,7 @@ def test_a_garment_is_shown_on_its_body_with_soles_on_the_floor(root: Path) -> N
     assert np.ptp(content.body.vertices[:, 1]) == pytest.approx(np.ptp(named_body("neutral")[0].vertices[:, 1]), 1e-4)
     assert content.title == TRAIN[0]
     assert "body mesh" not in dict(content.tables["Recipe"])
+    assert content.tables["Design"] == (("skirt.width", "1.5"),)  # the file also has range and type
 
 
 def test_a_missing_body_is_named_with_the_archive_that_has_it(root: Path) -> None:
