@@ -7,6 +7,9 @@ Chromium, without its own start (software rendering; left out where Playwright o
 median of requests for the following garment, 0.3 s apart; ``next_picture`` in the browser. ``jump``: the median of
 requests for garments that were not made ahead. ``reading``: the same while tags are read in the background, which
 begins after the first page; a second start takes them from the cache. ``filter``: garments of a kind and an outcome.
+``load``: processes that want to run, per core, during a round, ours included; times grow with it, CPU times hardly.
+In the browser most of the time is the start of the software renderer for each page: the page's own scripts take
+0.07 CPU-s.
 """
 
 import argparse
@@ -65,6 +68,7 @@ def _round(folder: Path, count: int, home: Path) -> dict[str, float]:
     pictures: Pictures | None = pictures_of(folder, first, environment, NEXT)
     if pictures is not None:
         times["first_picture"], times["next_picture"] = pictures.first, _median(pictures.following)
+    times["load"] = os.getloadavg()[0] / (os.cpu_count() or 1)
     return times
 
 
@@ -99,4 +103,8 @@ def _figures(best: Mapping[str, float], count: int) -> list[Figure]:
     figures: list[Figure] = []
     figures += [Figure(f"{name}_s", best[name], unit) for name, unit in seconds if name in best]
     figures += [Figure(f"{name}_ms", 1e3 * best[name], unit) for name, unit in milliseconds if name in best]
-    return [*figures, Figure("peak_memory_mb", best["peak_memory"], "MB of the server")]
+    others = [
+        Figure("peak_memory_mb", best["peak_memory"], "MB of the server"),
+        Figure("load", best["load"], "processes that want to run, per core"),
+    ]
+    return [*figures, *others]

@@ -111,6 +111,11 @@ class Album(ABC):
         """Garments whose tags are known."""
         return len(self)
 
+    @property
+    def problem(self) -> str:
+        """Why ``read_tags`` ended early; empty if it did not."""
+        return ""
+
     def read_tags(self) -> None:  # noqa: B027 -- most albums have none to read
         """Read tags that are not known yet, until ``close``."""
 
@@ -184,6 +189,10 @@ class ShardAlbum(Album):
     @property
     def known(self) -> int:
         return self._tags.known
+
+    @property
+    def problem(self) -> str:
+        return self._tags.problem
 
     def read_tags(self) -> None:
         self._tags.read(REQUESTED if self.waits else None)

@@ -38,6 +38,8 @@ class GarmentTags:
         self._file = None if cache is None else cache / FOLDER / f"{_identity(reader)}.npz"
         self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
         self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
+        self.problem = ""
+        """The message of the server that ended the last ``read`` early; empty if none did."""
         self.known = 0 if META in reader.layout.members else self._count
         if self._file is not None and not self.known:
             self._load(self._file)
@@ -59,16 +61,19 @@ class GarmentTags:
     def read(self, limit: int | None = None) -> None:
         """Read the next ``limit`` garments, by default all, until ``close``; damaged ones have no tags.
 
-        Ends early if a server does not answer. What was read is written to the cache; one thread reads at a time.
+        Ends early if a server does not answer, and keeps the message in ``problem``. What was read is written to the
+        cache; one thread reads at a time.
         """
         with self._reading:
+            self.problem = ""
             before = self.known
             last = self._count if limit is None else min(self.known + limit, self._count)
             while self.known < last and not self._closed.is_set():
                 chunk = range(self.known, min(self.known + CHUNK, last))
                 try:
                     self._add(chunk, self._metas(chunk))
-                except RemoteError:
+                except RemoteError as error:
+                    self.problem = str(error)
                     break
             if self.known > before and self._file is not None:
                 self._save(self._file)
@@ -80,16 +85,23 @@ class GarmentTags:
     def _metas(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
         try:
             return [_parsed(members[META]) for members in self._reader.read_many(chunk, [META])]
-        except RemoteError:
-            raise
         except ShardError:  # ``gcd verify`` reports damage; the garment's own page does too
-            return [self._meta(position) for position in chunk]
+            return self._readable(chunk)
 
-    def _meta(self, position: int) -> Mapping[str, Any]:
-        try:
-            return _parsed(self._reader.read(position, [META])[META])
-        except ShardError:
-            return {}
+    def _readable(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
+        """Read one by one, an empty mapping for a damaged garment. Raises ``RemoteError`` if a server fails twice."""
+        metas: list[Mapping[str, Any]] = []
+        has_failed = False
+        for position in chunk:
+            try:
+                metas.append(_parsed(self._reader.read(position, [META])[META]))
+                has_failed = False
+            except ShardError as error:
+                if has_failed and isinstance(error, RemoteError):
+                    raise
+                metas.append({})
+                has_failed = isinstance(error, RemoteError)
+        return metas
 
     def _add(self, chunk: Sequence[int], metas: Sequence[Mapping[str, Any]]) -> None:
         found: dict[tuple[str, str], list[int]] = {}

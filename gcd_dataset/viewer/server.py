@@ -90,7 +90,7 @@ class Gallery:
         album = self._album
         is_reading = self._reading is None or not self._reading.done()
         progress = {"known": album.known, "count": len(album), "reading": is_reading, "waits": album.waits}
-        return asdict(album.facets()) | progress
+        return asdict(album.facets()) | progress | {"problem": album.problem}
 
     def _read_tags(self) -> None:
         """Begin to read tags, unless a thread reads them."""

@@ -55,7 +55,7 @@ def test_the_viewer_is_started_and_asked(folder: Path, tmp_path: Path) -> None:
 def test_figures_are_named_with_units_and_leave_out_what_was_not_measured() -> None:
     times = dict.fromkeys(
         ("first_page", "first_page_cpu", "first_page_again", "tags", "tags_again", "next", "next_reading", "jump"), 0.5
-    ) | {"jump_reading": 0.25, "jump_cpu": 0.125, "filter": 0.002, "peak_memory": 300.0}
+    ) | {"jump_reading": 0.25, "jump_cpu": 0.125, "filter": 0.002, "peak_memory": 300.0, "load": 1.5}
     figures = {figure.metric: figure.value for figure in viewer._figures(times, 100)}
     assert figures["first_page_s"] == 0.5 and figures["filter_ms"] == 2.0 and figures["jump_reading_ms"] == 250.0
     assert "first_picture_s" not in figures

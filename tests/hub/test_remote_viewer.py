@@ -53,7 +53,17 @@ def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_pat
     album = opened(hub, tmp_path)
     hub.faults.append(Fault(r"\.tar", times=1000, status=503))
     album.read_tags()
-    assert album.known == 0
+    assert album.known == 0 and "503" in album.problem
     hub.faults.clear()
     album.read_tags()
-    assert album.known == COUNT
+    assert album.known == COUNT and not album.problem
+
+
+def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, commit: str, tmp_path: Path) -> None:
+    album = opened(hub, tmp_path)
+    table = album._reader.index.table
+    hub.faults.append(Fault(r"train-00000\.tar", times=1000, flip=int(table.offset[2, 0]) + 5))
+    album.read_tags()
+    assert album.known == COUNT and not album.problem
+    assert album.facets().outcomes == {"settled": COUNT}
+    assert len(album._tags.positions("outcome", "settled")) == COUNT - 1
