@@ -1,7 +1,7 @@
 """The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -116,8 +116,8 @@ class Album(ABC):
         """Why ``read_tags`` ended early; empty if it did not."""
         return ""
 
-    def read_tags(self) -> None:  # noqa: B027 -- most albums have none to read
-        """Read tags that are not known yet, until ``close``."""
+    def read_tags(self, between: Callable[[], None] | None = None) -> None:  # noqa: B027 -- most albums have none
+        """Read tags that are not known yet, until ``close``; ``between`` is called before each part."""
 
     def close(self) -> None:  # noqa: B027
         """Stop ``read_tags``."""
@@ -194,8 +194,8 @@ class ShardAlbum(Album):
     def problem(self) -> str:
         return self._tags.problem
 
-    def read_tags(self) -> None:
-        self._tags.read(REQUESTED if self.waits else None)
+    def read_tags(self, between: Callable[[], None] | None = None) -> None:
+        self._tags.read(REQUESTED if self.waits else None, between)
 
     def close(self) -> None:
         self._tags.close()

@@ -5,7 +5,7 @@ import hashlib
 import io
 import json
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +58,10 @@ class GarmentTags:
                 rows[:] = [np.concatenate(rows)]
         return rows[0] if rows else np.zeros(0, np.int64)
 
-    def read(self, limit: int | None = None) -> None:
+    def read(self, limit: int | None = None, between: Callable[[], None] | None = None) -> None:
         """Read the next ``limit`` garments, by default all, until ``close``; damaged ones have no tags.
+
+        ``between``: called before each part, to wait for more urgent work.
 
         Ends early if a server does not answer, and keeps the message in ``problem``. What was read is written to the
         cache; one thread reads at a time.
@@ -69,6 +71,8 @@ class GarmentTags:
             before = self.known
             last = self._count if limit is None else min(self.known + limit, self._count)
             while self.known < last and not self._closed.is_set():
+                if between is not None:
+                    between()
                 chunk = range(self.known, min(self.known + CHUNK, last))
                 try:
                     self._add(chunk, self._metas(chunk))

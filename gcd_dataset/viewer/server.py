@@ -11,7 +11,7 @@ import threading
 import webbrowser
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict
 from html import escape
 from http import HTTPStatus
@@ -33,6 +33,7 @@ __all__ = ["Answer", "Design", "Gallery", "serve"]
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
+LONGEST_WAIT = 1.0  # s that the reading of tags waits for pages
 HOST = "127.0.0.1"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
@@ -96,7 +97,13 @@ class Gallery:
         """Begin to read tags, unless a thread reads them."""
         with self._lock:
             if self._reading is None or self._reading.done():
-                self._reading = self._tag_reader.submit(self._album.read_tags)
+                self._reading = self._tag_reader.submit(self._album.read_tags, self._wait_for_pages)
+
+    def _wait_for_pages(self) -> None:
+        """Wait until no page is being made: it would take twice as long beside another busy thread."""
+        with self._lock:
+            pages = list(self._pages.values())
+        wait(pages, timeout=LONGEST_WAIT)
 
     def _found(self, query: Mapping[str, str]) -> dict[str, Any]:
         album, where = self._album, Filter(*(query.get(name, "") for name in ("kind", "grade", "outcome")))

@@ -48,6 +48,13 @@ def test_each_read_adds_the_next_garments(folder: Path) -> None:
     assert not len(tags.positions(TAG, "settled"))
 
 
+def test_a_call_before_each_part_sees_what_is_known(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(garment_tags, "CHUNK", 4)
+    tags, known = GarmentTags(ShardReader(folder)), []
+    tags.read(between=lambda: known.append(tags.known))
+    assert known == [0, 4]
+
+
 def test_tags_are_read_once_and_then_come_from_the_cache(folder: Path, tmp_path: Path) -> None:
     GarmentTags(ShardReader(folder), tmp_path).read()
     again = GarmentTags(unreadable(folder), tmp_path)
