@@ -74,7 +74,8 @@ def draw_body(
     shades = (np.array(SKIN) * (0.55 + 0.45 * facing[:, None])).astype(int)
     image = Image.new("RGB", (width, pixels), PAPER)
     canvas = ImageDraw.Draw(image)
-    for triangle, shade in zip(np.stack([x, y], axis=-1)[seen].reshape(-1, 6).tolist(), shades[seen].tolist(), strict=True):
+    triangles = np.stack([x, y], axis=-1)[seen].reshape(-1, 6)
+    for triangle, shade in zip(triangles.tolist(), shades[seen].tolist(), strict=True):
         canvas.polygon(triangle, fill=tuple(shade))
     size = (-(-width // BODY_SUPERSAMPLING), height)
     return np.asarray(image.resize(size, Image.Resampling.LANCZOS))
