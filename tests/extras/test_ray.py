@@ -26,7 +26,7 @@ from gcd_dataset.records import Sample  # noqa: E402
 from gcd_dataset.verbs import ray_engine  # noqa: E402
 from gcd_dataset.verbs.making import generate  # noqa: E402
 from gcd_dataset.verbs.progress import Progress  # noqa: E402
-from tests.test_cli import one_line  # noqa: E402
+from tests.test_cli import one_line, wait_for_bytes  # noqa: E402
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves files open
@@ -229,7 +229,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
         start_new_session=True,
     )
     signal.signal(signal.SIGINT, before)
-    wait_until(lambda: sum(path.stat().st_size for path in tmp_path.glob("data/*.part")) > 50_000)
+    wait_for_bytes(tmp_path / "data", 50_000, process)
     os.killpg(process.pid, signal.SIGINT)  # a terminal signals the whole process group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
