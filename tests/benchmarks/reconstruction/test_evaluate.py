@@ -109,6 +109,18 @@ def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
     assert f"too many panels: {MOST_PANELS + 1}" in printed
 
 
+def test_a_preset_that_matches_names_says_if_no_name_matches(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbered = tuple(replace(panel, name=f"panel_{k}") for k, panel in enumerate(garment().panels))
+    ours = save(tmp_path / "ours", dict.fromkeys("abcd", Pattern("", numbered, ())))
+    assert run(ours, truth, "--preset", "aipparel", "--preset", "stitched") == 0
+    [remark] = capsys.readouterr().err.splitlines()
+    assert "preset aipparel matches panels by name, and no predicted panel has the name of a true one" in remark
+    assert run(truth, truth, "--preset", "aipparel") == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_lines_hold_interval_and_median(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = save(tmp_path / "ours", {"a": garment(), "b": garment(), "c": garment()})
     assert run(ours, truth) == 0
