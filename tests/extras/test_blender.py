@@ -59,9 +59,9 @@ def test_the_garment_is_sewn_with_a_material_for_each_panel(worn: Sample, tmp_pa
     assert mesh is not None
     assert drape is not None
     assert len(found["points"]) == len(drape.vertices)  # welded
-    gaps, nearest = cKDTree(found["points"]).query(upright(drape.vertices))
-    assert sorted(nearest) == list(range(len(nearest)))  # one to one
-    assert gaps.max() < 1e-5
+    apart, partner = cKDTree(upright(drape.vertices)).query(found["points"])
+    assert apart.max() < 1e-4
+    assert len(np.unique(partner)) == len(partner)
     assert list(found["materials"]) == list(mesh.panel_names)
     assert np.bincount(found["panel"]).tolist() == np.bincount(mesh.panel_id).tolist()
     (ax, ay), (bx, by) = (found["uv"][:, 1] - found["uv"][:, 0]).T, (found["uv"][:, 2] - found["uv"][:, 0]).T
