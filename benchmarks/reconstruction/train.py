@@ -39,7 +39,7 @@ from gcd_dataset.generator.drawing import png_bytes
 
 __all__ = ["Result", "add_arguments", "main", "options_from", "run"]
 
-MINUTES = 8.0
+MINUTES, TRAINED = 8.0, 4000
 SMOKE: Mapping[str, Any] = {
     "train": 16, "test": 8, "resolution": 4.0,
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
 
     option("--task", "T0", f"one of {', '.join(TASKS)}")
-    option("--train", 4000, "garments to train on")
+    option("--train", 0, f"garments to train on; 0: {TRAINED}, or {SMOKE['train']} with --smoke")
     option("--test", 0, "garments to test on; 0: those of the task")
     option("--out", "out", "folder of the results; a repeated call continues there")
     option("--data", "", "folder that caches the garments (default: garments beside --out)")
@@ -131,7 +131,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         model=model,
         task=task_named(args.task),
         out=out,
-        train=SMOKE["train"] if args.smoke else args.train,
+        train=args.train or (SMOKE["train"] if args.smoke else TRAINED),
         test=args.test or (SMOKE["test"] if args.smoke else 0),
         config=TrainConfig(**chosen, seed=args.seed, compile=args.compile),
         sizes=_sizes(args.set),

@@ -25,6 +25,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium o
 
 SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 READY = "body[data-ready]"
+DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Resolves after the picture that the page has scheduled for its next frame."""
 SEAM_POINT = """(seam) => {
   const { picture } = gcdPage;
   const { ends, segmentSeam } = picture.garment;
@@ -101,7 +103,7 @@ class Opened:
 
     def view(self) -> np.ndarray:
         """The pixels of the 3-D view."""
-        self.page.wait_for_timeout(120)
+        self.page.evaluate(DRAWN)
         return np.asarray(Image.open(BytesIO(self.page.locator(".stage").screenshot())).convert("RGB"), float)
 
     def middle(self) -> tuple[float, float]:
