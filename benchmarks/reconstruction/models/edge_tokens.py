@@ -195,7 +195,7 @@ def _rows(values: Float[Tensor, "b n *d"], rows: Int[Tensor, "b m"]) -> Float[Te
 
 def _of_slots(values: Float[Tensor, "b q n *d"], slots: Int[Tensor, "b q m"]) -> Float[Tensor, "b q m *d"]:
     """Slots of each panel."""
-    return _rows(values.flatten(0, 1), slots.flatten(0, 1)).unflatten(0, values.shape[:2])
+    return _rows(values.flatten(0, 1), slots.flatten(0, 1)).view(*slots.shape, *values.shape[3:])
 
 
 # ------------------------------------------------------------------------------------------------------- the sequence
@@ -444,7 +444,7 @@ class Block(nn.Module):
 
     def _split(self, values: Float[Tensor, "b t w"], parts: int) -> tuple[Tensor, ...]:
         """Parts of the features, each as heads × tokens × features of a head."""
-        return values.unflatten(-1, (parts, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind()
+        return values.view(*values.shape[:2], parts, self.heads, -1).permute(2, 0, 3, 1, 4).unbind()
 
 
 def _merged(heads: Float[Tensor, "b h t d"]) -> Float[Tensor, "b t w"]:

@@ -294,7 +294,7 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
 def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tuple[Sizes, dict[str, Any]]:
     """The configuration of a network, and the arguments of ``PointLearner``. Raises ``ConfigError``."""
     given = dict(options)
-    own = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
+    own: dict[str, Any] = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
     names = [field.name for field in fields(kind)]
     unknown = set(given) - set(names)
     if unknown:

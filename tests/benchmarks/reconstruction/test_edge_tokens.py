@@ -43,8 +43,9 @@ def undecided(**sizes: int) -> EdgeTokens:
     """A network without training whose kinds, corners and seams vary."""
     network = learner(**sizes).eval()
     with torch.no_grad():
-        for head in (network.decoder.next_kind, network.decoder.next_edge, network.decoder.next_panel):
-            head[-1].weight *= 20.0
+        for name, weights in network.decoder.named_parameters():
+            if name.startswith("next_") and name.endswith("2.weight"):
+                weights.mul_(20.0)
     return network
 
 
@@ -96,7 +97,7 @@ def test_edges_follow_each_other_in_the_order_of_panels_and_loops(targets: Panel
 
 
 def triangle_and_square() -> PanelTargets:
-    """A garment of a triangle with a curved last edge and a square with a curved first; 3 rows for panels, 9 for edges."""
+    """A triangle with a curved last edge and a square with a curved first, in 3 rows for panels and 9 for edges."""
     corners = torch.zeros(1, 3, 5, 2)
     corners[0, 0, :3] = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     corners[0, 1, :4] = torch.tensor([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
