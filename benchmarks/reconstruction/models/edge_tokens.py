@@ -350,12 +350,10 @@ class EdgeDecoder(nn.Module):
         corner, centre, axes = self.next_panel(state).split([2, 3, 6], dim=-1)
         return corner, centre, axes
 
-    def edge(
-        self, state: Float[Tensor, "*b w"], start: Float[Tensor, "*b 2"]
-    ) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b k 2"]]:
-        """Of an edge that follows and begins at ``start``: end and bends [UNIT]."""
+    def edge(self, state: Float[Tensor, "*b w"]) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b k 2"]]:
+        """Of an edge that follows: end and bends [UNIT]."""
         found = self.next_edge(state).unflatten(-1, (1 + BENDS, 2))
-        return start + found[..., 0, :], found[..., 1:, :]
+        return found[..., 0, :], found[..., 1:, :]
 
     def partners(self, edges: Float[Tensor, "b e w"]) -> Float[Tensor, "b e f"]:
         """Logits of the earlier edge that each edge is sewn to; the last column stands for none."""
@@ -461,13 +459,11 @@ def token_loss(
 ) -> dict[str, Tensor]:
     """Weighted loss terms by name, of targets in canonical order; ``noise`` of what is fed back [UNIT]."""
     sequence = sequence_of(true)
-    tokens = tokens_of(_with_noise(true, noise) if noise else true, sequence)
-    states = decoder(tokens, points)
+    states = decoder(tokens_of(_with_noise(true, noise) if noise else true, sequence), points)
     with torch.autocast(points.device.type, enabled=False):
         parts = _kind_loss(decoder, states, sequence)
         parts |= _panel_losses(decoder, _rows(states, sequence.at_panels - 1), true)
-        before = sequence.at_edges - 1
-        parts |= _edge_losses(decoder, _rows(states, before), _rows(tokens.end, before), true)
+        parts |= _edge_losses(decoder, _rows(states, sequence.at_edges - 1), true)
         parts |= _seam_losses(decoder, _rows(states, sequence.at_edges), true)
     return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
@@ -490,17 +486,12 @@ def _panel_losses(decoder: EdgeDecoder, before: Float[Tensor, "b q w"], true: Pa
     return {name: mean_of(miss.abs().mean(dim=-1), true.exists) for name, miss in misses.items()}
 
 
-def _edge_losses(
-    decoder: EdgeDecoder, before: Float[Tensor, "b e w"], starts: Float[Tensor, "b e 2"], true: PanelTargets
-) -> dict[str, Tensor]:
-    """``before``: the states of the tokens before the edges; ``starts``: where these tokens end.
-
-    ``areas``: as in ``panel_set``, of each edge: a centimetre counts more for a cuff than for a skirt.
-    """
+def _edge_losses(decoder: EdgeDecoder, before: Float[Tensor, "b e w"], true: PanelTargets) -> dict[str, Tensor]:
+    """``areas``: as in ``panel_set``, of each edge: a centimetre counts more for a cuff than for a skirt."""
     exists, panels, slot = true.edge_panels >= 0, true.edge_panels.long().clamp(min=0), true.edge_slots.long()
     following = (slot + 1) % true.edge_counts.gather(1, panels).clamp(min=1)
     row = panels * true.corners.shape[2]
-    ends, bends = decoder.edge(before, starts)
+    ends, bends = decoder.edge(before)
     ends = ends - _rows(true.corners.flatten(1, 2), row + following)
     bends = bends - _rows(true.bends.flatten(1, 2), row + slot)
     distances = (ends.square().sum(dim=-1) + TINY).sqrt() + (bends.square().sum(dim=-1) + TINY).sqrt().mean(dim=-1)
@@ -542,7 +533,7 @@ def decode(decoder: EdgeDecoder, points: Float[Tensor, "b m w"]) -> PanelTargets
         state = decoder.step(token, caches, at)
         draft.keep(state)
         logits = decoder.next_kind(state).masked_fill(~draft.allowed(), -torch.inf)
-        token = draft.add(logits.argmax(dim=-1), *decoder.first_corner(state), *decoder.edge(state, token.end[:, 0]))
+        token = draft.add(logits.argmax(dim=-1), *decoder.first_corner(state), *decoder.edge(state))
         if at % ENDED_EVERY == 0 and bool(draft.ended.all()):
             break
     return draft.sewn(decoder)
