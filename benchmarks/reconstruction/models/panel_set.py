@@ -299,7 +299,7 @@ def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tup
     unknown = set(given) - set(names)
     if unknown:
         known = ", ".join([*names, "points", "stored_points"])
-        raise ConfigError(f"no size {min(unknown)} of a {model} network: choose of {known}")
+        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {known}")
     return kind(**given), own
 
 
