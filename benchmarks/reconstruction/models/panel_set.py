@@ -10,10 +10,11 @@ Nothing in a training step waits for the device: sizes do not depend on values t
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import chain
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -36,17 +37,27 @@ __all__ = [
     "NetConfig",
     "PanelDecoder",
     "PanelSet",
+    "PointConfig",
+    "PointLearner",
     "PointTokens",
     "Predicted",
     "answers_of",
+    "axes_of",
+    "best_pairs",
     "build",
+    "common_labels",
     "encoder",
     "match_panels",
+    "mean_of",
     "panel_losses",
     "regions_of",
     "rotation_of",
     "set_loss",
+    "sizes_from",
+    "waves",
 ]
+
+Sizes = TypeVar("Sizes", bound="PointConfig")
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
@@ -80,10 +91,11 @@ SMALL: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True, slots=True)
-class NetConfig:
-    """Sizes of a network."""
+class PointConfig:
+    """Sizes of answers and of the point encoder."""
 
     queries: int = 40
+    """Most panels of a garment."""
     slots: int = 40
     """Most edges of a panel."""
     edges: int = 320
@@ -95,7 +107,13 @@ class NetConfig:
     width: int = 384
     heads: int = 6
     layers: int = 6
-    """Layers of the encoder, and of the decoder."""
+    """Layers of the encoder; of a ``PanelDecoder``, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetConfig(PointConfig):
+    """Sizes of a ``PanelSet``."""
+
     edge_width: int = 256
     """Features of an edge."""
     edge_heads: int = 8
@@ -195,18 +213,20 @@ class Sewn:
 # ---------------------------------------------------------------------------------------------------------- the learner
 
 
-class PanelSet(Learner[PanelTargets, Pattern]):
-    """Points and normals to a pattern."""
+class PointLearner(Learner[PanelTargets, Pattern]):
+    """Base of networks from points and normals to a pattern."""
 
-    def __init__(self, config: NetConfig | None = None, *, points: int = 4096, stored_points: int = 8192) -> None:
-        """``points``: points of a garment in a step, drawn from the first ``stored_points``."""
+    def __init__(self, config: PointConfig, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """``points``: points of a garment in a step, drawn from the first ``stored_points``.
+
+        Raises ``ConfigError`` unless the number of tokens is a power of 2, at most ``points``.
+        """
         super().__init__()
-        self.config = config or NetConfig()
-        if not 1 <= self.config.tokens <= points or self.config.tokens & (self.config.tokens - 1):
-            raise ConfigError(f"{self.config.tokens} tokens of {points} points: give a power of 2, at most the points")
+        self.config = config
+        if not 1 <= config.tokens <= points or config.tokens & (config.tokens - 1):
+            raise ConfigError(f"{config.tokens} tokens of {points} points: give a power of 2, at most the points")
         self.points, self.stored_points = points, stored_points
-        self.tokens = PointTokens(self.config)
-        self.decoder = PanelDecoder(self.config)
+        self.tokens = PointTokens(config)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
         """Targets of the garments."""
@@ -224,6 +244,35 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         config = self.config
         return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
 
+    def predict(self, batch: PanelTargets) -> list[Pattern]:
+        return patterns_from(self._predicted(batch))
+
+    def answers(
+        self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
+    ) -> Iterator[Pattern]:
+        rows = torch.split(torch.arange(count), batch)
+        said = PanelTargets.join([self._predicted(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
+        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+
+    def _predicted(self, batch: PanelTargets) -> PanelTargets:
+        with torch.no_grad():
+            return self.decoded(self.tokens(batch.points[:, : self.points]))
+
+    @abstractmethod
+    def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
+        """The predictions in the form of the targets, from the tokens of the points."""
+
+
+class PanelSet(PointLearner):
+    """Points and normals to a pattern, by queries for panels."""
+
+    def __init__(self, config: NetConfig | None = None, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """See ``PointLearner``."""
+        config = config or NetConfig()
+        super().__init__(config, points=points, stored_points=stored_points)
+        self.decoder = PanelDecoder(config)
+
     def compile_parts(self) -> None:
         self.tokens.encoder.compile()
         for layer in self.decoder.layers:
@@ -232,31 +281,26 @@ class PanelSet(Learner[PanelTargets, Pattern]):
     def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
         return set_loss(self.decoder, self.tokens(batch.points), batch)
 
-    def predict(self, batch: PanelTargets) -> list[Pattern]:
-        return patterns_from(self._said(batch))
-
-    def answers(
-        self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
-    ) -> Iterator[Pattern]:
-        rows = torch.split(torch.arange(count), batch)
-        said = PanelTargets.join([self._said(examples.batch(part)).to(torch.device("cpu")) for part in rows])
-        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
-        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
-
-    def _said(self, batch: PanelTargets) -> PanelTargets:
-        with torch.no_grad():
-            return answers_of(self.decoder, self.tokens(batch.points[:, : self.points]))
+    def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
+        return answers_of(self.decoder, tokens)
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
     """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``."""
-    given = {**(SMALL if smoke else {}), **options}
-    own = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
-    unknown = set(given) - set(NetConfig.__dataclass_fields__)
+    sizes, own = sizes_from("panel_set", NetConfig, {**(SMALL if smoke else {}), **options})
+    return PanelSet(sizes, **own)
+
+
+def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tuple[Sizes, dict[str, Any]]:
+    """The configuration of a network, and the arguments of ``PointLearner``. Raises ``ConfigError``."""
+    given = dict(options)
+    own: dict[str, Any] = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
+    names = [field.name for field in fields(kind)]
+    unknown = set(given) - set(names)
     if unknown:
-        known = ", ".join([*NetConfig.__dataclass_fields__, "points", "stored_points"])
-        raise ConfigError(f"no size {min(unknown)} of a panel_set network: choose of {known}")
-    return PanelSet(NetConfig(**given), **own)
+        known = ", ".join([*names, "points", "stored_points"])
+        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {known}")
+    return kind(**given), own
 
 
 @dataclass(frozen=True)
@@ -285,7 +329,7 @@ class DrawnPoints:
 class PointTokens(nn.Module):
     """Points and normals to tokens of regions, related to each other."""
 
-    def __init__(self, config: NetConfig) -> None:
+    def __init__(self, config: PointConfig) -> None:
         super().__init__()
         self.config = config
         width, inner = config.width, config.region_width
@@ -489,7 +533,7 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
     return 0.5 * (scores + scores.transpose(1, 2))
 
 
-def encoder(config: NetConfig) -> nn.TransformerEncoder:
+def encoder(config: PointConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
     layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
     return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
@@ -549,12 +593,12 @@ def panel_losses(
         "extents": (said.extents.log() - true.extents.clamp(min=LEAST_EXTENT).log()).abs().mean(dim=-1),
         "centres": (said.centres - true.centres).abs().mean(dim=-1),
         # Of the columns as they are: rotations half a turn away from the truth would be a local minimum.
-        "rotations": (said.axes - _axes_of(true.rotations)).abs().mean(dim=-1),
+        "rotations": (said.axes - axes_of(true.rotations)).abs().mean(dim=-1),
         "edges": functional.cross_entropy(said.edges.reshape(-1, slots), numbers, reduction="none"),
         "labels": functional.cross_entropy(said.labels.reshape(-1, kinds), labels, reduction="none"),
     }
     existing = true.exists.expand(count, -1, -1)
-    parts = {name: _mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
+    parts = {name: mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
     parts["exists"] = _existence_loss(layers.exists, queries, true.exists)
     return {**parts, **_loop_losses(said, true, shifts)}, queries, shifts[-1]
 
@@ -566,7 +610,7 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
         counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
         cost = (
             2.0 * torch.cdist(predicted.centres, true.centres)
-            + 0.5 * torch.cdist(predicted.axes, _axes_of(true.rotations))
+            + 0.5 * torch.cdist(predicted.axes, axes_of(true.rotations))
             + 1.0 * torch.cdist(predicted.extents.log(), true.extents.clamp(min=LEAST_EXTENT).log(), p=1.0)
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
@@ -578,11 +622,11 @@ def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"],
     """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
-    return _mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
+    return mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
 
 
-def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
-    """The first two columns."""
+def axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
+    """The first two columns of rotations."""
     return rotations[..., :2].transpose(-1, -2).flatten(-2)
 
 
@@ -626,7 +670,7 @@ def _loop_losses(said: Predicted, true: PanelTargets, shifts: Int[Tensor, "l b p
         "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within),
         "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness),
     }
-    return {name: _mean_of(value, existing) for name, value in values.items()}
+    return {name: mean_of(value, existing) for name, value in values.items()}
 
 
 def _mean_of_rows(values: Float[Tensor, "*m n"], within: Bool[Tensor, "*k n"]) -> Float[Tensor, " *m"]:
@@ -657,11 +701,12 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
     is_sewn = exists & (partners >= 0)
     turned = sewn.turned.gather(2, partners.clamp(min=0)[..., None])[..., 0]
     of_seams = functional.binary_cross_entropy_with_logits(turned, true.turned.float(), reduction="none")
-    means = {name: _mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
-    return {**means, "turned": _mean_of(of_seams, is_sewn)}
+    means = {name: mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
+    return {**means, "turned": mean_of(of_seams, is_sewn)}
 
 
-def _mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+    """Mean of the chosen values; 0 if there are none."""
     return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
@@ -679,9 +724,6 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     sewn = decoder.seams(edges, features, moved)
     partners = _partners(sewn.partners, edges.exists)
     mutual = partners.clamp(min=0)[..., None]
-    labels = sewn.labels + torch.where(  # of both edges: sewn edges with different labels are a fault
-        (partners >= 0)[..., None], sewn.labels.gather(1, mutual.expand_as(sewn.labels)), 0.0
-    )
     return PanelTargets(
         points=tokens.new_zeros(len(tokens), 0, 6),
         exists=exists,
@@ -696,7 +738,7 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
         edge_panels=torch.where(edges.exists, edges.queries, -1),
         edge_slots=edges.slots,
         edge_kinds=(sewn.kinds > 0).long(),
-        edge_labels=labels.argmax(dim=-1),
+        edge_labels=common_labels(sewn.labels, partners),
         partners=partners,
         turned=sewn.turned.gather(2, mutual)[..., 0] > 0,
     )
@@ -724,11 +766,24 @@ def _partners(logits: Float[Tensor, "b e f"], exists: Bool[Tensor, "b e"]) -> In
     """The partner of each edge, or -1: the likeliest pairs first, while they are likelier than two free edges."""
     log = logits.float().log_softmax(dim=-1)
     pairs, free = log[..., :-1] + log[..., :-1].transpose(1, 2), log[..., -1]
-    gains = (pairs - free[:, :, None] - free[:, None]).cpu().numpy()
+    return best_pairs(pairs - free[:, :, None] - free[:, None], exists)
+
+
+def best_pairs(gains: Float[Tensor, "b e e"], exists: Bool[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """The partner of each edge, or -1: pairs in the order of their gains, while these are above 0.
+
+    Of ``gains`` only the upper triangle is read.
+    """
     partners = np.full(exists.shape, -1)
-    for gain, known, chosen in zip(gains, exists.cpu().numpy(), partners, strict=True):
+    for gain, known, chosen in zip(gains.cpu().numpy(), exists.cpu().numpy(), partners, strict=True):
         left, right = np.nonzero(np.triu((gain > 0) & known[:, None] & known[None], 1))
         for k in np.argsort(-gain[left, right], kind="stable").tolist():
             if chosen[left[k]] < 0 and chosen[right[k]] < 0:
                 chosen[left[k]], chosen[right[k]] = right[k], left[k]
-    return torch.from_numpy(partners).to(logits.device)
+    return torch.from_numpy(partners).to(gains.device)
+
+
+def common_labels(logits: Float[Tensor, "b e l"], partners: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """The likeliest label of each edge, of both edges of a seam: sewn edges with different labels are a fault."""
+    others = logits.gather(1, partners.clamp(min=0)[..., None].expand_as(logits))
+    return (logits + torch.where((partners >= 0)[..., None], others, 0.0)).argmax(dim=-1)

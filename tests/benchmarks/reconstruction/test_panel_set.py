@@ -23,6 +23,7 @@ from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.validate import Severity, check_pattern
+from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")
 
@@ -40,28 +41,6 @@ def targets(six: GarmentSet) -> PanelTargets:
 def loss_of(network: PanelSet, true: PanelTargets) -> float:
     with torch.no_grad():
         return float(sum(part.item() for part in network.loss(true).values()))
-
-
-def shuffled(true: PanelTargets) -> PanelTargets:
-    """The same garments with their panels in another order."""
-    order = torch.randperm(true.exists.shape[1], generator=torch.Generator().manual_seed(1))
-    names = ("exists", "corners", "bends", "extents", "centres", "rotations", "edge_counts", "labels", "slimness")
-    place = order.argsort()[true.edge_panels.long().clamp(min=0)].to(true.edge_panels.dtype)
-    panels = {name: getattr(true, name)[:, order] for name in names}
-    return replace(true, **panels, edge_panels=torch.where(true.edge_panels < 0, true.edge_panels, place))
-
-
-def started_elsewhere(true: PanelTargets) -> PanelTargets:
-    """The same garments with every loop started two corners later."""
-    counts = true.edge_counts.clamp(min=1)[..., None]
-    slot = torch.arange(true.corners.shape[2])
-    at = torch.where(slot < counts, (slot + 2) % counts, slot)
-    garment, query = torch.arange(len(at))[:, None, None], torch.arange(at.shape[1])[:, None]
-    count = counts[..., 0].gather(1, true.edge_panels.long().clamp(min=0))
-    slots = torch.where(true.edge_panels < 0, 0, (true.edge_slots.long() - 2) % count).to(true.edge_slots.dtype)
-    return replace(
-        true, corners=true.corners[garment, query, at], bends=true.bends[garment, query, at], edge_slots=slots
-    )
 
 
 @pytest.mark.parametrize("change", [shuffled, started_elsewhere])
@@ -197,5 +176,5 @@ def test_regions_are_a_power_of_two() -> None:
 
 
 def test_an_unknown_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a panel_set network: choose of queries, slots"):
+    with pytest.raises(ConfigError, match="no size depth of panel_set: choose of queries, slots"):
         learner(depth=3)
