@@ -22,6 +22,8 @@ PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
 POSE = ("pose",)
 """Of T0, T1 and T2: the bodies on which answers can be draped."""
+NAMED = (*POSE, "panel_names", "design")
+"""Of T0 and T1: also the names of panels and the design parameters, targets of some models."""
 SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
@@ -76,11 +78,11 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=POSE),
-        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=POSE),
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=NAMED),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=NAMED),
         Task(
             "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
-            points=8192, extra=("pose", "scan"),
+            points=8192, extra=(*NAMED, "scan"),
         ),
         Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
