@@ -16,6 +16,8 @@ MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
     for name in (
         "panel_set",
+        "neural_tailor",
+        "parameters",
         "stitches",
         "nearest",
         "typical",

@@ -33,6 +33,8 @@ from gcd_dataset.workers import parallel_map
 __all__ = [
     "SMOKE",
     "USUAL",
+    "DrawnPoints",
+    "Edges",
     "NetConfig",
     "PanelDecoder",
     "PanelSet",
@@ -40,8 +42,12 @@ __all__ = [
     "Predicted",
     "answers_of",
     "build",
+    "edge_numbers",
+    "edges_of",
     "encoder",
+    "greedy_pairs",
     "match_panels",
+    "mean_of",
     "panel_losses",
     "regions_of",
     "rotation_of",
@@ -461,13 +467,13 @@ class _EdgeFeatures(nn.Module):
     def forward(self, edges: Edges, before: Float[Tensor, "b e d"], said: Predicted) -> Float[Tensor, "b e v"]:
         # In float32: bfloat16 would round places before the waves of high frequency are taken.
         with torch.autocast(before.device.type, enabled=False):
-            known = _numbers_of(edges, said)
+            known = edge_numbers(edges, said)
             known = torch.cat([waves(known), known], dim=-1)
         found: Tensor = self.mlp(torch.cat([known, before], dim=-1))
         return found
 
 
-def _numbers_of(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
+def edge_numbers(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
     """Start, middle and end of edges in the panel and in space, their lengths, their numbers in the loop."""
     device = edges.slots.device
     garments = torch.arange(len(edges.slots), device=device)[:, None]
@@ -554,7 +560,7 @@ def panel_losses(
         "labels": functional.cross_entropy(said.labels.reshape(-1, kinds), labels, reduction="none"),
     }
     existing = true.exists.expand(count, -1, -1)
-    parts = {name: _mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
+    parts = {name: mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
     parts["exists"] = _existence_loss(layers.exists, queries, true.exists)
     return {**parts, **_loop_losses(said, true, shifts)}, queries, shifts[-1]
 
@@ -578,7 +584,7 @@ def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"],
     """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
-    return _mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
+    return mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
 
 
 def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
@@ -626,7 +632,7 @@ def _loop_losses(said: Predicted, true: PanelTargets, shifts: Int[Tensor, "l b p
         "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within),
         "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness),
     }
-    return {name: _mean_of(value, existing) for name, value in values.items()}
+    return {name: mean_of(value, existing) for name, value in values.items()}
 
 
 def _mean_of_rows(values: Float[Tensor, "*m n"], within: Bool[Tensor, "*k n"]) -> Float[Tensor, " *m"]:
@@ -657,11 +663,11 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
     is_sewn = exists & (partners >= 0)
     turned = sewn.turned.gather(2, partners.clamp(min=0)[..., None])[..., 0]
     of_seams = functional.binary_cross_entropy_with_logits(turned, true.turned.float(), reduction="none")
-    means = {name: _mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
-    return {**means, "turned": _mean_of(of_seams, is_sewn)}
+    means = {name: mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
+    return {**means, "turned": mean_of(of_seams, is_sewn)}
 
 
-def _mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
     return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
@@ -674,7 +680,7 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))
     counts = LEAST_EDGES + last.edges[..., LEAST_EDGES:].argmax(dim=-1)
-    edges = _edges_of(exists, counts, decoder.config.edges)
+    edges = edges_of(exists, counts, decoder.config.edges)
     moved, features = decoder.mover(edges, panels, last, tokens)
     sewn = decoder.seams(edges, features, moved)
     partners = _partners(sewn.partners, edges.exists)
@@ -702,7 +708,7 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     )
 
 
-def _edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
+def edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
     """The edges of the queries that exist; a panel beyond the room gets none."""
     shape = (len(exists), room)
     queries, slots, following = (np.zeros(shape, np.int64) for _ in range(3))
@@ -724,11 +730,15 @@ def _partners(logits: Float[Tensor, "b e f"], exists: Bool[Tensor, "b e"]) -> In
     """The partner of each edge, or -1: the likeliest pairs first, while they are likelier than two free edges."""
     log = logits.float().log_softmax(dim=-1)
     pairs, free = log[..., :-1] + log[..., :-1].transpose(1, 2), log[..., -1]
-    gains = (pairs - free[:, :, None] - free[:, None]).cpu().numpy()
+    return greedy_pairs(pairs - free[:, :, None] - free[:, None], exists)
+
+
+def greedy_pairs(gains: Float[Tensor, "b e e"], exists: Bool[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """The partner of each edge, or -1: pairs of most gain first, as long as it is above 0; ``gains`` is symmetric."""
     partners = np.full(exists.shape, -1)
-    for gain, known, chosen in zip(gains, exists.cpu().numpy(), partners, strict=True):
+    for gain, known, chosen in zip(gains.cpu().numpy(), exists.cpu().numpy(), partners, strict=True):
         left, right = np.nonzero(np.triu((gain > 0) & known[:, None] & known[None], 1))
         for k in np.argsort(-gain[left, right], kind="stable").tolist():
             if chosen[left[k]] < 0 and chosen[right[k]] < 0:
                 chosen[left[k]], chosen[right[k]] = right[k], left[k]
-    return torch.from_numpy(partners).to(logits.device)
+    return torch.from_numpy(partners).to(gains.device)
