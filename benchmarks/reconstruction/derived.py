@@ -117,5 +117,5 @@ DERIVED: Mapping[str, Derived] = {
     "scan": Derived(VIEW_FIELDS, _scan),
 }
 """``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
-``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for other names; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
+``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

@@ -11,13 +11,13 @@ What differs, and why:
 
 - 75 slots, the names that the generator draws, and loops of up to 40 edges: the paper's 12 garment types have 23 panel
   classes and 14 edges. Whether a slot is filled and whether a loop goes on are logits; the paper reads both from edges
-  near zero, which here cannot be told from true edges of millimetres. Empty slots and steps are left out of the losses.
-- An edge is a vector and ``BENDS`` points, and a logit for straight edges: the paper's edge has one control point, which
+  near zero, which here cannot be told from true edges of millimetres. Losses leave out empty slots and steps.
+- An edge is a vector and ``BENDS`` points, and a logit for straight edges: the paper's has one control point, which
   cannot express cubics. Snapping to lines, arcs and cubics is that of ``panel_set``, as are untangling, the points
   given with normals, augmentation, optimiser and training time.
 - The encoding of a slot is told which slot it is; the paper's decoder must infer it. A quaternion counts as its
-  negative. The remaining gap of a loop is spread over its edges; the paper closes it at the last one. The position of a
-  panel is that of its centroid. Labels of edges and panels are predicted, since drapes need them. Each helps this model.
+  negative. The remaining gap of a loop is spread over its edges; the paper closes it at the last one. The position of
+  a panel is that of its centroid. Labels of edges and panels are predicted, since drapes need them. All this helps.
 - The second network learns together with the first, from the panels that it predicts, without gradients into them; the
   paper trains it afterwards. The 3-D stitch tags of the paper's first stage, which its second replaces, are left out.
 """
@@ -159,7 +159,9 @@ class DrawnPanels:
         found = cast(NamedPanels, self.drawn.batch(rows, chance))
         if self.panels is None or self.loops is None or not len(rows):
             return found
-        panels, loop = (ROOM * math.ceil(max(1, int(counts[rows].max())) / ROOM) for counts in (self.panels, self.loops))
+        panels, loop = (
+            ROOM * math.ceil(max(1, int(counts[rows].max())) / ROOM) for counts in (self.panels, self.loops)
+        )
         cut = {name: getattr(found, name)[:, :panels] for name in OF_PANELS}
         return replace(found, **cut, corners=found.corners[:, :panels, :loop], bends=found.bends[:, :panels, :loop])
 
@@ -270,7 +272,9 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
         gaps = torch.where(within[..., None], drawn.edges, 0.0).sum(dim=2) / self.edge_deviation
         centres = (drawn.centres - true.centres) / self.centre_deviation
         turns = [(drawn.quaternions - sign * true.quaternions).square().mean(dim=-1) for sign in (1.0, -1.0)]
-        kinds, free, labels = (_in_loops(values, true) for values in (true.edge_kinds, true.partners < 0, true.edge_labels))
+        kinds, free, labels = (
+            _in_loops(values, true) for values in (true.edge_kinds, true.partners < 0, true.edge_labels)
+        )
         binary = functional.binary_cross_entropy_with_logits
         return {
             "edges": mean_of(edges.square().mean(dim=-1), within),
@@ -432,9 +436,7 @@ class SlotEncodings(nn.Module):
         self.exists = _mlp(config.loop_width, config.loop_width, 1)
         nn.init.constant_(cast(nn.Linear, self.exists[-1]).bias, RARE)
 
-    def forward(
-        self, features: Float[Tensor, "b n f"]
-    ) -> tuple[Float[Tensor, "b s w"], Float[Tensor, "b s"]]:
+    def forward(self, features: Float[Tensor, "b n f"]) -> tuple[Float[Tensor, "b s w"], Float[Tensor, "b s"]]:
         whole = self.whole(torch.cat([features.mean(dim=1), features.amax(dim=1)], dim=-1))
         first, *rest = self.scores
         hidden = first(features) + self.context(whole)[:, None]
@@ -507,7 +509,7 @@ def _mlp(given: int, width: int, said: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(given, width), nn.ReLU(), nn.Linear(width, said))
 
 
-# ------------------------------------------------------------------------------------------------------- loops and seams
+# ------------------------------------------------------------------------------------------------------ loops and seams
 
 
 def _edges_of_loops(true: PanelTargets) -> Float[Tensor, "b q n 2"]:
@@ -578,7 +580,9 @@ def _placed(drawn: Drawn, counts: Int[Tensor, "b q"]) -> Predicted:
     within = slot < counts[..., None]
     edges = torch.where(within[..., None], drawn.edges, 0.0)
     bends = torch.where(within[..., None, None], drawn.bends, 0.0)
-    edges = torch.where(within[..., None], edges - edges.sum(dim=2, keepdim=True) / counts.clamp(min=1)[..., None, None], 0.0)
+    edges = torch.where(
+        within[..., None], edges - edges.sum(dim=2, keepdim=True) / counts.clamp(min=1)[..., None, None], 0.0
+    )
     corners = edges.cumsum(dim=2) - edges
     corners = corners - _centroids(corners, edges, bends, counts)[:, :, None]
     x, y, z, w = functional.normalize(drawn.quaternions, dim=-1).unbind(dim=-1)

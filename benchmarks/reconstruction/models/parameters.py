@@ -31,8 +31,8 @@ from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
 from gcd_dataset.generator.garments.outfit import BACKS
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
-from gcd_dataset.generator.garments.wearable import wearable
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
+from gcd_dataset.generator.garments.wearable import wearable
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
@@ -248,9 +248,7 @@ class ParameterNet(Learner[Designs, Pattern]):
     def predict(self, batch: Designs) -> list[Pattern]:
         return [drawn(one) for one in self._answers(batch)]
 
-    def answers(
-        self, examples: Examples[Designs], count: int, *, batch: int, workers: int = 0
-    ) -> Iterator[Pattern]:
+    def answers(self, examples: Examples[Designs], count: int, *, batch: int, workers: int = 0) -> Iterator[Pattern]:
         rows = torch.split(torch.arange(count), batch)
         said = [one for part in rows for one in self._answers(examples.batch(part))]
         return parallel_map(drawn, said, workers)
