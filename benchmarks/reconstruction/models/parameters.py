@@ -241,7 +241,7 @@ class ParameterNet(Learner[Designs, Pattern]):
     def _logits(self, outputs: Float[Tensor, "b d o"]) -> Float[Tensor, "b d o"]:
         """Logits of the options; those beyond a parameter's own are never chosen."""
         option = torch.arange(outputs.shape[-1], device=outputs.device)
-        return outputs.masked_fill(option >= self.table_options.clamp(min=1)[:, None], NEVER)  # type: ignore[operator, union-attr]
+        return outputs.masked_fill(option >= self.table_options.clamp(min=1)[:, None], NEVER)  # type: ignore[operator]
 
     # ------------------------------------------------------------------------------------------------------ the answers
 
@@ -298,7 +298,8 @@ class Table:
         """The table of some spaces."""
         rows = [_row(space) for space in spaces]
         options, low, extent, default, kept = (np.array(column) for column in zip(*rows, strict=True))
-        return Table(options, *(column.astype(np.float32) for column in (low, extent, default)), kept=kept)
+        low, extent, default = (column.astype(np.float32) for column in (low, extent, default))
+        return Table(options, low, extent, default, kept)
 
 
 def _row(space: Any) -> tuple[int, float, float, float, bool]:

@@ -1,6 +1,7 @@
 """Designs as rows of numbers: they come back whole, and parameters without effect change no pattern."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_numbers_beyond_their_range_are_moved_into_it() -> None:
     assert (design.shirt.length, design.collar.fc_angle) == (3.5, 88)
 
 
-DESIGNS = {
+DESIGNS: dict[str, dict[str, Any]] = {
     "strapless": {"meta": {"upper": "FittedShirt"}, "shirt": {"strapless": True}},
     "lapel": {
         "meta": {"upper": "Shirt", "bottom": "GodetSkirt", "wb": "FittedWB"},

@@ -8,7 +8,7 @@ import torch
 
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.parameters import Answer, ParameterNet, build, drawn
+from benchmarks.reconstruction.models.parameters import Answer, Designs, ParameterNet, build, drawn
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.parameter import Choice
@@ -25,9 +25,9 @@ def learner(**sizes: int) -> ParameterNet:
     return build(smoke=True, options={"points": 128, "stored_points": 512, "tokens": 16, **sizes})
 
 
-def loss_of(network: ParameterNet, batch: object) -> float:
+def loss_of(network: ParameterNet, batch: Designs) -> float:
     with torch.no_grad():
-        return float(sum(part.item() for part in network.loss(batch).values()))  # type: ignore[arg-type]
+        return float(sum(part.item() for part in network.loss(batch).values()))
 
 
 def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet) -> None:
