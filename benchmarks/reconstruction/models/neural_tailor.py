@@ -57,8 +57,19 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "USUAL", "NamedPanels", "NeuralTailor", "TailorConfig", "ToNamedPanels", "build", "sparsemax"]
+__all__ = [
+    "SMOKE",
+    "TASKS",
+    "USUAL",
+    "NamedPanels",
+    "NeuralTailor",
+    "TailorConfig",
+    "ToNamedPanels",
+    "build",
+    "sparsemax",
+]
 
+TASKS = ("T0", "T1", "T1-scan")
 EDGE_NUMBERS = 3 * 2 + 3 * 3 + 1 + 2  # of ``edge_numbers``
 OF_PANELS = ("exists", "extents", "centres", "rotations", "edge_counts", "labels", "slimness", "names", "quaternions")
 LEAST_DEVIATION = 1e-3  # UNIT
@@ -79,7 +90,7 @@ SMOKE: Mapping[str, Any] = {
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "panels": 12, "edges": 96, "loop": 24, "width": 64, "loop_width": 96, "loop_layers": 1, "pair_width": 64,
-    "neighbours": 6, "points": 256, "stored_points": 1024,
+    "neighbours": 4, "points": 192, "stored_points": 1024,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 

@@ -38,8 +38,20 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "USUAL", "Designs", "ParameterNet", "ParametersConfig", "ToDesigns", "Words", "build", "drawn"]
+__all__ = [
+    "SMOKE",
+    "TASKS",
+    "USUAL",
+    "Designs",
+    "ParameterNet",
+    "ParametersConfig",
+    "ToDesigns",
+    "Words",
+    "build",
+    "drawn",
+]
 
+TASKS = ("T0", "T1", "T1-scan")
 FEW = 12  # a whole number of at most this many values is a choice among them
 VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square
 LARGEST_BACK = 0.95  # of the girth
