@@ -31,8 +31,9 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "panel_count_acc")
 PROGRAMS = (
-    "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it answers "
-    "with the most similar that they draw. `neural_tailor` follows the paper, with extensions that its docstring lists."
+    "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
+    "answers with similar ones that they draw. `neural_tailor` follows the paper, with extensions that its docstring "
+    "lists."
 )
 NOTES: Mapping[str, str] = {
     **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),

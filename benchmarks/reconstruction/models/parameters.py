@@ -42,6 +42,7 @@ __all__ = [
     "SMOKE",
     "TASKS",
     "USUAL",
+    "Answer",
     "Designs",
     "ParameterNet",
     "ParametersConfig",
