@@ -207,6 +207,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
     bend_deviation: Tensor
     centre_mean: Tensor
     centre_deviation: Tensor
+    finer: Tensor
 
     def __init__(self, config: TailorConfig | None = None) -> None:
         super().__init__()
@@ -221,6 +222,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
         self.register_buffer("bend_deviation", torch.ones(BENDS, 2))
         self.register_buffer("centre_mean", torch.zeros(3))
         self.register_buffer("centre_deviation", torch.ones(3))
+        self.register_buffer("finer", torch.from_numpy(_finer()), persistent=False)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPanels:
         """Targets of the garments. The first set prepared, the training set, gives means and deviations."""
@@ -269,7 +271,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
             parts |= self._panel_losses(drawn, batch, known)
             # Without gradients: the paper trains its second stage for the first one's panels, and not through them.
             edges = _true_edges(batch)
-            numbers = edge_numbers(edges, _placed(_detached(drawn), batch.edge_counts))
+            numbers = edge_numbers(edges, _placed(_detached(drawn), batch.edge_counts, self.finer))
         sewn, turned = self.pairs(numbers)
         with torch.autocast(batch.points.device.type, enabled=False):
             parts |= _pair_losses(sewn.float(), turned.float(), batch, edges.exists)
@@ -345,7 +347,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
         drawn = self._drawn(encodings, names, self.config.loop)
         counts = _counts(drawn.steps)
         edges = edges_of(exists, counts, self.config.edges)
-        placed = _placed(drawn, counts)
+        placed = _placed(drawn, counts, self.finer)
         sewn, turned = (values.float() for values in self.pairs(edge_numbers(edges, placed)))
         free = edges.of(drawn.free, edges.slots) > 0
         partners = greedy_pairs(sewn, edges.exists & ~free)
@@ -586,8 +588,8 @@ def _counts(steps: Float[Tensor, "b q n"]) -> Int[Tensor, "b q"]:
     return LEAST_EDGES + (before + after)[..., LEAST_EDGES:].argmax(dim=-1)
 
 
-def _placed(drawn: Drawn, counts: Int[Tensor, "b q"]) -> Predicted:
-    """Closed loops of ``counts`` edges round the centroids of their areas, placed."""
+def _placed(drawn: Drawn, counts: Int[Tensor, "b q"], finer: Float[Tensor, "m n"]) -> Predicted:
+    """Closed loops of ``counts`` edges round the centroids of their areas, placed; ``finer``: as ``_finer``."""
     slot = torch.arange(drawn.edges.shape[2], device=counts.device)
     within = slot < counts[..., None]
     edges = torch.where(within[..., None], drawn.edges, 0.0)
@@ -596,7 +598,7 @@ def _placed(drawn: Drawn, counts: Int[Tensor, "b q"]) -> Predicted:
         within[..., None], edges - edges.sum(dim=2, keepdim=True) / counts.clamp(min=1)[..., None, None], 0.0
     )
     corners = edges.cumsum(dim=2) - edges
-    corners = corners - _centroids(corners, edges, bends, counts)[:, :, None]
+    corners = corners - _centroids(corners, edges, bends, counts, finer)[:, :, None]
     x, y, z, w = functional.normalize(drawn.quaternions, dim=-1).unbind(dim=-1)
     first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], dim=-1)
     second = torch.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], dim=-1)
@@ -620,14 +622,12 @@ def _finer() -> Float[np.ndarray, "m n"]:
     return np.asarray(fine[:, None] ** degrees @ np.linalg.inv(coarse[:, None] ** degrees), np.float32)
 
 
-_FINER = _finer()
-
-
 def _centroids(
     corners: Float[Tensor, "b q n 2"],
     edges: Float[Tensor, "b q n 2"],
     bends: Float[Tensor, "b q n k 2"],
     counts: Int[Tensor, "b q"],
+    finer: Float[Tensor, "m n"],
 ) -> Float[Tensor, "b q 2"]:
     """Centroids of the areas within loops (shoelace formula); of nearly no area, the mean of the corners.
 
@@ -635,7 +635,7 @@ def _centroids(
     """
     share = torch.arange(BENDS + 2, device=corners.device)[:, None] / (BENDS + 1)
     known = corners[..., None, :] + share * edges[..., None, :] + functional.pad(bends, (0, 0, 1, 1))
-    path = (torch.from_numpy(_FINER).to(known) @ known).flatten(2, 3)
+    path = (finer @ known).flatten(2, 3)
     following = path.roll(-1, dims=2)
     cross = path[..., 0] * following[..., 1] - path[..., 1] * following[..., 0]
     area = cross.sum(dim=-1, keepdim=True) / 2

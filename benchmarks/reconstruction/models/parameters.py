@@ -12,7 +12,7 @@ draw, so this model answers garments of other origin by the most similar ones of
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -114,13 +114,17 @@ class ToDesigns:
     def __call__(self, garments: GarmentSet) -> Designs:
         codes = np.concatenate([garments.ragged["design"][k] for k in range(len(garments))]).astype(np.float32)
         effective = np.array([have_effect(decode_design(row)) for row in codes]).reshape(codes.shape)
-        points = torch.from_numpy(garments.points[:, : self.points])
         return Designs(
-            points=torch.cat([points[..., :3] / UNIT, points[..., 3:]], dim=-1),
+            points=self.scaled(garments.points),
             codes=torch.from_numpy(codes),
             effective=torch.from_numpy(effective & np.isfinite(codes)),
             measures=torch.from_numpy(garments.measures).float(),
         )
+
+    def scaled(self, points: Float[np.ndarray, "g n 6"]) -> Float[Tensor, "g m 6"]:
+        """The points of garments as networks read them."""
+        found = torch.from_numpy(points[:, : self.points])
+        return torch.cat([found[..., :3] / UNIT, found[..., 3:]], dim=-1)
 
 
 @dataclass(frozen=True)
@@ -188,8 +192,10 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnDesigns:
         """Targets of the garments. The first set prepared, the training set, gives the range of the measures."""
-        parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
+        bare = replace(garments, points=garments.points[:, :0])
+        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         whole = Designs.join(list(parallel_map(self.encoder(), parts, workers)))
+        whole = replace(whole, points=self.encoder().scaled(garments.points))
         if not self.deviation.any():
             known = garments.measures[np.isfinite(garments.measures).all(axis=1)].astype(np.float64)
             if not len(known):

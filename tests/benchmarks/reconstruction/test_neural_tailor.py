@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.derived import PANEL_NAMES
 from benchmarks.reconstruction.garments import GarmentSet
@@ -16,6 +17,7 @@ from benchmarks.reconstruction.models.neural_tailor import (
     TailorConfig,
     _counts,
     _edges_of_loops,
+    _finer,
     _placed,
     build,
     sparsemax,
@@ -27,6 +29,7 @@ from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.validate import Severity, check_pattern
 
 CPU = torch.device("cpu")
+FINER = torch.from_numpy(_finer())
 
 
 def learner(**sizes: int) -> NeuralTailor:
@@ -66,7 +69,7 @@ def test_slots_are_the_names_of_the_panels(six: GarmentSet, targets: NamedPanels
 
 
 def test_true_edges_and_quaternions_place_the_true_panels(targets: NamedPanels) -> None:
-    placed = _placed(as_drawn(targets), targets.edge_counts)
+    placed = _placed(as_drawn(targets), targets.edge_counts, FINER)
     within = torch.arange(targets.corners.shape[2]) < targets.edge_counts[..., None]
     assert torch.allclose(placed.corners[within], targets.corners[within], atol=1e-3)
     assert torch.allclose(placed.rotations[targets.exists], targets.rotations[targets.exists], atol=1e-5)
@@ -74,7 +77,7 @@ def test_true_edges_and_quaternions_place_the_true_panels(targets: NamedPanels) 
 
 def test_a_quaternion_and_its_negative_are_the_same_rotation(targets: NamedPanels) -> None:
     flipped = as_drawn(targets, quaternions=-targets.quaternions)
-    found = _placed(flipped, targets.edge_counts).rotations
+    found = _placed(flipped, targets.edge_counts, FINER).rotations
     assert torch.allclose(found[targets.exists], targets.rotations[targets.exists], atol=1e-5)
     network = learner()
     network.edge_deviation.fill_(1.0)
@@ -86,7 +89,7 @@ def test_a_quaternion_and_its_negative_are_the_same_rotation(targets: NamedPanel
 
 def test_a_gap_is_spread_over_the_edges(targets: NamedPanels) -> None:
     shifted = as_drawn(targets, edges=_edges_of_loops(targets) + 0.01)
-    placed = _placed(shifted, targets.edge_counts)
+    placed = _placed(shifted, targets.edge_counts, FINER)
     within = torch.arange(targets.corners.shape[2]) < targets.edge_counts[..., None]
     assert torch.allclose(placed.corners[within], targets.corners[within], atol=1e-3)
 
@@ -152,6 +155,14 @@ def test_an_answer_depends_on_its_own_garment_only_and_can_be_sewn(six: GarmentS
     for pattern in whole:
         assert pattern.panels
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+
+
+def test_a_step_never_reads_a_value_of_the_device(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
+        parts = network.loss(batch)
+    assert all(part.shape == () for part in parts.values())
 
 
 def test_the_loss_is_finite_in_half_precision(six: GarmentSet) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design
 from benchmarks.reconstruction.garments import GarmentSet
@@ -95,6 +96,14 @@ def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -
     for answer in network._answers(batch):
         meta = decode_design(answer.codes).meta
         assert (meta.upper, meta.bottom.value if meta.bottom else "") == (None, "Pants")
+
+
+def test_a_step_never_reads_a_value_of_the_device(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
+        parts = network.loss(batch)
+    assert all(part.shape == () for part in parts.values())
 
 
 def test_the_loss_is_finite_in_half_precision(six: GarmentSet) -> None:
