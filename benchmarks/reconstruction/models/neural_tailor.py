@@ -83,7 +83,7 @@ WEIGHTS = {
 }  # fmt: skip
 """Those of vectors and places are ours to choose, and favour the outlines; the square errors of rotations are the only
 ones not standardised, and components of quaternions deviate by about 1/2."""
-USUAL: Mapping[str, Any] = {"batch": 64, "lr": 5e-4}
+USUAL: Mapping[str, Any] = {"batch": 64, "lr": 1e-3}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
     "steps": 250, "batch": 8, "lr": 4e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
