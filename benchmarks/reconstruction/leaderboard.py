@@ -30,7 +30,13 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 }
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "panel_count_acc")
+PROGRAMS = (
+    "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
+    "answers with similar ones that they draw. `neural_tailor` follows the paper, with extensions that its docstring "
+    "lists."
+)
 NOTES: Mapping[str, str] = {
+    **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),
     "T3": "`f1` compares edges by name; `f1_symmetric` accepts answers in which panels of equal shape are exchanged, "
     "since nothing tells these apart. `f1_several` counts only seams of more than one edge on a side.",
 }

@@ -34,6 +34,8 @@ from gcd_dataset.workers import parallel_map
 __all__ = [
     "SMOKE",
     "USUAL",
+    "DrawnPoints",
+    "Edges",
     "NetConfig",
     "PanelDecoder",
     "PanelSet",
@@ -46,6 +48,8 @@ __all__ = [
     "best_pairs",
     "build",
     "common_labels",
+    "edge_numbers",
+    "edges_of",
     "encoder",
     "match_panels",
     "mean_of",
@@ -505,13 +509,13 @@ class _EdgeFeatures(nn.Module):
     def forward(self, edges: Edges, before: Float[Tensor, "b e d"], said: Predicted) -> Float[Tensor, "b e v"]:
         # In float32: bfloat16 would round places before the waves of high frequency are taken.
         with torch.autocast(before.device.type, enabled=False):
-            known = _numbers_of(edges, said)
+            known = edge_numbers(edges, said)
             known = torch.cat([waves(known), known], dim=-1)
         found: Tensor = self.mlp(torch.cat([known, before], dim=-1))
         return found
 
 
-def _numbers_of(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
+def edge_numbers(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
     """Start, middle and end of edges in the panel and in space, their lengths, their numbers in the loop."""
     device = edges.slots.device
     garments = torch.arange(len(edges.slots), device=device)[:, None]
@@ -719,7 +723,7 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))
     counts = LEAST_EDGES + last.edges[..., LEAST_EDGES:].argmax(dim=-1)
-    edges = _edges_of(exists, counts, decoder.config.edges)
+    edges = edges_of(exists, counts, decoder.config.edges)
     moved, features = decoder.mover(edges, panels, last, tokens)
     sewn = decoder.seams(edges, features, moved)
     partners = _partners(sewn.partners, edges.exists)
@@ -744,7 +748,7 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     )
 
 
-def _edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
+def edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
     """The edges of the queries that exist; a panel beyond the room gets none."""
     shape = (len(exists), room)
     queries, slots, following = (np.zeros(shape, np.int64) for _ in range(3))

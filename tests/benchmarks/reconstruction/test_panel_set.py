@@ -10,9 +10,9 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import (
     PanelSet,
     Predicted,
-    _edges_of,
     _partners,
     build,
+    edges_of,
     match_panels,
     panel_losses,
     regions_of,
@@ -157,7 +157,7 @@ def test_the_likeliest_pairs_are_sewn_first() -> None:
 
 
 def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
-    edges = _edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
+    edges = edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
     assert edges.queries.tolist() == [[0, 0, 0, 2, 2, 2, 2, 0]]
     assert edges.slots.tolist() == [[0, 1, 2, 0, 1, 2, 3, 0]]
     assert edges.following.tolist() == [[1, 2, 0, 1, 2, 3, 0, 0]]
