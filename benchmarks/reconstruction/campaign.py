@@ -85,9 +85,9 @@ class Planned:
         """Time of the training."""
         if self.options.get("smoke") or "steps" in self.options:
             return 1.0
-        if self.program == "stitching.run":
-            return float(self.options.get("minutes", 6.0))
-        return float(self.options.get("minutes", MINUTES if _is_network(self.model) else 0.0))
+        if "minutes" in self.options:
+            return float(self.options["minutes"])
+        return 6.0 if self.program == "stitching.run" else MINUTES * _is_network(self.model)
 
     @property
     def task(self) -> str:
@@ -119,7 +119,9 @@ def read_plan(path: Path) -> list[Planned]:
     names = [run.name for run in runs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not runs:
-        raise ConfigError(f"{path}: {'no runs' if not runs else f'two runs {twice[0]}'}: give runs with different names")
+        raise ConfigError(
+            f"{path}: {'no runs' if not runs else f'two runs {twice[0]}'}: give runs with different names"
+        )
     return runs
 
 
@@ -186,7 +188,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--gpus", type=int, default=-1, help="runs at once, each on its GPU; 0: one, on the CPU "
                         "(default: the GPUs of this machine)")  # fmt: skip
     parser.add_argument("--limit-minutes", type=float, default=0.0, help="time of this call; 0: no limit (%(default)s)")
-    parser.add_argument("--examples", default="", help="folder of specifications that the runs of T3 are tested on, too")
+    parser.add_argument(
+        "--examples", default="", help="folder of specifications that the runs of T3 are tested on, too"
+    )
     parser.add_argument("--list", action="store_true", help="print state and time of the runs, start nothing")
     parser.add_argument("--report", action="store_true", help="add the finished reports to the leaderboard")
     parser.add_argument("--reports", type=Path, default=leaderboard.REPORTS, help="folder of the leaderboard")
@@ -393,8 +397,8 @@ class _Campaign:
         for row in rows:
             print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
         counts = [f"{sum(s is state for s in self.states.values())} {state}" for state in State]
-        left = sum(self._expected(run) for run in runs if self.states[run.name] is not State.DONE)
-        print(f"{', '.join(counts)}; {left:.0f} GPU-minutes left" if left else ", ".join(counts))
+        total = sum(self._expected(run) for run in runs if self.states[run.name] is not State.DONE)
+        print(", ".join(counts) + (f"; {total:.0f} minutes left on one device" if total else ""))
 
 
 def _gpus() -> int:

@@ -32,7 +32,7 @@ from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
-from benchmarks.reconstruction.training import TrainConfig, Trained, TrainingStopped, one_of_several_ranks, train
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, one_of_several_ranks, train
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
@@ -167,7 +167,7 @@ def _sizes(texts: Sequence[str]) -> dict[str, int]:
 def run(options: Options) -> Result | None:
     """Make the garments, train, answer, score. ``None`` on ranks other than the first, and with ``make_only``.
 
-    Raises ``ConfigError`` for unusable options, and ``TrainingStopped`` for a training that the time limit ends.
+    Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
     _require_model_of_task(options)
     begun = time.perf_counter()
@@ -301,7 +301,13 @@ def _report(
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))
         },
-        "options": {**asdict(options.config), "sizes": options.sizes, "leave_out": options.leave_out, "fresh": options.fresh},
+        "options": {
+            "train": options.train,
+            **asdict(options.config),
+            "sizes": options.sizes,
+            "leave_out": options.leave_out,
+            "fresh": options.fresh,
+        },
         "steps": trained.steps if trained else 0,
         "minutes": trained.seconds / 60 if trained else 0.0,
         "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
@@ -340,7 +346,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     try:
         result = run(options_from(args, args.model))
-    except TrainingStopped as stopped:
+    except StoppedError as stopped:
         print(f"train {args.model}: {stopped}", file=sys.stderr)
         return UNFINISHED
     except GcdError as error:

@@ -30,10 +30,10 @@ from gcd_dataset.files import drafted, make_folder
 __all__ = [
     "Check",
     "Growing",
+    "StoppedError",
     "TrainConfig",
     "Trained",
     "TrainingError",
-    "TrainingStopped",
     "learning_rate",
     "one_of_several_ranks",
     "train",
@@ -51,7 +51,7 @@ class TrainingError(GcdError):
     """A training that cannot go on."""
 
 
-class TrainingStopped(GcdError):
+class StoppedError(GcdError):
     """A training that reached the time limit of its call before its end; its checkpoint is written."""
 
 
@@ -142,7 +142,7 @@ def train(
     """Train a learner, or continue from the checkpoint in ``out``.
 
     ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``: stop after this step
-    as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises ``TrainingStopped``, with a
+    as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises ``StoppedError``, with a
     checkpoint in ``out``, for a training that the limit ends; ``TrainingError`` for a loss that is not finite;
     ``ConfigError`` for a checkpoint of other options.
     """
@@ -173,7 +173,7 @@ def train(
         aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
         if is_over:
             curves.close()
-            raise TrainingStopped(f"stopped by the limit at {run.progress:.0%}: repeat the command to continue")
+            raise StoppedError(f"stopped by the limit at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
 

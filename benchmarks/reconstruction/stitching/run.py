@@ -31,7 +31,7 @@ from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED
-from benchmarks.reconstruction.training import TrainConfig, TrainingStopped, train
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, train
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         args = argparse.Namespace(**{**vars(args), **SMOKE})
     try:
         run(args)
-    except TrainingStopped as stopped:
+    except StoppedError as stopped:
         _say(f"stitching.run: {stopped}")
         return UNFINISHED
     except GcdError as error:
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(args: argparse.Namespace) -> None:
     """Draw the patterns, train, score, write the report.
 
-    Raises ``ConfigError`` for unusable options, and ``TrainingStopped`` for a training that the time limit ends.
+    Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
@@ -158,7 +158,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
 
-    ``kinds``: of the garments, whose means are told apart. Writes the predicted and the true specifications into folders of ``out``.
+    ``kinds``: kind of each garment. Writes the predicted and the true specifications into folders of ``out``.
     """
     greedy = []
     for pattern in patterns:
