@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
+from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
@@ -51,7 +52,6 @@ __all__ = [
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
-LAYER_OPTIONS: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 WEIGHTS = {
     "exists": 2.0, "corners": 5.0, "bends": 5.0, "areas": 0.5, "extents": 0.5, "centres": 5.0, "rotations": 1.0,
     "edges": 0.5, "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
@@ -340,9 +340,7 @@ class PanelDecoder(nn.Module):
         self.config = config
         width = config.width
         self.queries = nn.Parameter(torch.randn(config.queries, width))
-        self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS) for _ in range(config.layers)
-        )
+        self.layers = nn.ModuleList(DecoderLayer(width, config.heads, 4 * width) for _ in range(config.layers))
         sizes = (1, 2 * config.slots * (1 + BENDS), 2, 3, 6, config.slots + 1, len(PANEL_LABELS))
         self.norm = nn.LayerNorm(width)
         self.heads = nn.ModuleList(
@@ -389,8 +387,7 @@ class EdgeMover(nn.Module):
         self.slot = nn.Embedding(config.slots, width)
         self.tokens = nn.Linear(config.width, width)
         self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
-            for _ in range(config.edge_layers)
+            DecoderLayer(width, config.edge_heads, 4 * width) for _ in range(config.edge_layers)
         )
         self.norm = nn.LayerNorm(width)
         self.head = nn.Linear(width, 2 * (1 + BENDS))
@@ -402,7 +399,7 @@ class EdgeMover(nn.Module):
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
         """``said`` with moved corners and bends, and the features of the edges."""
         features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
-        tokens, hidden = self.tokens(tokens), edges.hidden
+        tokens, hidden = self.tokens(tokens), hiding(edges.hidden)
         for layer in self.layers:
             features = layer(features, tokens, tgt_key_padding_mask=hidden)
         with torch.autocast(features.device.type, enabled=False):
@@ -423,7 +420,7 @@ class SeamHead(nn.Module):
         super().__init__()
         width = config.edge_width
         self.describe = _EdgeFeatures(config, before=width)
-        layer = nn.TransformerEncoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
+        layer = EncoderLayer(width, config.edge_heads, 4 * width)
         self.layers = nn.TransformerEncoder(layer, config.seam_layers, nn.LayerNorm(width), enable_nested_tensor=False)
         self.queries, self.keys = nn.Linear(width, width), nn.Linear(width, width)
         self.turned = nn.Linear(width, width)
@@ -491,7 +488,7 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
 
 def encoder(config: NetConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
-    layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
+    layer = EncoderLayer(config.width, config.heads, 4 * config.width)
     return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
 
 
