@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
     from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "Reference", "TensorExamples"]
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "uploaded"]
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -90,6 +90,12 @@ class Reference(Protocol):
     ) -> "list[Pattern]": ...
 
 
+def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
+    """A CPU tensor on a device; a GPU is not waited for."""
+    # From pageable memory the copy would wait for all work of the stream.
+    return (numbers.pin_memory() if device.type == "cuda" else numbers).to(device, non_blocking=True)
+
+
 class TensorExamples:
     """Base of frozen dataclasses whose fields are tensors with one row for each example."""
 
@@ -101,7 +107,7 @@ class TensorExamples:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self:
         """The examples ``rows``, without augmentation."""
-        return self[rows.to(self.device, non_blocking=True)]
+        return self[uploaded(rows, self.device)]
 
     @property
     def device(self) -> torch.device:

@@ -225,9 +225,11 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
 
     def compile_parts(self) -> None:
-        self.tokens.encoder.compile()
-        for layer in self.decoder.layers:
-            layer.compile()
+        # Layer by layer: equal layers share their code. The number of edges differs between batches.
+        for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.layers):
+            part.compile()
+        for layer in (*self.decoder.mover.layers, *self.decoder.seams.layers.layers):
+            layer.compile(dynamic=True)
 
     def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
         return set_loss(self.decoder, self.tokens(batch.points), batch)
@@ -288,11 +290,8 @@ class PointTokens(nn.Module):
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
         self.config = config
-        width, inner = config.width, config.region_width
-        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
-        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
-        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
-        self.form = nn.Linear(2 * inner, width)
+        width = config.width
+        self.features = RegionFeatures(config)
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.encoder = encoder(config)
@@ -305,11 +304,26 @@ class PointTokens(nn.Module):
             offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
             inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
             places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
-        features = self.point(inputs)
-        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
-        features = self.form(self.region(features).amax(dim=2))
-        tokens: Tensor = self.encoder(self.merge(features + self.position(places)).float())
+        tokens: Tensor = self.encoder(self.merge(self.features(inputs) + self.position(places)).float())
         return tokens
+
+
+class RegionFeatures(nn.Module):
+    """A feature vector of the points in each region."""
+
+    def __init__(self, config: NetConfig) -> None:
+        super().__init__()
+        inner = config.region_width
+        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
+        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
+        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
+        self.form = nn.Linear(2 * inner, config.width)
+
+    def forward(self, points: Float[Tensor, "b t m 6"]) -> Float[Tensor, "b t w"]:
+        features = self.point(points)
+        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
+        found: Tensor = self.form(self.region(features).amax(dim=2))
+        return found
 
 
 def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
