@@ -16,6 +16,7 @@ MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
     for name in (
         "panel_set",
+        "picture_set",
         "stitches",
         "nearest",
         "typical",
