@@ -211,8 +211,9 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             return Entry("T3", name, int(arguments["train"]), minutes, scores, facts, tables, kinds, left_out)
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
         train = int(options.get("train") or found["data"]["train"]["count"])
+        model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
         return Entry(
-            found["task"], found["model"], train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
+            found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
             options.get("leave_out", ""), int(found.get("fresh", 0)),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError) as error:

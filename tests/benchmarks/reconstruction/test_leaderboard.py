@@ -80,6 +80,13 @@ def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path)
         assert page.count("| panel_set | 4 | 8.0 |") == 1
 
 
+def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None:
+    added(tmp_path, result("T2", "picture_set", 0.5))
+    added(tmp_path, result("T2", "picture_set", 0.4, sizes={"views": 1}))
+    found = [entry.model for entry in read_entries(tmp_path / "learning")]
+    assert found == ["picture_set", "picture_set views=1"]
+
+
 def test_the_least_error_comes_first(tmp_path: Path) -> None:
     for model, error in (("mean_measures", 4.0), ("measures", 1.0)):
         added(tmp_path, result("T5", model, 0.0) | {"scores": {"error_cm": [error, error, error]}})
