@@ -231,7 +231,7 @@ FIGURES = (
         ),
     ),
     Figure(
-        "building a body; taking its 26 measures",
+        "drawing and building a body; taking its 26 measures",
         "bodies",
         lambda r: f"{r.value('bodies.mesh_cpu_ms'):.1f}; {r.value('bodies.measure_cpu_ms'):.1f} CPU-ms",
     ),

@@ -30,7 +30,7 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.population import MAX_DEVIATION, SEXES, Adults
 from gcd_dataset.generator.body.shape import build_body
 from gcd_dataset.generator.body.survey import Survey, survey_measures, survey_of
-from gcd_dataset.records import BodyShape
+from gcd_dataset.records import BodyPart, BodyShape
 
 __all__ = ["calibrated"]
 
@@ -48,6 +48,12 @@ ALONE = ("waist_breadth", "waist_depth", "bust_depth")
 """Measures fitted by variance alone, since the survey publishes no correlations for them."""
 TOGETHER = ("height", "weight")
 """Fitted as a pair after all others: the weight follows from the girths and cannot vary independently."""
+FLANK = (0.545, 0.605)
+"""Heights of the flank between hips and waist, as shares of the mean body's height."""
+FLANK_SD = 0.08
+"""Standard deviation of the flanks' height as a share of the mean body's, about that of the mean woman or man. The
+model shortens the trunk in this narrow band alone: a body that loses most of it has a ledge at the hips."""
+FLANK_TOLERANCE = 0.02
 
 
 def main() -> None:
@@ -69,7 +75,7 @@ def main() -> None:
 def calibrated(sex: str) -> Adults:
     """The distribution of shape weights fitted to the survey's figures for one sex."""
     survey, start = survey_of(sex), body_model().named[sex].astype(float)
-    prior, jacobian = within_sex_covariance(), _jacobian(start, survey)
+    prior, jacobian, stretch = within_sex_covariance(), _jacobian(start, survey), flank_stretch()[None]
     published = _Statistics.published(survey)
     target = published
     mean, covariance = start, prior
@@ -77,14 +83,16 @@ def calibrated(sex: str) -> Adults:
     people = np.clip(np.concatenate([normals, -normals]), -MAX_DEVIATION, MAX_DEVIATION)
     rounds = []
     for number in range(ROUNDS):
-        covariance = _bounded(nearest_covariance(prior, _conditions(survey, jacobian, target)))
+        conditions = [*_conditions(survey, jacobian, target), (stretch, np.array([[FLANK_SD**2]]))]
+        covariance = _bounded(nearest_covariance(prior, conditions))
         adults = Adults(mean, _axes(covariance))
         found = _Statistics.of(_measured(mean + people @ adults.axes.T, survey), survey)
         rounds.append((published.error(found, survey), number, adults))
         print(f"{sex}, round {number}, error {rounds[-1][0]:.3f}:")
         print(published.comparison(found, survey))
         target = target.corrected(published, found)
-        mean = _next_mean(mean, start, prior, jacobian, published.mean - found.mean, survey)
+        error = published.mean - found.mean
+        mean = _next_mean(mean, start, prior, (jacobian, stretch), error, survey)
     return min(rounds)[-1]
 
 
@@ -96,6 +104,17 @@ def within_sex_covariance() -> Float[np.ndarray, "k k"]:
     named = body_model().named
     apart = (named["male"] - named["female"]).astype(float)
     return np.eye(len(apart)) - np.outer(apart, apart) / max(4.0, 1.1 * apart @ apart)
+
+
+def flank_stretch() -> Float[np.ndarray, " k"]:
+    """Change of the flanks' height by each weight, as a share of the mean body's: the slope of ``y`` over its mean."""
+    model = body_model()
+    x, y = np.abs(model.mean[:, 0]), model.mean[:, 1]
+    trunk = np.isin(model.parts, [part.value for part in (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)])
+    band = trunk & (y > FLANK[0] * y.max()) & (y < FLANK[1] * y.max())
+    flanks = band & (x > 0.6 * x[band].max())
+    heights = y[flanks] - y[flanks].mean()
+    return model.components[:, flanks, 1] @ heights / (heights @ heights)
 
 
 def nearest_covariance(
@@ -184,13 +203,22 @@ def _correlated(
 
 
 def _next_mean(
-    mean: np.ndarray, start: np.ndarray, prior: np.ndarray, jacobian: np.ndarray, error: np.ndarray, survey: Survey
+    mean: np.ndarray,
+    start: np.ndarray,
+    prior: np.ndarray,
+    jacobians: tuple[np.ndarray, np.ndarray],
+    error: np.ndarray,
+    survey: Survey,
 ) -> Float[np.ndarray, " k"]:
-    """One Gauss-Newton step on the mean weights, with the measures' tolerances and a prior at ``start``."""
+    """One Gauss-Newton step on the mean weights, with the measures' tolerances and a prior at ``start``.
+
+    ``jacobians``: of the measures, and of the flanks' height, which stays that of ``start``.
+    """
     known = np.isfinite(survey.tolerance)
-    rows = jacobian[known]
-    right = error[known] + rows @ (mean - start)
-    matrix = rows @ prior @ rows.T + np.diag(survey.tolerance[known] ** 2)
+    rows = np.concatenate([jacobians[0][known], jacobians[1]])
+    right = np.append(error[known] + jacobians[0][known] @ (mean - start), 0.0)
+    tolerance = np.append(survey.tolerance[known], FLANK_TOLERANCE)
+    matrix = rows @ prior @ rows.T + np.diag(tolerance**2)
     return start + prior @ rows.T @ np.linalg.solve(matrix, right)
 
 
