@@ -27,11 +27,11 @@ class EncoderLayer(nn.TransformerEncoderLayer):
     def forward(
         self,
         src: Float[Tensor, "b t w"],
-        src_mask: None = None,
-        src_key_padding_mask: Float[Tensor, "b t"] | None = None,
+        src_mask: Tensor | None = None,
+        src_key_padding_mask: Tensor | None = None,
         is_causal: bool = False,
     ) -> Float[Tensor, "b t w"]:
-        """``src_key_padding_mask``: as ``hiding`` returns it."""
+        """``src_key_padding_mask``: as ``hiding`` returns it; ``src_mask`` and ``is_causal`` have no effect."""
         src = src + _among(self.self_attn, self.norm1(src), src_key_padding_mask)
         return src + self.linear2(functional.gelu(self.linear1(self.norm2(src))))
 
@@ -59,8 +59,7 @@ def _among(
     attention: nn.MultiheadAttention, tokens: Float[Tensor, "b t w"], hidden: Float[Tensor, "b t"] | None
 ) -> Float[Tensor, "b t w"]:
     """Attention of tokens to each other."""
-    parts = functional.linear(tokens, attention.in_proj_weight, attention.in_proj_bias)
-    query, key, value = parts.unflatten(-1, (3, attention.num_heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
+    query, key, value = _heads(attention, tokens, attention.in_proj_weight, attention.in_proj_bias)
     return _attended(attention, query, key, value, hidden)
 
 
@@ -68,15 +67,22 @@ def _across(
     attention: nn.MultiheadAttention, tokens: Float[Tensor, "b q w"], others: Float[Tensor, "b t w"]
 ) -> Float[Tensor, "b q w"]:
     """Attention of tokens to others."""
-    width = tokens.shape[-1]
-    weights, biases = (
-        attention.in_proj_weight.split([width, 2 * width]),
-        attention.in_proj_bias.split([width, 2 * width]),
-    )
-    query = functional.linear(tokens, weights[0], biases[0]).unflatten(-1, (attention.num_heads, -1)).transpose(1, 2)
-    parts = functional.linear(others, weights[1], biases[1])
-    key, value = parts.unflatten(-1, (2, attention.num_heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
+    sizes = [tokens.shape[-1], 2 * tokens.shape[-1]]
+    weights = torch.split_with_sizes(attention.in_proj_weight, sizes)
+    biases = torch.split_with_sizes(attention.in_proj_bias, sizes)
+    (query,) = _heads(attention, tokens, weights[0], biases[0])
+    key, value = _heads(attention, others, weights[1], biases[1])
     return _attended(attention, query, key, value, None)
+
+
+def _heads(
+    attention: nn.MultiheadAttention, tokens: Float[Tensor, "b t w"], weight: Tensor, bias: Tensor
+) -> tuple[Float[Tensor, "b h t d"], ...]:
+    """Views of one product: its parts, such as queries or keys, by head."""
+    width = tokens.shape[-1]
+    parts = functional.linear(tokens, weight, bias)
+    shape = (len(weight) // width, attention.num_heads, width // attention.num_heads)
+    return parts.view(*parts.shape[:2], *shape).permute(2, 0, 3, 1, 4).unbind(0)
 
 
 def _attended(

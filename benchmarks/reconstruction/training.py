@@ -36,6 +36,7 @@ __all__ = [
     "TrainingError",
     "learning_rate",
     "one_of_several_ranks",
+    "step_of",
     "train",
 ]
 
@@ -176,6 +177,14 @@ def train(
             raise StoppedError(f"stopped by the limit at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
+
+
+def step_of(
+    learner: Learner[Batch, Any], examples: Examples[Batch], config: TrainConfig, *, device: torch.device
+) -> Callable[[], None]:
+    """A function that takes a training step, to measure it."""
+    run = _Run(learner.to(device), config, device)
+    return lambda: run.take_step(examples)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
