@@ -17,6 +17,7 @@ a run failed, else 0. ``--report`` starts nothing: it hands the finished reports
 
 import argparse
 import csv
+import fcntl
 import json
 import os
 import shlex
@@ -25,7 +26,8 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -239,6 +241,7 @@ class _Campaign:
         self.limit = 60.0 * args.limit_minutes or float("inf")
         self.states: dict[str, State] = {}
         self.jobs: dict[int | None, _Job] = {}
+        self.lock = -1
 
     def run(self, runs: Sequence[Planned]) -> int:
         """Make the garments, start what is not finished, print the table. Returns the exit code."""
@@ -246,12 +249,13 @@ class _Campaign:
             self.states[run.name] = self._known(run)
         pending = [run for run in runs if self.states[run.name] is not State.DONE]
         if not self.lists:
-            before = signal.signal(signal.SIGTERM, _stop)
-            try:
-                self._train(self._make(pending))
-            finally:
-                self._end_all()
-                signal.signal(signal.SIGTERM, before)
+            with _locked(self.out / "lock") as self.lock:
+                before = signal.signal(signal.SIGTERM, _stop)
+                try:
+                    self._train(self._make(pending))
+                finally:
+                    self._end_all()
+                    signal.signal(signal.SIGTERM, before)
         self._print(runs)
         return int(State.FAILED in self.states.values())
 
@@ -353,7 +357,12 @@ class _Campaign:
             file.write(f"$ {shlex.join(['python', *arguments])}\n".encode())
             file.flush()
             process = subprocess.Popen(
-                [sys.executable, *arguments], stdout=file, stderr=file, env=environment, start_new_session=True
+                [sys.executable, *arguments],
+                stdout=file,
+                stderr=file,
+                env=environment,
+                start_new_session=True,
+                pass_fds=[self.lock],  # a program that a killed campaign leaves behind keeps the lock
             )
         self.jobs[slot] = _Job(run, process, time.monotonic())
 
@@ -399,6 +408,17 @@ class _Campaign:
         counts = [f"{sum(s is state for s in self.states.values())} {state}" for state in State]
         total = sum(self._expected(run) for run in runs if self.states[run.name] is not State.DONE)
         print(", ".join(counts) + (f"; {total:.0f} minutes left on one device" if total else ""))
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[int]:
+    """A lock on a folder of runs, its file descriptor. Raises ``ConfigError`` if another process has it."""
+    with path.open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ConfigError(f"{path.parent}: a campaign, or a run that one left, goes on there: end it") from error
+        yield file.fileno()
 
 
 def _gpus() -> int:

@@ -91,9 +91,10 @@ class Reference(Protocol):
 
 
 def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
-    """A CPU tensor on a device; a GPU is not waited for."""
-    # From pageable memory the copy would wait for all work of the stream.
-    return (numbers.pin_memory() if device.type == "cuda" else numbers).to(device, non_blocking=True)
+    """A tensor on a device; a GPU is not waited for."""
+    if device.type == "cuda" and numbers.device.type == "cpu":
+        numbers = numbers.pin_memory()  # from pageable memory the copy would wait for all work of the stream
+    return numbers.to(device, non_blocking=True)
 
 
 class TensorExamples:
@@ -122,7 +123,7 @@ class TensorExamples:
     def put(self, rows: Int[Tensor, " b"], others: Self) -> None:
         """Replace the examples ``rows`` by others, in place."""
         for column, values in zip(self._columns(), others._columns(), strict=True):
-            column[rows.to(column.device)] = values.to(column.device)
+            column[uploaded(rows, column.device)] = uploaded(values, column.device)
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:

@@ -1,6 +1,8 @@
 """A campaign starts what is not finished, once for each data set and GPU, and goes on after failures and limits."""
 
 import argparse
+import fcntl
+import subprocess
 import time
 from pathlib import Path
 
@@ -119,6 +121,19 @@ def test_a_run_that_cannot_be_finished_in_time_is_not_begun(plan: Path, tmp_path
     out = tmp_path / "runs"
     assert main([str(plan), "--out", str(out), "--gpus", "0", "--only", "b", "--limit-minutes", "1"]) == 0
     assert starts(out) == ["make b"]
+
+
+def test_a_folder_has_one_campaign_at_a_time(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call = [str(plan), "--out", str(tmp_path), "--gpus", "0", "--only", "a-short-10"]
+    with (tmp_path / "lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        # What a killed campaign leaves behind: a program that has inherited the lock.
+        left = subprocess.Popen(["sleep", "60"], pass_fds=[file.fileno()])
+    assert main(call) == 1
+    assert "a campaign, or a run that one left, goes on there" in capsys.readouterr().err
+    left.kill()
+    left.wait()
+    assert main(call) == 0
 
 
 def test_results_of_other_options_are_not_taken(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
