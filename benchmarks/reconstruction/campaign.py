@@ -99,9 +99,10 @@ class Planned:
     @property
     def train(self) -> int:
         """Garments to train on."""
-        if self.options.get("smoke"):
-            return int((SMOKE if self.program == "train" else stitching.SMOKE)["train"])
-        return int(self.options.get("train", 0))
+        given = int(self.options.get("train", 0))
+        if not self.options.get("smoke"):
+            return given
+        return int(stitching.SMOKE["train"]) if self.program == "stitching.run" else given or int(SMOKE["train"])
 
     @property
     def garments(self) -> str:

@@ -291,7 +291,7 @@ class PointTokens(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        self.features = RegionFeatures(config)
+        self.features = RegionFeatures(config.region_width, width)
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.encoder = encoder(config)
@@ -311,13 +311,13 @@ class PointTokens(nn.Module):
 class RegionFeatures(nn.Module):
     """A feature vector of the points in each region."""
 
-    def __init__(self, config: NetConfig) -> None:
+    def __init__(self, inner: int, width: int) -> None:
+        """``inner``: features of a point."""
         super().__init__()
-        inner = config.region_width
         self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
         self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
         self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
-        self.form = nn.Linear(2 * inner, config.width)
+        self.form = nn.Linear(2 * inner, width)
 
     def forward(self, points: Float[Tensor, "b t m 6"]) -> Float[Tensor, "b t w"]:
         features = self.point(points)

@@ -50,7 +50,7 @@ def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> No
     assert not (tmp_path / "out" / "report.json").exists()
     assert main(flags) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["steps"], report["options"]["train"]) == (4, 16)
+    assert (report["steps"], report["options"]["train"]) == (4, report["data"]["train"]["count"])
 
 
 def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
