@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.reconstruction.design_codes import encode_design
-from gcd_dataset.loaders import VIEW_FIELDS, Scan
+from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS
@@ -19,6 +19,8 @@ __all__ = [
     "MIRRORED_EDGES",
     "PANEL_CLASSES",
     "PANEL_NAMES",
+    "PICTURES",
+    "PICTURE_SIZE",
     "Derived",
     "derived_arrays",
     "item_fields",
@@ -26,6 +28,7 @@ __all__ = [
 ]
 
 SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
+PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 PANEL_CLASSES = (
     "other",
@@ -109,13 +112,20 @@ def _scan(item: Item) -> np.ndarray:
     return np.asarray(scanned["scan"].numpy())
 
 
+def _pictures(item: Item) -> np.ndarray:
+    shown = Views(n=PICTURES, size=PICTURE_SIZE, maps=(), device="cpu")(item)
+    return np.asarray(shown["views"].numpy())
+
+
 DERIVED: Mapping[str, Derived] = {
     "design": Derived(("design",), _design),
     "panel_classes": Derived(("meta",), _panel_classes),
     "panel_names": Derived(("meta",), _panel_names),
+    "pictures": Derived(VIEW_FIELDS, _pictures),
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
 }
 """``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
+``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

@@ -84,7 +84,10 @@ TASKS = {
             "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
             points=8192, extra=(*NAMED, "scan"),
         ),
-        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
+        Task(
+            "T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=("pose", "pictures"),
+            sizes=(1000, 4000),
+        ),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,

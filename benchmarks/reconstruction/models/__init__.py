@@ -19,6 +19,7 @@ MODELS = {
         "edge_tokens",
         "neural_tailor",
         "parameters",
+        "picture_set",
         "stitches",
         "nearest",
         "typical",

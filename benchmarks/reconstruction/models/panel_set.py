@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
+from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
@@ -66,7 +67,6 @@ Sizes = TypeVar("Sizes", bound="PointConfig")
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
-LAYER_OPTIONS: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 WEIGHTS = {
     "exists": 2.0, "corners": 5.0, "bends": 5.0, "areas": 0.5, "extents": 0.5, "centres": 5.0, "rotations": 1.0,
     "edges": 0.5, "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
@@ -278,9 +278,11 @@ class PanelSet(PointLearner):
         self.decoder = PanelDecoder(config)
 
     def compile_parts(self) -> None:
-        self.tokens.encoder.compile()
-        for layer in self.decoder.layers:
-            layer.compile()
+        # Layer by layer: equal layers share their code. The number of edges differs between batches.
+        for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.layers):
+            part.compile()
+        for layer in (*self.decoder.mover.layers, *self.decoder.seams.layers.layers):
+            layer.compile(dynamic=True)
 
     def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
         return set_loss(self.decoder, self.tokens(batch.points), batch)
@@ -336,11 +338,8 @@ class PointTokens(nn.Module):
     def __init__(self, config: PointConfig) -> None:
         super().__init__()
         self.config = config
-        width, inner = config.width, config.region_width
-        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
-        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
-        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
-        self.form = nn.Linear(2 * inner, width)
+        width = config.width
+        self.features = RegionFeatures(config.region_width, width)
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.encoder = encoder(config)
@@ -353,11 +352,26 @@ class PointTokens(nn.Module):
             offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
             inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
             places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
-        features = self.point(inputs)
-        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
-        features = self.form(self.region(features).amax(dim=2))
-        tokens: Tensor = self.encoder(self.merge(features + self.position(places)).float())
+        tokens: Tensor = self.encoder(self.merge(self.features(inputs) + self.position(places)).float())
         return tokens
+
+
+class RegionFeatures(nn.Module):
+    """A feature vector of the points in each region."""
+
+    def __init__(self, inner: int, width: int) -> None:
+        """``inner``: features of a point."""
+        super().__init__()
+        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
+        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
+        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
+        self.form = nn.Linear(2 * inner, width)
+
+    def forward(self, points: Float[Tensor, "b t m 6"]) -> Float[Tensor, "b t w"]:
+        features = self.point(points)
+        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
+        found: Tensor = self.form(self.region(features).amax(dim=2))
+        return found
 
 
 def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
@@ -388,9 +402,7 @@ class PanelDecoder(nn.Module):
         self.config = config
         width = config.width
         self.queries = nn.Parameter(torch.randn(config.queries, width))
-        self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS) for _ in range(config.layers)
-        )
+        self.layers = nn.ModuleList(DecoderLayer(width, config.heads, 4 * width) for _ in range(config.layers))
         sizes = (1, 2 * config.slots * (1 + BENDS), 2, 3, 6, config.slots + 1, len(PANEL_LABELS))
         self.norm = nn.LayerNorm(width)
         self.heads = nn.ModuleList(
@@ -437,8 +449,7 @@ class EdgeMover(nn.Module):
         self.slot = nn.Embedding(config.slots, width)
         self.tokens = nn.Linear(config.width, width)
         self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
-            for _ in range(config.edge_layers)
+            DecoderLayer(width, config.edge_heads, 4 * width) for _ in range(config.edge_layers)
         )
         self.norm = nn.LayerNorm(width)
         self.head = nn.Linear(width, 2 * (1 + BENDS))
@@ -450,7 +461,7 @@ class EdgeMover(nn.Module):
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
         """``said`` with moved corners and bends, and the features of the edges."""
         features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
-        tokens, hidden = self.tokens(tokens), edges.hidden
+        tokens, hidden = self.tokens(tokens), hiding(edges.hidden)
         for layer in self.layers:
             features = layer(features, tokens, tgt_key_padding_mask=hidden)
         with torch.autocast(features.device.type, enabled=False):
@@ -471,7 +482,7 @@ class SeamHead(nn.Module):
         super().__init__()
         width = config.edge_width
         self.describe = _EdgeFeatures(config, before=width)
-        layer = nn.TransformerEncoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
+        layer = EncoderLayer(width, config.edge_heads, 4 * width)
         self.layers = nn.TransformerEncoder(layer, config.seam_layers, nn.LayerNorm(width), enable_nested_tensor=False)
         self.queries, self.keys = nn.Linear(width, width), nn.Linear(width, width)
         self.turned = nn.Linear(width, width)
@@ -539,7 +550,7 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
 
 def encoder(config: PointConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
-    layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
+    layer = EncoderLayer(config.width, config.heads, 4 * config.width)
     return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
 
 

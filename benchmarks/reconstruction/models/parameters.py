@@ -21,10 +21,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from benchmarks.reconstruction.attention import DecoderLayer
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
-from benchmarks.reconstruction.models.panel_set import CHUNK, LAYER_OPTIONS, NEVER, NetConfig, PointTokens, mean_of
+from benchmarks.reconstruction.models.panel_set import CHUNK, NEVER, NetConfig, PointTokens, mean_of
 from benchmarks.reconstruction.panel_targets import UNIT
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
@@ -179,8 +180,7 @@ class ParameterNet(Learner[Designs, Pattern]):
         queries, width, options = len(PARAMETERS) + len(MEASURES), config.width, int(_TABLE.options.max())
         self.queries = nn.Parameter(torch.randn(queries, width))
         self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS)
-            for _ in range((config.layers + 1) // 2)
+            DecoderLayer(width, config.heads, 4 * width) for _ in range((config.layers + 1) // 2)
         )
         self.norm = nn.LayerNorm(width)
         self.weights = nn.Parameter(torch.randn(queries, width, options) / width)

@@ -1,6 +1,7 @@
 """The panel set network: what its loss ignores, what its answers are, and that it learns."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import pytest
@@ -130,6 +131,24 @@ def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> No
     torch.autograd.backward(torch.stack(list(network.loss(empty[1:]).values())).sum())
     theirs = [p.grad for p in network.parameters() if p.grad is not None]
     assert all(torch.allclose(one, other, atol=1e-4) for one, other in zip(ours, theirs, strict=True))
+
+
+def test_a_step_asks_for_no_value_on_the_device(targets: PanelTargets, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Tensors of the device "meta" have no values: whatever would wait for a GPU to read one raises an error.
+    def assigned(cost: torch.Tensor, asked: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(asked.shape, dtype=torch.int64, device=cost.device)
+
+    def no_autocast(kind: str, *, enabled: bool) -> AbstractContextManager[None]:
+        return nullcontext()  # the device has none
+
+    monkeypatch.setattr("benchmarks.reconstruction.models.panel_set.least_cost", assigned)
+    monkeypatch.setattr(torch, "autocast", no_autocast)
+    meta = torch.device("meta")
+    network, batch = learner().to(meta), targets[:2].with_points(128, torch.Generator()).to(meta)
+    loss = torch.stack(list(network.loss(batch).values())).sum()
+    torch.autograd.backward(loss)
+    with pytest.raises(RuntimeError):
+        loss.item()
 
 
 def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:

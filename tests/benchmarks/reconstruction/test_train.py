@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.reconstruction.train import main
+from benchmarks.reconstruction.train import UNFINISHED, main
 from benchmarks.run import main as run_case
 from gcd_dataset.metrics import mean_scores, score_pattern
 from gcd_dataset.spec import read_pattern
@@ -38,6 +38,19 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     written = (out / "report.json").read_text()
     assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
     assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
+
+
+def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
+    flags = ["panel_set", *SMALL, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
+    assert main([*flags, "--make-only"]) == 0
+    assert len(list((tmp_path / "data").glob("*.npz"))) == 3  # to train, to check, to test
+    assert not list((tmp_path / "out").iterdir())
+    assert main([*flags, "--limit-minutes", "0.0001"]) == UNFINISHED
+    assert (tmp_path / "out" / "checkpoint.pt").exists()
+    assert not (tmp_path / "out" / "report.json").exists()
+    assert main(flags) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["steps"], report["options"]["train"]) == (4, report["data"]["train"]["count"])
 
 
 def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
