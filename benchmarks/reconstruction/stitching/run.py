@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, greedy_by_length, sew
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
@@ -37,6 +37,9 @@ from gcd_dataset.spec import read_pattern, write_pattern
 __all__ = ["main"]
 
 DRAWS = 1000  # of the bootstrap
+CHECKED = 200  # patterns that choose how edges are subdivided
+WATCHED = 32  # of these: patterns that are scored during the training
+CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 SMOKE: dict[str, Any] = {
     "train": 200, "test": 50, "minutes": 0.5, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
 }  # fmt: skip
@@ -50,14 +53,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
-    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
+    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.train))
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
 
     def check(step: int, current: Any) -> Mapping[str, float]:
-        scores = [_score(true, own) for true, own in zip(watched, sew(current.net, watched), strict=True)]
+        some = watched[:WATCHED]
+        scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
     config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
@@ -75,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "steps": trained.steps,
         "train_s": round(trained.seconds, 1),
-        **evaluate(best, tests, out, args.workers),
+        **evaluate(best, tests, out, args.workers, calibrated(best, watched)),
     }
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
@@ -126,10 +130,29 @@ def _config(args: argparse.Namespace) -> StitchConfig:
 # ----------------------------------------------------------------------------------------------------------- the scores
 
 
-def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int) -> dict[str, Any]:
+def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivision:
+    """The subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
+
+    Their edges are joined wherever possible; where none can be, the usual subdivision is returned.
+    """
+    joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
+    if not joined:
+        return Subdivision()
+
+    def f1(way: Subdivision) -> float:
+        answers = sew(learner.net, [entry.pattern for entry in joined], subdivide=way)
+        return float(np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)]))
+
+    return max((Subdivision(logit, revised) for logit in CUT_LOGITS for revised in (False, True)), key=f1)
+
+
+def evaluate(
+    learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, way: Subdivision
+) -> dict[str, Any]:
     """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
 
-    Writes the predicted and the true specifications into folders of ``out``.
+    ``way``: how edges are subdivided for seams n to m. Writes the predicted and the true specifications into folders of
+    ``out``.
     """
     greedy = []
     for pattern in patterns:
@@ -141,7 +164,7 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, wor
     began = time.perf_counter()
     ours = sew(learner.net, patterns)
     seconds = time.perf_counter() - began
-    parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=True)
+    parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=way)
     write(out / "predictions", ours)
     write(out / "truth", patterns)
     write(out / "several" / "predictions", parted)
@@ -160,6 +183,7 @@ def evaluate(learner: StitchLearner, patterns: Sequence[Pattern], out: Path, wor
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),
         "several": _table(several),
+        "subdivision": asdict(way),
         "ms_a_pattern": 1e3 * seconds / len(patterns),
     }
 

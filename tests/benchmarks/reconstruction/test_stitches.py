@@ -12,16 +12,18 @@ from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchLearner,
     StitchNet,
+    Subdivision,
     greedy_by_length,
     mirrored,
     next_on_boundary,
     revealed,
     scaled,
     sew,
+    stretched,
 )
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split, subdivided
+from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
@@ -171,6 +173,36 @@ def test_a_garment_of_twice_the_size_has_edges_of_twice_the_length() -> None:
     assert torch.allclose(steps, batch.lengths, rtol=1e-2)
 
 
+def test_a_taller_garment_in_larger_panels_has_the_lengths_of_its_outline() -> None:
+    pattern = Pattern("two", (rectangle("a", 30, 10), rectangle("b", 50, 20)), ())
+    sizes = torch.tensor([[1.0] * 4 + [2.0] * 4])
+    found = stretched(batch_of(pattern), torch.tensor([4.0]), sizes)
+    assert found.lengths[0].tolist() == pytest.approx([15, 20, 15, 20, 50, 80, 50, 80])
+    steps = found.points.diff(dim=2).norm(dim=-1).sum(dim=-1)
+    assert torch.allclose(steps, found.lengths, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_fourth_variant_has_seams_of_many_parts_and_each_joins_two_edges(seed: int) -> None:
+    """Runs of edges: the part after one end of a seam is sewn to the part before the other end."""
+    pattern = t_shirt()
+    found = subdivided(pattern, np.random.default_rng(seed), share=1.0, most=3, misplaced=0.005, free=True)
+    lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
+    assert 20 <= len(found.seams) <= 40
+    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=0.5) for seam in found.seams)
+    graph = graph_of(found)
+    before = np.argsort(graph.following)
+    runs = [
+        row
+        for row in np.flatnonzero(graph.partners >= 0)
+        if graph.partners[graph.following[row]] == before[graph.partners[row]]
+    ]
+    assert len(runs) >= 20
+    free = sum(len(p.edges) for p in pattern.panels) - 2 * len(pattern.seams)
+    assert (graph.partners < 0).sum() >= 2 * free
+    assert sum(lengths.values()) == pytest.approx(sum(v for p in pattern.panels for v in p.edge_lengths()), rel=1e-3)
+
+
 def test_half_of_the_seams_are_given_the_surest_first() -> None:
     batch = batch_of(t_shirt())
     sure = torch.where(batch.partners >= 0, torch.minimum(batch.partners, torch.arange(32)), 0).float()
@@ -263,6 +295,40 @@ def test_a_cut_moves_to_where_the_lengths_agree() -> None:
     wrong = dict.fromkeys(found.cuts, (0.45,))
     parts = replace(split(found.pattern, wrong), seams=found.parts.seams)
     assert aligned(found.pattern, wrong, parts) == {ref: pytest.approx((0.5,)) for ref in found.cuts}
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.8])
+def test_a_cut_within_a_seam_of_two_whole_edges_is_not_needed(share: float) -> None:
+    """Whatever the needless subdivision, the cut of the cap, which is sewn to two panels, stays."""
+    found = merged(t_shirt())
+    assert found is not None
+    side, other = EdgeRef("front", SIDE_R), EdgeRef("back", SIDE_L)
+    cuts = {**found.cuts, side: (share,), other: (1 - share,), EdgeRef("front", NECK): (share,)}
+    parts = split(found.pattern, cuts)
+    seams = [
+        *(seam for seam in parts.seams if side.panel not in (seam.left.panel, seam.right.panel)),
+        Seam(EdgeRef("front", 1), EdgeRef("back", 8)),
+        Seam(EdgeRef("front", 2), EdgeRef("back", 7)),
+        Seam(EdgeRef("one", CAP_1), EdgeRef("back", ARMHOLE_L)),
+        Seam(EdgeRef("one", CAP_2), EdgeRef("front", ARMHOLE_R + 1)),
+        Seam(EdgeRef("two", CAP_1), EdgeRef("front", ARMHOLE_L + 2)),
+        Seam(EdgeRef("two", CAP_2), EdgeRef("back", ARMHOLE_R)),
+    ]
+    assert needed(found.pattern, cuts, replace(parts, seams=tuple(seams))) == found.cuts
+    assert needed(found.pattern, found.cuts, split(found.pattern, found.cuts)) == {}
+
+
+@pytest.mark.parametrize("way", [Subdivision(), Subdivision(-9.0), Subdivision(-9.0, revised=True)], ids=str)
+def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
+    """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
+    pattern = replace(t_shirt(), seams=())
+    found = sew(net_of(), [pattern], subdivide=way)[0]
+    count = sum(len(p.edges) for p in found.panels) - sum(len(p.edges) for p in pattern.panels)
+    assert (count > 0) == (way.logit < 0)
+    if way.revised:
+        assert count < sum(
+            len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit))[0].panels
+        ) - sum(len(p.edges) for p in pattern.panels)
 
 
 def test_edges_sewn_to_one_panel_are_not_joined() -> None:
