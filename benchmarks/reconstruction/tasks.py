@@ -58,7 +58,14 @@ class Task:
         return self.asked == "pattern"
 
     def load(
-        self, count: int, *, data: Path | None = None, workers: int = 0, tested: int = 0, checked: int = 0, **changes: Any
+        self,
+        count: int,
+        *,
+        data: Path | None = None,
+        workers: int = 0,
+        tested: int = 0,
+        checked: int = 0,
+        **changes: Any,
     ) -> Split:
         """The garments; ``data``: folder that caches them. ``tested``, ``checked``: garments that test and that watch
         a training, 0 for the usual number. ``changes``: other ``options``, for tests."""

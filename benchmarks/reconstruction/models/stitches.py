@@ -80,15 +80,11 @@ WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
 VARIETY = 4  # variants of a garment
-VARIANTS = (0.45, 0.7, 0.8)  # shares of the training garments up to which they are of each variant but the last
-FOREIGN = 3  # number of the variant that is subdivided as another source might
+VARIANTS = (0.5, 0.75, 0.87)  # shares of the training garments up to which they are of each variant but the last
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
-FOREIGN_SHARES = (0.2, 0.5, 0.9)  # shares of the edges that are subdivided in the fourth variant, one by chance
-FOREIGN_CUTS = 3  # most cuts of a seam in the fourth variant
-FOREIGN_MISPLACED = 0.005  # standard deviation of the distance of the cuts on the two sides of a seam, by length
-FOREIGN_STRETCH = 0.06  # standard deviation of the logarithm of a foreign garment's height against its width
-FOREIGN_EASE = 0.01  # standard deviation of the logarithm of a foreign panel's size
+FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
+FOREIGN_CUTS = 2  # most cuts of a seam in the fourth variant
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
 REVISIONS = 3  # most times that needless points of subdivision are taken back
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
@@ -431,18 +427,6 @@ def scaled(batch: EdgeBatch, factors: Float[Tensor, " b"]) -> EdgeBatch:
     )
 
 
-def stretched(batch: EdgeBatch, tall: Float[Tensor, " b"], sizes: Float[Tensor, "b e"]) -> EdgeBatch:
-    """The garments with each panel in another proportion of height to width, and each edge's panel in another size.
-
-    Placements in space stay. An edge becomes longer as the polygon of its points does.
-    """
-    root = tall.sqrt()
-    factors = torch.stack([1 / root, root], dim=-1)[:, None, None] * sizes[..., None, None]
-    points = batch.points * factors
-    before, after = (p.diff(dim=2).norm(dim=-1).sum(dim=-1) for p in (batch.points, points))
-    return replace(batch, points=points, lengths=batch.lengths * after / before.clamp(min=1e-6))
-
-
 def revealed(
     batch: EdgeBatch, shares: Float[Tensor, " b"], sure: Float[Tensor, "b e"], draw: Float[Tensor, "b e"]
 ) -> Int[Tensor, "b e"]:
@@ -512,8 +496,8 @@ class StitchExamples:
     """Garments in four variants: as drawn; with joined edges; parted again; subdivided as another source might.
 
     In the third variant, edges that were joined are parted again at slightly wrong points, as they are where the points
-    are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, unsewn edges are
-    subdivided too, the panels are taller or wider than the generator draws them, and the sides of a seam differ.
+    are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, and unsewn edges are
+    subdivided too.
     """
 
     graphs: PackedGraphs
@@ -541,16 +525,11 @@ class StitchExamples:
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
         kinds = (kind[:, None] > torch.tensor(VARIANTS, device=device)).sum(dim=1)
-        tall = torch.exp(FOREIGN_STRETCH * torch.randn(len(self), generator=there, device=device))[at]
-        ease = torch.exp(FOREIGN_EASE * torch.randn(len(draw), generator=there, device=device))
         variants = VARIETY * at + kinds
         order = self.graphs.counts[variants].argsort()
         parts, shares, draws = [], [], []
         for chunk in order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,):
             part = scaled(mirrored(self.graphs[variants[chunk]], flip[chunk] < 0.5), sizes[chunk])
-            foreign = kinds[chunk] == FOREIGN
-            own = self.graphs.padded(ease, variants[chunk]).gather(1, part.panels.clamp(min=0))
-            part = stretched(part, torch.where(foreign, tall[chunk], 1.0), torch.where(foreign[:, None], own, 1.0))
             alone = (part.cuts >= 0).flatten(1).any(dim=1) | (self.config.rounds == 1)
             parts.append(part)
             shares.append(torch.where(alone, 0.0, (2 * share[chunk] - 1).clamp(min=0)))
@@ -638,7 +617,7 @@ def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
         again = replace(split(joined.pattern, moved), seams=joined.parts.seams)
     graphs.append(graph_of(subdivided(again, rng, share=SUBDIVIDED)))
     share = float(rng.choice(FOREIGN_SHARES))
-    foreign = subdivided(pattern, rng, share=share, most=FOREIGN_CUTS, misplaced=FOREIGN_MISPLACED, free=True)
+    foreign = subdivided(pattern, rng, share=share, most=FOREIGN_CUTS, free=True)
     graphs.append(graph_of(foreign))
     return graphs
 
@@ -659,8 +638,8 @@ def sew(
     """The patterns with predicted seams instead of their own.
 
     ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: how edges are subdivided, for seams that
-    join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of the edges in a loop,
-    cannot help; it breaks ties between equally likely seams.
+    join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
+    the edges in a loop, cannot help; it breaks ties between equally likely seams.
     """
     bare = [replace(pattern, seams=()) for pattern in patterns]
     if subdivide is None:

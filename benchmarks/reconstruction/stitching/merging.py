@@ -114,19 +114,18 @@ def split(pattern: Pattern, cuts: Cuts) -> Pattern:
 
 
 def subdivided(
-    pattern: Pattern, rng: np.random.Generator, *, share: float, most: int = 1, misplaced: float = 0.0, free: bool = False
+    pattern: Pattern, rng: np.random.Generator, *, share: float, most: int = 1, free: bool = False
 ) -> Pattern:
     """The pattern with a random share of the seams subdivided, each side at the same places of the seam.
 
-    ``most``: most cuts of a seam, whose number is uniform. ``misplaced``: standard deviation of the distance of the
-    places on the two sides, by length. ``free``: the same share of the unsewn edges is subdivided too.
+    ``most``: most cuts of a seam, whose number is uniform. ``free``: the same share of the unsewn edges is subdivided
+    too.
     """
     cuts: dict[EdgeRef, tuple[float, ...]] = {}
     for seam in (seam for seam in pattern.seams if rng.random() < share):
         at = _places(rng, most)
-        other = at + np.clip(misplaced * rng.standard_normal(len(at)), -LEAST_PART / 3, LEAST_PART / 3)
         cuts[seam.left] = tuple(at.tolist())
-        cuts[seam.right] = tuple((other if seam.right_wrong else 1 - other[::-1]).tolist())
+        cuts[seam.right] = tuple((at if seam.right_wrong else 1 - at[::-1]).tolist())
     if free:
         sewn = {side for seam in pattern.seams for side in (seam.left, seam.right)}
         cuts |= {

@@ -53,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
-    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.train))
+    split = TASKS["T3"].load(
+        args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.train)
+    )
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))

@@ -19,7 +19,6 @@ from benchmarks.reconstruction.models.stitches import (
     revealed,
     scaled,
     sew,
-    stretched,
 )
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
@@ -173,23 +172,14 @@ def test_a_garment_of_twice_the_size_has_edges_of_twice_the_length() -> None:
     assert torch.allclose(steps, batch.lengths, rtol=1e-2)
 
 
-def test_a_taller_garment_in_larger_panels_has_the_lengths_of_its_outline() -> None:
-    pattern = Pattern("two", (rectangle("a", 30, 10), rectangle("b", 50, 20)), ())
-    sizes = torch.tensor([[1.0] * 4 + [2.0] * 4])
-    found = stretched(batch_of(pattern), torch.tensor([4.0]), sizes)
-    assert found.lengths[0].tolist() == pytest.approx([15, 20, 15, 20, 50, 80, 50, 80])
-    steps = found.points.diff(dim=2).norm(dim=-1).sum(dim=-1)
-    assert torch.allclose(steps, found.lengths, rtol=1e-5)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_fourth_variant_has_seams_of_many_parts_and_each_joins_two_edges(seed: int) -> None:
     """Runs of edges: the part after one end of a seam is sewn to the part before the other end."""
     pattern = t_shirt()
-    found = subdivided(pattern, np.random.default_rng(seed), share=1.0, most=3, misplaced=0.005, free=True)
+    found = subdivided(pattern, np.random.default_rng(seed), share=1.0, most=3, free=True)
     lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
     assert 20 <= len(found.seams) <= 40
-    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=0.5) for seam in found.seams)
+    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=1e-2) for seam in found.seams)
     graph = graph_of(found)
     before = np.argsort(graph.following)
     runs = [
@@ -322,12 +312,12 @@ def test_a_cut_within_a_seam_of_two_whole_edges_is_not_needed(share: float) -> N
 def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
     """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
     pattern = replace(t_shirt(), seams=())
-    found = sew(net_of(), [pattern], subdivide=way)[0]
+    found = sew(net_of(), [pattern], subdivide=way, rounds=1)[0]
     count = sum(len(p.edges) for p in found.panels) - sum(len(p.edges) for p in pattern.panels)
     assert (count > 0) == (way.logit < 0)
     if way.revised:
         assert count < sum(
-            len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit))[0].panels
+            len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit), rounds=1)[0].panels
         ) - sum(len(p.edges) for p in pattern.panels)
 
 
