@@ -12,7 +12,7 @@ from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.loaders import GeneratedGarments
 
 CONFIG = StitchConfig(width=96, heads=4, layers=3, pair_width=24)
-DRAWN = 24
+DRAWN = 48
 MOST_EDGES = 40  # attention takes time as the square of it
 
 
@@ -26,7 +26,7 @@ def test_all_stitches_of_eight_patterns_are_right(monkeypatch: pytest.MonkeyPatc
     assert len(arrays) == 8
     torch.manual_seed(0)
     learner, device = StitchLearner(CONFIG), torch.device("cpu")
-    config = TrainConfig(steps=500, batch=8, lr=2e-3, ema=0.98)
+    config = TrainConfig(steps=1200, batch=8, lr=2e-3, ema=0.98)
     trained = train(learner, learner.examples(arrays, device=device), config, device=device)
     assert isinstance(trained.learner, StitchLearner)
     for k, pattern in enumerate(sew(trained.learner.net, [pattern_of(entry) for entry in arrays])):

@@ -29,6 +29,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
 from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import (
     MAX_CUTS,
     SAMPLES,
@@ -84,6 +85,7 @@ VARIANTS = (0.5, 0.75, 0.87)  # shares of the training garments up to which they
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
+GLUED = 0.7  # share of the straight seams in the fourth variant whose panels become one
 FOREIGN_CUTS = 2  # most cuts of a seam in the fourth variant
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
 REVISIONS = 3  # most times that needless points of subdivision are taken back
@@ -496,8 +498,8 @@ class StitchExamples:
     """Garments in four variants: as drawn; with joined edges; parted again; subdivided as another source might.
 
     In the third variant, edges that were joined are parted again at slightly wrong points, as they are where the points
-    are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, and unsewn edges are
-    subdivided too.
+    are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, unsewn edges are
+    subdivided too, and panels that a straight seam joins are one.
     """
 
     graphs: PackedGraphs
@@ -618,7 +620,7 @@ def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
     graphs.append(graph_of(subdivided(again, rng, share=SUBDIVIDED)))
     share = float(rng.choice(FOREIGN_SHARES))
     foreign = subdivided(pattern, rng, share=share, most=FOREIGN_CUTS, free=True)
-    graphs.append(graph_of(foreign))
+    graphs.append(glued(graph_of(foreign), rng, share=GLUED))
     return graphs
 
 

@@ -20,6 +20,7 @@ from benchmarks.reconstruction.models.stitches import (
     scaled,
     sew,
 )
+from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
@@ -285,6 +286,23 @@ def test_a_cut_moves_to_where_the_lengths_agree() -> None:
     wrong = dict.fromkeys(found.cuts, (0.45,))
     parts = replace(split(found.pattern, wrong), seams=found.parts.seams)
     assert aligned(found.pattern, wrong, parts) == {ref: pytest.approx((0.5,)) for ref in found.cuts}
+
+
+def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
+    left, right, belt = rectangle("left", 20, 60), rectangle("right", 20, 60), rectangle("belt", 20, 5)
+    seams = (Seam(EdgeRef("left", 1), EdgeRef("right", 3)), Seam(EdgeRef("right", 2), EdgeRef("belt", 0)))
+    found = glued(graph_of(Pattern("p", (left, right, belt), seams[:1])), np.random.default_rng(0), share=1.0)
+    assert found.panels.tolist() == [0] * 6 + [1] * 4
+    whole = found.points[:6].reshape(-1, 2)
+    assert np.ptp(whole, axis=0) == pytest.approx([40, 60], abs=1e-3)
+    assert np.abs(whole).max(axis=0) == pytest.approx([20, 30], abs=1e-3)
+    ends = found.points[found.following[:6], 0]
+    assert found.points[:6, -1] == pytest.approx(ends, abs=1e-3)
+    assert sorted(found.lengths[:6].tolist()) == pytest.approx([20, 20, 20, 20, 60, 60])
+    both = graph_of(Pattern("p", (left, right, belt), seams))
+    assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
+    assert len(glued(both, np.random.default_rng(0), share=0.0).lengths) == 12
+    assert (glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners).all()
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35, 0.8])
