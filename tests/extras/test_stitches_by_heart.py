@@ -1,4 +1,4 @@
-"""Eight generated patterns, learnt by heart: all stitches are right, up to the symmetries of the panels (a minute)."""
+"""Eight generated patterns, learnt by heart: all stitches are right, up to the symmetries of the panels (80 s)."""
 
 import pytest
 import torch
@@ -11,13 +11,13 @@ from benchmarks.reconstruction.stitching.symmetry import score_stitches
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.loaders import GeneratedGarments
 
-CONFIG = StitchConfig(width=96, heads=4, layers=3, pair_width=24)
+CONFIG = StitchConfig(width=96, heads=4, layers=4, pair_width=32)
 DRAWN = 48
 MOST_EDGES = 40  # attention takes time as the square of it
 
 
 def test_all_stitches_of_eight_patterns_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stitches, "VARIANTS", (1.0, 1.0, 1.0))  # as drawn: these are the patterns that are asked for
+    monkeypatch.setattr(stitches, "VARIANTS", (1.0, 1.0))  # as drawn: these are the patterns that are asked for
     names = ("panels", "edges", "stitches")
     garments = GeneratedGarments(DRAWN, 0, drape=None, stage="pattern", fields=names, dtype=None)
     items = (garments[k] for k in range(DRAWN))
@@ -26,7 +26,7 @@ def test_all_stitches_of_eight_patterns_are_right(monkeypatch: pytest.MonkeyPatc
     assert len(arrays) == 8
     torch.manual_seed(0)
     learner, device = StitchLearner(CONFIG), torch.device("cpu")
-    config = TrainConfig(steps=1200, batch=8, lr=2e-3, ema=0.98)
+    config = TrainConfig(steps=1600, batch=8, lr=1.5e-3, ema=0.98)
     trained = train(learner, learner.examples(arrays, device=device), config, device=device)
     assert isinstance(trained.learner, StitchLearner)
     for k, pattern in enumerate(sew(trained.learner.net, [pattern_of(entry) for entry in arrays])):

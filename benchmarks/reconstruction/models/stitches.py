@@ -80,8 +80,8 @@ CUT_BINS = 24  # an edge has at most one cut in each
 WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
-VARIETY = 4  # variants of a garment
-VARIANTS = (0.5, 0.75, 0.87)  # shares of the training garments up to which they are of each variant but the last
+VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
+MOST_FOREIGN = 0.25  # largest share of the fourth variant, which takes the place of the third
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
@@ -114,6 +114,17 @@ class StitchConfig:
     """Probability of the seams that are fixed together in a round."""
     placed: bool = False
     """Whether the network sees the placement of the panels in space (variant B)."""
+    foreign: float = 0.0
+    """Share of the training garments that are subdivided as another source might, at most 0.25."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.foreign <= MOST_FOREIGN:
+            raise ConfigError(f"foreign is {self.foreign}: give a share between 0 and {MOST_FOREIGN}")
+
+    @property
+    def variety(self) -> int:
+        """Variants of a training garment."""
+        return 4 if self.foreign else 3
 
     @staticmethod
     def autosew(*, placed: bool = False) -> "StitchConfig":
@@ -495,7 +506,7 @@ class StitchBatch:
 
 @dataclass(frozen=True)
 class StitchExamples:
-    """Garments in four variants: as drawn; with joined edges; parted again; subdivided as another source might.
+    """Garments in variants: as drawn; with joined edges; parted again; and, if asked for, as of another source.
 
     In the third variant, edges that were joined are parted again at slightly wrong points, as they are where the points
     are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, unsewn edges are
@@ -503,7 +514,7 @@ class StitchExamples:
     """
 
     graphs: PackedGraphs
-    """Four rows for each garment."""
+    """As many rows for each garment as there are variants."""
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
@@ -516,7 +527,7 @@ class StitchExamples:
         device = self.graphs.counts.device
         at = rows.to(device)
         if chance is None:
-            part = self.graphs[VARIETY * at]
+            part = self.graphs[self.config.variety * at]
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
             return StitchBatch(
                 (part,), (torch.zeros(len(at), device=device),), (torch.zeros_like(part.lengths),), patterns
@@ -526,8 +537,9 @@ class StitchExamples:
         kind, flip, share = torch.rand(3, len(self), generator=there, device=device)[:, at]
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
-        kinds = (kind[:, None] > torch.tensor(VARIANTS, device=device)).sum(dim=1)
-        variants = VARIETY * at + kinds
+        limits = torch.tensor((*VARIANTS, 1 - self.config.foreign), device=device)
+        kinds = (kind[:, None] > limits).sum(dim=1)
+        variants = self.config.variety * at + kinds
         order = self.graphs.counts[variants].argsort()
         parts, shares, draws = [], [], []
         for chunk in order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,):
@@ -554,7 +566,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
 
     def examples(self, patterns: Sequence[Arrays], *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of patterns, given as arrays, and of their variants."""
-        jobs = list(enumerate(patterns))
+        jobs = [(number, arrays, self.net.config.foreign > 0) for number, arrays in enumerate(patterns)]
         if workers > 1:
             with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
                 found = list(pool.map(_variants, jobs, chunksize=32))
@@ -604,9 +616,9 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
     return StitchLearner(StitchConfig(**given))
 
 
-def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
-    """Graphs of a pattern: as drawn, with joined edges, subdivided elsewhere, and subdivided as a foreign one."""
-    number, arrays = job
+def _variants(job: tuple[int, Arrays, bool]) -> list[EdgeGraph]:
+    """Graphs of a pattern: as drawn, with joined edges, subdivided elsewhere, and as of another source."""
+    number, arrays, with_foreign = job
     pattern, rng = pattern_of(arrays), np.random.default_rng(number)
     joined, again = merged(pattern, rng), pattern
     graphs = [graph_of(pattern)] * 2
@@ -618,6 +630,8 @@ def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
         }
         again = replace(split(joined.pattern, moved), seams=joined.parts.seams)
     graphs.append(graph_of(subdivided(again, rng, share=SUBDIVIDED)))
+    if not with_foreign:
+        return graphs
     share = float(rng.choice(FOREIGN_SHARES))
     foreign = subdivided(pattern, rng, share=share, most=FOREIGN_CUTS, free=True)
     graphs.append(glued(graph_of(foreign), rng, share=GLUED))

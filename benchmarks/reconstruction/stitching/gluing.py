@@ -54,9 +54,7 @@ def _straight(points: Complex[np.ndarray, " n"]) -> bool:
     return bool(np.abs(((points - points[0]) * np.conj(chord / abs(chord))).imag).max() <= STRAIGHT)
 
 
-def _moved(
-    points: Complex[np.ndarray, "e n"], one: int, other: int, rows: np.ndarray
-) -> Complex[np.ndarray, "e n"]:
+def _moved(points: Complex[np.ndarray, "e n"], one: int, other: int, rows: np.ndarray) -> Complex[np.ndarray, "e n"]:
     """The points with the panel of ``other`` turned and moved so that its edge runs along ``one``, against it."""
     turn = (points[one, 0] - points[one, -1]) / (points[other, -1] - points[other, 0])
     middle, goal = points[other, [0, -1]].mean(), points[one, [0, -1]].mean()
@@ -64,7 +62,9 @@ def _moved(
     return np.where(rows[:, None], placed, points)
 
 
-def _outline(points: Complex[np.ndarray, "e n"], following: Int[np.ndarray, " e"], first: int) -> Float[np.ndarray, "m 2"]:
+def _outline(
+    points: Complex[np.ndarray, "e n"], following: Int[np.ndarray, " e"], first: int
+) -> Float[np.ndarray, "m 2"]:
     """Points of the loop that begins with an edge."""
     loop, row = [first], int(following[first])
     while row != first:

@@ -112,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--heads", 8, "heads of a layer")
     option("--layers", 8, "layers")
     option("--pair-width", 48, "features of a pair of edges")
+    option("--foreign", 0.0, "share of the training patterns that are subdivided as another source might, at most 0.25")
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
     option("--device", "auto", "auto, cpu or cuda:0")
@@ -125,7 +126,7 @@ def _config(args: argparse.Namespace) -> StitchConfig:
         return StitchConfig.autosew(placed=args.placed)
     return StitchConfig(
         width=args.width, heads=args.heads, layers=args.layers, pair_width=args.pair_width, placed=args.placed,
-        rounds=1 if args.one_round else StitchConfig().rounds,
+        rounds=1 if args.one_round else StitchConfig().rounds, foreign=args.foreign,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
 from gcd_dataset.validate import check_pattern
@@ -222,6 +223,23 @@ def test_sinkhorn_gives_each_edge_one_partner_in_the_mean() -> None:
     assert torch.allclose(choices.sum(dim=-1), torch.ones(26), atol=1e-3)
 
 
+@pytest.mark.parametrize("foreign", [0.0, 0.25])
+def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None:
+    """All edges of the square tube's belts are seen whole, unless a quarter of the garments is subdivided."""
+    learner = StitchLearner(replace(SMALL, foreign=foreign))
+    examples = learner.examples([encode(tube())] * 12, device=torch.device("cpu"))
+    assert len(examples.graphs) == 12 * (4 if foreign else 3)
+    counts = {
+        count
+        for seed in range(8)
+        for part in examples.batch(torch.arange(12), torch.Generator().manual_seed(seed)).parts
+        for count in part.valid.sum(dim=1).tolist()
+    }
+    assert (max(counts) > 20) == (foreign > 0)
+    with pytest.raises(ConfigError, match="foreign"):
+        replace(SMALL, foreign=0.5)
+
+
 def test_a_step_of_training_lowers_the_loss_of_the_same_batch() -> None:
     torch.manual_seed(0)
     learner = StitchLearner(SMALL)
@@ -302,7 +320,9 @@ def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
     both = graph_of(Pattern("p", (left, right, belt), seams))
     assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
     assert len(glued(both, np.random.default_rng(0), share=0.0).lengths) == 12
-    assert (glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners).all()
+    assert (
+        glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners
+    ).all()
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35, 0.8])
