@@ -29,7 +29,7 @@ def glued(graph: EdgeGraph, rng: np.random.Generator, *, share: float) -> EdgeGr
     points = graph.points.astype(float) @ np.array([1, 1j])
     following, panels = graph.following.copy(), graph.panels.copy()
     gone = np.zeros(len(panels), bool)
-    for one in np.flatnonzero(graph.partners > np.arange(len(panels))):
+    for one in np.flatnonzero(graph.partners > np.arange(len(panels))).tolist():
         other = int(graph.partners[one])
         if panels[one] == panels[other] or graph.right_wrong[one] or rng.random() >= share:
             continue
@@ -51,6 +51,8 @@ def glued(graph: EdgeGraph, rng: np.random.Generator, *, share: float) -> EdgeGr
 
 def _straight(points: Complex[np.ndarray, " n"]) -> bool:
     chord = points[-1] - points[0]
+    if abs(chord) < STRAIGHT:
+        return False
     return bool(np.abs(((points - points[0]) * np.conj(chord / abs(chord))).imag).max() <= STRAIGHT)
 
 
@@ -70,7 +72,7 @@ def _outline(
     while row != first:
         loop.append(row)
         row = int(following[row])
-    along = points[loop, :-1].ravel()
+    along = points[np.array(loop), :-1].ravel()
     return np.stack([along.real, along.imag], axis=1)
 
 

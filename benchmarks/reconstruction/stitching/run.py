@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
     split = TASKS["T3"].load(
-        args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.train)
+        args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.test)
     )
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
