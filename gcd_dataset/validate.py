@@ -19,7 +19,7 @@ from gcd_dataset.curves import LINE, Arc, curve_length
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
-__all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
+__all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: shorter edges have defeated cloth simulators (a fifth of published patterns have one)
 LARGEST = 1000.0  # cm: a panel ten metres across is in the wrong unit

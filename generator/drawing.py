@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from gcd_dataset.errors import ConfigError
@@ -16,6 +16,7 @@ from gcd_dataset.records import Pattern, Sample
 __all__ = [
     "contact_sheet",
     "design_sheet",
+    "draw_body",
     "draw_pattern",
     "jpeg_bytes",
     "picture_of",
@@ -25,6 +26,9 @@ __all__ = [
 
 JPEG_QUALITY = 92
 SUPERSAMPLING = 3  # flat drawings are drawn at this multiple of their size, then scaled down
+BODY_SUPERSAMPLING = 2
+SKIN = (207, 196, 184)
+TINY = 1e-9  # least divisor
 CAPTION = 16  # height of the strip for a caption [pixels]
 
 
@@ -50,6 +54,31 @@ def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w
         font = _font(piece.panel.name, scale * room, pixels / 48)
         canvas.text(to_pixels(piece, centre[None])[0], piece.panel.name, fill=INK, font=font, anchor="mm")
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
+
+
+def draw_body(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], *, height: int = 300
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A body from the front, shaded by the slope of its surface; ``height`` pixels, as wide as the body."""
+    pixels, margin = BODY_SUPERSAMPLING * height, 0.02
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    scale = (1 - 2 * margin) * pixels / max(float(high[1] - low[1]), TINY)
+    width = int(np.ceil(scale * float(high[0] - low[0]) + 2 * margin * pixels))
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), TINY)
+    seen = np.flatnonzero(facing > 0)
+    seen = seen[np.argsort(corners[seen, :, 2].mean(axis=1))]  # painter's algorithm: far faces first
+    x = scale * (corners[..., 0] - low[0]) + margin * pixels
+    y = (1 - margin) * pixels - scale * (corners[..., 1] - low[1])
+    shades = (np.array(SKIN) * (0.55 + 0.45 * facing[:, None])).astype(int)
+    image = Image.new("RGB", (width, pixels), PAPER)
+    canvas = ImageDraw.Draw(image)
+    triangles = np.stack([x, y], axis=-1)[seen].reshape(-1, 6)
+    for triangle, shade in zip(triangles.tolist(), shades[seen].tolist(), strict=True):
+        canvas.polygon(triangle, fill=tuple(shade))
+    size = (-(-width // BODY_SUPERSAMPLING), height)
+    return np.asarray(image.resize(size, Image.Resampling.LANCZOS))
 
 
 def contact_sheet(

@@ -1,5 +1,6 @@
 """Lay plans: the panels of a pattern side by side on a sheet, with positions for names and grain lines."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,7 +33,7 @@ class SheetPanel:
         """Points along an edge, both ends included, in the panel's plane [cm]."""
         return _edge_points(self.panel, index)
 
-    @property
+    @functools.cached_property
     def outline(self) -> Float[np.ndarray, "n 2"]:
         """Points along all edges, each corner once, in the panel's plane [cm]."""
         return _outline(self.panel)

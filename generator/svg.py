@@ -13,7 +13,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.colours import INK, RGB, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
+from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern
 
 __all__ = ["pattern_svg"]
@@ -30,12 +30,13 @@ TINY = 1e-9  # cm: least divisor, for edges without length
 Node = ElementTree.Element
 
 
-def pattern_svg(pattern: Pattern) -> bytes:
+def pattern_svg(pattern: Pattern, plan: LayPlan | None = None) -> bytes:
     """The panels side by side with names and grain lines; edges sewn together share a colour and a number.
 
-    The number is the seam's index in the pattern, and the index of its stitch in a specification file.
+    The number is the seam's index in the pattern, and the index of its stitch in a specification file. ``plan``: the
+    pattern's ``lay_out``, where it is known.
     """
-    plan = lay_out(pattern)
+    plan = plan or lay_out(pattern)
     width, height = plan.width + 2 * MARGIN, plan.height + 2 * MARGIN
     root = ElementTree.Element(
         "svg",

@@ -20,10 +20,11 @@ from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform
 from gcd_dataset.loaders.indexing import index_from_key
-from gcd_dataset.records import Drape, Measurements, Outcome, Pattern, Provenance, Sample
+from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.read_garment import PublishedGarment
+from gcd_dataset.release.wearers import published_body
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_partial_sample, encode_sample
 from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
@@ -142,6 +143,15 @@ class PublishedGarmentCodeData(Garments):
     def sample(self, index: int) -> Sample:
         """Garment ``index`` with everything published. Raises ``ShardError``, ``IndexError``."""
         return self._sample(self._position(index), MEMBERS)
+
+    def body(self, index: int) -> Body:
+        """The body that garment ``index`` was draped on. Raises ``BodyError`` where its mesh is not on disk.
+
+        Of random bodies the release has the meshes in an archive of their own. The authors lifted some bodies, and
+        their garments with them; here soles are at y = 0.
+        """
+        garment = self._garments.garment(self._position(index))
+        return published_body(self._garments.batches.root, garment.body_name)
 
     def _description(self) -> list[str]:
         return [str(self._garments.batches.release)]

@@ -17,6 +17,7 @@ CASES: Mapping[str, str] = {
     "fabrics": "benchmarks.cases.fabrics",
     "fleet": "benchmarks.cases.fleet",
     "generated": "benchmarks.cases.generated",
+    "imports": "benchmarks.cases.imports",
     "libraries": "benchmarks.cases.libraries",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",
@@ -26,6 +27,7 @@ CASES: Mapping[str, str] = {
     "reconstruction": "benchmarks.cases.reconstruction",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
+    "viewer": "benchmarks.cases.viewer",
 }
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 

@@ -137,7 +137,11 @@ def _min_clearance(*poses: Body) -> float:
 
 def _costs(people: Sequence[DrawnBody]) -> list[Figure]:
     return [
-        Figure("mesh_cpu_ms", 1e3 * float(np.mean([p.mesh_seconds for p in people])), "ms, drawing a shape and building its mesh"),
+        Figure(
+            "mesh_cpu_ms",
+            1e3 * float(np.mean([p.mesh_seconds for p in people])),
+            "ms, drawing a shape and building its mesh",
+        ),
         Figure("measure_cpu_ms", 1e3 * float(np.mean([p.measure_seconds for p in people])), "ms, all 26 measures"),
     ]
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcd_dataset.loaders import VIEW_FIELDS, Scan
+from benchmarks.reconstruction.design_codes import encode_design
+from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS
@@ -17,6 +18,9 @@ __all__ = [
     "MIRRORED",
     "MIRRORED_EDGES",
     "PANEL_CLASSES",
+    "PANEL_NAMES",
+    "PICTURES",
+    "PICTURE_SIZE",
     "Derived",
     "derived_arrays",
     "item_fields",
@@ -24,6 +28,7 @@ __all__ = [
 ]
 
 SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
+PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 PANEL_CLASSES = (
     "other",
@@ -36,7 +41,16 @@ PANEL_CLASSES = (
     "wb_front", "wb_back", "skirt_front", "skirt_back", "skirt_panel", "ins_skirt_front", "ins_skirt_back",
 )  # fmt: skip
 """Names of panels without numbers, the classes of task T4; ``other`` for names that are not listed."""
+MOST_NUMBERED: Mapping[str, int] = {
+    "skirt_panel": 15, "skirt_front": 5, "skirt_back": 5, "ins_skirt_front": 6, "ins_skirt_back": 6,
+}  # fmt: skip
+PANEL_NAMES = (
+    *(name for name in PANEL_CLASSES if name not in ("other", "skirt_panel", "ins_skirt_front", "ins_skirt_back")),
+    *(f"{name}_{number}" for name, count in MOST_NUMBERED.items() for number in range(count)),
+)
+"""All names of panels that the generator draws, which are GarmentCode's; a garment has each at most once."""
 SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
+ROW_OF_NAME = {name: row for row, name in enumerate(PANEL_NAMES)}
 CLASS_OF = {name: row for row, name in enumerate(PANEL_CLASSES)}
 MIRRORED = tuple(
     CLASS_OF.get(re.sub("left|right|_[lr](?=_|$)", lambda found: SIDES[found[0]], name), row)
@@ -80,6 +94,14 @@ def _panel_classes(item: Item) -> np.ndarray:
     return np.array([panel_class(name) for name in item["meta"]["panel_names"]], np.int32)
 
 
+def _panel_names(item: Item) -> np.ndarray:
+    return np.array([ROW_OF_NAME.get(name, -1) for name in item["meta"]["panel_names"]], np.int32)
+
+
+def _design(item: Item) -> np.ndarray:
+    return encode_design(item["design"])[None]
+
+
 def _pose(item: Item) -> np.ndarray:
     pose = item["meta"]["pose"]
     return np.array([[pose["arm_angle"], float(pose["legs_apart"])]], np.float32)
@@ -90,10 +112,20 @@ def _scan(item: Item) -> np.ndarray:
     return np.asarray(scanned["scan"].numpy())
 
 
+def _pictures(item: Item) -> np.ndarray:
+    shown = Views(n=PICTURES, size=PICTURE_SIZE, maps=(), device="cpu")(item)
+    return np.asarray(shown["views"].numpy())
+
+
 DERIVED: Mapping[str, Derived] = {
+    "design": Derived(("design",), _design),
     "panel_classes": Derived(("meta",), _panel_classes),
+    "panel_names": Derived(("meta",), _panel_names),
+    "pictures": Derived(VIEW_FIELDS, _pictures),
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
 }
-"""``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
+"""``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
+``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
+``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

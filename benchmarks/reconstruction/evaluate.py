@@ -45,6 +45,8 @@ __all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "row_o
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
+BY_NAME = {"neuraltailor", "aipparel"}
+"""Presets that match panels, or the panels of seams, by name."""
 SEAMS = (
     "stitch_p", "stitch_r", "stitch_f1", "stitch_nm_p", "stitch_nm_r", "stitch_nm_f1", "garment_perfect",
     "topology_exact", "seam_mismatch",
@@ -93,6 +95,12 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
         garments = list(_with_bar(_draped(garments, wearers, inputs, options), len(garments), "draped", options.quiet))
     figures, kinds = summaries(garments), summaries_by_kind(garments)
     presets = {preset: _preset(preset, garments) for preset in options.preset}
+    if (named := sorted(BY_NAME & presets.keys())) and not any(map(_shares_a_name, garments)):
+        print(
+            f"evaluate: preset {', '.join(named)} matches panels by name, and no predicted panel has the name of a "
+            "true one: rename them, or import them with --panels",
+            file=sys.stderr,
+        )
     if options.json is not None:
         tree = tree_of(garments, figures, kinds, presets, _settings(options))
         write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
@@ -208,6 +216,13 @@ def _preset(preset: str, garments: Sequence[Scored]) -> dict[str, float]:
     legacy = import_module("gcd_dataset.metrics.legacy")
     predicted, true = [garment.predicted for garment in garments], [garment.true for garment in garments]
     return dict(legacy.legacy_scores(preset, predicted, true))
+
+
+def _shares_a_name(garment: Scored) -> bool:
+    ours, theirs = (
+        {panel.name for panel in pattern.panels} if pattern else set() for pattern in (garment.predicted, garment.true)
+    )
+    return bool(ours & theirs)
 
 
 def _with_bar(scored: Iterable[Scored], total: int, word: str, quiet: bool) -> Iterator[Scored]:

@@ -51,6 +51,7 @@ FIELDS = ("meta", "design", "measures", "body", *PATTERN)
 LOG_EVERY = 1000  # garments
 MOST_FRESH = 1_000_000  # garments of a stream
 TOGETHER = 16  # garments that a worker sends together
+PORTION = 2000  # garments that are made before the cache is written again
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +215,7 @@ def generated(
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
 
     ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set; a larger set there
-    holds the smaller one.
+    holds the smaller one. It is written after each ``PORTION`` garments: a stopped call continues there.
     ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
     ``mesh``.
     """
@@ -227,10 +228,12 @@ def generated(
     path = None if cache is None else make_folder(cache) / f"generated-{_digest(recipe)}.npz"
     kept = None if path is None or not path.exists() else GarmentSet.load(path)
     made = 0 if kept is None else int(kept.recipe["made"])
-    if kept is None or made < count:
-        rest = read_garments(whole.select(range(made, count)), points=points, extra=extra, workers=workers)
+    portion = count if path is None else PORTION
+    while kept is None or made < count:
+        following = whole.select(range(made, made := min(count, made + portion)))
+        rest = read_garments(following, points=points, extra=extra, workers=workers)
         kept = rest if kept is None else GarmentSet.join([kept, rest])
-        kept = replace(kept, recipe={**recipe, "made": count})
+        kept = replace(kept, recipe={**recipe, "made": made})
         if path is not None:
             kept.save(path)
     wanted = [k for k, key in enumerate(kept.keys) if int(key.rsplit("_", 1)[1]) < count]

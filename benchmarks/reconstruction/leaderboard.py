@@ -4,10 +4,12 @@
     python -m benchmarks.reconstruction.leaderboard --add OUT/report.json --command "python -m … --out OUT"
 
 ``--add`` copies the results of ``train`` or ``stitching.run`` into ``benchmarks/reports/learning``, with command,
-commit and date. From the files there the reports ``learning_T0.md`` … and ``leaderboard.md`` are written.
+commit and date. From the files there the reports ``learning_T0.md`` …, their curves over the number of garments and
+``leaderboard.md`` are written.
 """
 
 import argparse
+import io
 import json
 import subprocess
 import sys
@@ -21,16 +23,38 @@ from benchmarks.reconstruction.tasks import TASKS
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 
-__all__ = ["Entry", "add", "main", "pages", "read_entries"]
+__all__ = [
+    "REPORTS",
+    "RESULTS",
+    "Entry",
+    "add",
+    "commit_here",
+    "curves",
+    "main",
+    "pages",
+    "read_entries",
+    "write_pages",
+]
 
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
 HEADLINES: Mapping[str, Sequence[str]] = {
     "T3": ("f1_symmetric", "perfect_symmetric", "f1_several_symmetric"),
+    "T4": ("panel_label", "seam_f1", "edge_label"),
+    "T5": ("error_cm", "error_degrees"),
+    "T6": ("error_cm", "within_1cm", "ms"),
 }
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "panel_count_acc")
+LOWER = ("error_cm", "error_degrees", "ms")
+"""Scores of which the lower is the better."""
+PROGRAMS = (
+    "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
+    "answers with similar ones that they draw. `neural_tailor` follows the paper, with extensions that its docstring "
+    "lists."
+)
 NOTES: Mapping[str, str] = {
+    **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),
     "T3": "`f1` compares edges by name; `f1_symmetric` accepts answers in which panels of equal shape are exchanged, "
     "since nothing tells these apart. `f1_several` counts only seams of more than one edge on a side.",
 }
@@ -58,17 +82,31 @@ class Entry:
     """Hardware, parameters, steps, data hashes, command, commit, date."""
     tables: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
     """Further scores by the title of their table."""
+    kinds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Mean scores on the test garments of each kind."""
+    left_out: str = ""
+    """Kind of garment that is tested on and not trained on."""
+    fresh: int = 0
+    """Garments made during the training, besides ``train``."""
+
+    @property
+    def trained_on(self) -> str:
+        """The garments of the training, as the tables show them."""
+        return f"{self.train:,}" + (f" + {self.fresh:,} fresh" if self.fresh else "")
 
     def score(self, name: str) -> str:
         """A score with its interval; empty if the entry has none."""
-        values = self.scores.get(name) or next((t[name] for t in self.tables.values() if name in t), None)
-        return _shown(values) if values else ""
+        return _shown(self.values(name))
+
+    def values(self, name: str) -> Sequence[float]:
+        """Mean and ends of the interval of a score, if any, of the first table that has it; or nothing."""
+        return self.scores.get(name) or next((t[name] for t in self.tables.values() if name in t), ())
 
 
 def read_entries(folder: Path) -> list[Entry]:
     """The results in a folder, by task, then as the scores rank them. Raises ``ConfigError`` for unreadable ones."""
     found = [_entry(path) for path in sorted(folder.glob("*.json"))]
-    return sorted(found, key=lambda entry: (entry.task, -_rank(entry), entry.model, entry.train))
+    return sorted(found, key=lambda entry: (entry.task, -_rank(entry), entry.model, entry.train, entry.left_out))
 
 
 def add(path: Path, folder: Path, *, command: str, commit: str, date: str) -> Path:
@@ -76,7 +114,8 @@ def add(path: Path, folder: Path, *, command: str, commit: str, date: str) -> Pa
     entry = _read(path)
     entry = {**entry, "command": command, "commit": commit, "date": date}
     kind = _of(entry, path)
-    name = f"{kind.task}_{kind.model}_{kind.train}.json".lower().replace(" ", "_")
+    variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
+    name = f"{kind.task}_{kind.model}_{kind.train}{variant}.json".lower().replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / name, (json.dumps(entry, indent=1) + "\n").encode())
     return folder / name
@@ -87,6 +126,34 @@ def pages(entries: Sequence[Entry]) -> dict[str, str]:
     tasks = dict.fromkeys(entry.task for entry in entries)
     found = {f"learning_{task}.md": _page(task, [e for e in entries if e.task == task]) for task in tasks}
     return {**found, "leaderboard.md": _leaderboard(entries)}
+
+
+def curves(entries: Sequence[Entry]) -> dict[str, bytes]:
+    """File name to PNG: the first scores of a task against the garments trained on, if these differ in number."""
+    tasks = dict.fromkeys(entry.task for entry in entries)
+    own = {task: [e for e in entries if e.task == task and not e.left_out] for task in tasks}
+    return {_curve_file(task): _drawn(task, some) for task, some in own.items() if _has_curve(some)}
+
+
+def write_pages(reports: Path) -> list[Path]:
+    """Write the reports of the results in a folder; the files. Raises ``ConfigError`` if there are none."""
+    entries = read_entries(reports / RESULTS)
+    if not entries:
+        raise ConfigError(f"{reports / RESULTS} has no results: give --add OUT/report.json")
+    texts = {name: text.encode() for name, text in pages(entries).items()}
+    written = {**texts, **curves(entries)}
+    for name, data in written.items():
+        write_whole(reports / name, data)
+    return [reports / name for name in written]
+
+
+def commit_here() -> str:
+    """The present commit. Raises ``ConfigError`` outside a git checkout."""
+    given = ["git", "-C", str(REPORTS), "rev-parse", "--short", "HEAD"]
+    found = subprocess.run(given, capture_output=True, text=True, check=False)
+    if found.returncode:
+        raise ConfigError(f"{REPORTS} is in no git checkout: give --commit")
+    return found.stdout.strip()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -104,16 +171,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not args.command:
                 raise ConfigError("--add: also give the --command that made the results")
             date = datetime.now(UTC).strftime("%Y-%m-%d")
-            add(args.add, folder, command=args.command, commit=args.commit or _commit(), date=date)
-        entries = read_entries(folder)
-        if not entries:
-            raise ConfigError(f"{folder} has no results: give --add OUT/report.json")
+            add(args.add, folder, command=args.command, commit=args.commit or commit_here(), date=date)
+        written = write_pages(args.reports)
     except ConfigError as error:
         print(f"leaderboard: {error}", file=sys.stderr)
         return 1
-    for name, text in pages(entries).items():
-        write_whole(args.reports / name, text.encode())
-        print(args.reports / name)
+    for path in written:
+        print(path)
     return 0
 
 
@@ -146,11 +210,18 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             variants = [name for name in ("placed", "autosew", "one_round") if arguments.get(name)]
             tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
             name = " ".join(["stitches", *variants])
-            scores = _scores(found["one_to_one"])
-            return Entry("T3", name, int(arguments["train"]), found["train_s"] / 60, scores, facts, tables)
-        kinds = {f"Of {kind}": {k: [v] for k, v in of.items()} for kind, of in found["scores_of_kinds"].items()}
-        train = found["data"]["train"]["count"]
-        return Entry(found["task"], found["model"], train, found["minutes"], found["scores"], facts, kinds)
+            scores, kinds = _scores(found["one_to_one"]), found.get("scores_of_kinds", {})
+            left_out = arguments.get("leave_out", "")
+            tables |= _tables_of(kinds)
+            minutes = found["train_s"] / 60
+            return Entry("T3", name, int(arguments["train"]), minutes, scores, facts, tables, kinds, left_out)
+        options, kinds = found.get("options", {}), found["scores_of_kinds"]
+        train = int(options.get("train") or found["data"]["train"]["count"])
+        model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
+        return Entry(
+            found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
+            options.get("leave_out", ""), int(found.get("fresh", 0)),
+        )  # fmt: skip
     except (KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path}: {error!r} is missing: train again with this version") from error
 
@@ -163,11 +234,21 @@ def _scores(table: Mapping[str, Any]) -> dict[str, list[float]]:
     return {name: list(values) for name, values in table.items() if isinstance(values, list)}
 
 
+def _tables_of(kinds: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, list[float]]]:
+    return {f"Of {kind}": {name: [value] for name, value in scores.items()} for kind, scores in kinds.items()}
+
+
 def _rank(entry: Entry) -> float:
     for name in (*HEADLINES.get(entry.task, ()), *USUAL):
         if name in entry.scores:
-            return float(entry.scores[name][0])
+            return -float(entry.scores[name][0]) if name in LOWER else float(entry.scores[name][0])
     return 0.0
+
+
+def _first_scores(task: str, entries: Sequence[Entry]) -> list[str]:
+    """Names of the scores that the table of all tasks shows, the headline first."""
+    names = [name for name in (*HEADLINES.get(task, ()), *USUAL) if any(e.score(name) for e in entries)]
+    return names[:3]
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
@@ -175,12 +256,14 @@ def _rank(entry: Entry) -> float:
 
 def _page(task: str, entries: Sequence[Entry]) -> str:
     """The report of a task."""
-    names = list(dict.fromkeys(name for entry in entries for name in entry.scores))
+    whole = [entry for entry in entries if not entry.left_out]
+    names = list(dict.fromkeys(name for entry in whole for name in entry.scores))
     head = ["model", "trained on", "minutes", *names]
-    rows = [[e.model, f"{e.train:,}", f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in entries]
-    parts = [f"# {task}", _about(task), _table(head, rows)]
+    rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in whole]
+    parts = [f"# {task}", _about(task), _table(head, rows), *_over_size(task, whole), *_left_out(task, entries)]
     for entry in entries:
-        parts.append(f"## {entry.model}, {entry.train:,} garments")
+        without = f", without {entry.left_out}" if entry.left_out else ""
+        parts.append(f"## {entry.model}, {entry.trained_on} garments{without}")
         shown = {title: table for title, table in entry.tables.items() if table}
         columns = list(dict.fromkeys(name for table in shown.values() for name in table))
         if shown:
@@ -194,12 +277,105 @@ def _leaderboard(entries: Sequence[Entry]) -> str:
     lines = ["# Leaderboard", "The scores of each task that its report puts first; means with 95 % intervals."]
     for task in dict.fromkeys(entry.task for entry in entries):
         own = [entry for entry in entries if entry.task == task]
-        names = [name for name in (*HEADLINES.get(task, ()), *USUAL) if any(e.score(name) for e in own)]
-        names = names[: max(3, len(HEADLINES.get(task, ())))]
-        rows = [[e.model, f"{e.train:,}", f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in own]
+        whole = [entry for entry in own if not entry.left_out]
+        names = _first_scores(task, own)
+        rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in whole]
         lines += [f"## {task}", _about(task) + f" [Report](learning_{task}.md)."]
         lines.append(_table(["model", "trained on", "minutes", *names], rows))
+        lines += _left_out(task, own)
     return "\n\n".join(lines) + "\n"
+
+
+def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
+    """The scores on each kind of garment, trained with and without it; nothing if no kind was left out."""
+    names, rows = _first_scores(task, entries), []
+    for entry in sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out)):
+        peers = [e for e in entries if (e.model, e.train, e.fresh, e.left_out) == (entry.model, entry.train, 0, "")]
+        known = peers[0].kinds.get(entry.left_out, {}) if peers else {}
+        cells = [
+            cell for name in names for cell in (_shown([known[name]] if name in known else None), entry.score(name))
+        ]
+        rows.append([entry.left_out, entry.model, f"{entry.train:,}", *cells])
+    if not rows:
+        return []
+    head = ["left out", "model", "of", *(f"{name}, {how}" for name in names for how in ("with", "without"))]
+    about = "A kind of garment left out: scores on the test garments of that kind, trained with and without it."
+    return [about, _table(head, rows)]
+
+
+# ----------------------------------------------------------------------------------------------------------- the curves
+
+
+def _over_size(task: str, entries: Sequence[Entry]) -> list[str]:
+    """Table and picture of the first scores against the number of garments."""
+    if not _has_curve(entries):
+        return []
+    sizes = sorted({entry.train + entry.fresh for entry in entries})
+    rows = []
+    for name in _first_scores(task, entries):
+        for model, own in _by_model(entries).items():
+            by_size = {entry.train + entry.fresh: entry.score(name) for entry in own}
+            rows.append([name, model, *(by_size.get(size, "") for size in sizes)])
+    about = "Score against the number of garments trained on, fresh ones included:"
+    head = ["score", "model", *(f"{size:,}" for size in sizes)]
+    return [about, _table(head, rows), f"![Score against the number of garments]({_curve_file(task)})"]
+
+
+def _has_curve(entries: Sequence[Entry]) -> bool:
+    """Whether a model was trained on sets of different sizes."""
+    return any(len({e.train + e.fresh for e in own}) > 1 for own in _by_model(entries).values())
+
+
+def _by_model(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """The entries of each model, the best first, by the number of garments."""
+    found: dict[str, list[Entry]] = {}
+    for entry in entries:
+        found.setdefault(entry.model, []).append(entry)
+    return {model: sorted(own, key=lambda e: e.train + e.fresh) for model, own in found.items()}
+
+
+def _curve_file(task: str) -> str:
+    return f"learning_{task}.png"
+
+
+def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
+    """A plot for each of the first scores, a line for each model; bars are 95 % intervals, hollow marks fresh garments.
+
+    Raises ``ConfigError`` without matplotlib.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.ticker import FuncFormatter, NullLocator
+    except ImportError as error:
+        raise ConfigError("the curves need matplotlib: pip install 'gcd-dataset[bench]'") from error
+    names = _first_scores(task, entries)
+    figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
+    for k, name in enumerate(names):
+        plot = figure.add_subplot(1, len(names), k + 1)
+        for number, (model, own) in enumerate(_by_model(entries).items()):
+            points = [(e.train + e.fresh, e.fresh, *e.values(name)) for e in own if len(e.values(name)) == 3]
+            for is_fresh in (False, True):
+                some = [(x, y, y - low, high - y) for x, fresh, y, low, high in points if bool(fresh) == is_fresh]
+                if some:
+                    x, y, below, above = zip(*some, strict=True)
+                    label = f"{model}, fresh" if is_fresh else model
+                    style: dict[str, Any] = {"color": f"C{number}", "capsize": 2, "markersize": 5, "linewidth": 1.2}
+                    style |= {"markerfacecolor": "white"} if is_fresh else {}
+                    plot.errorbar(x, y, yerr=(below, above), fmt="o-", label=label, **style)
+        plot.set_xscale("log")
+        plot.set_xticks(sorted({e.train + e.fresh for e in entries}))
+        plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        plot.xaxis.set_minor_locator(NullLocator())
+        plot.set_xlabel("garments trained on")
+        plot.set_title(f"{task}: {name}", fontsize=10)
+        plot.grid(alpha=0.3)
+        if not k:
+            plot.legend(fontsize=8)
+    file = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(file, format="png", metadata={"Software": None})
+    return file.getvalue()
 
 
 def _about(task: str) -> str:
@@ -225,11 +401,6 @@ def _fact(name: str, value: Any) -> str:
     if name == "command":
         return f"`{value}`"
     return f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _commit() -> str:
-    given = ["git", "-C", str(REPORTS), "rev-parse", "--short", "HEAD"]
-    return subprocess.run(given, capture_output=True, text=True, check=True).stdout.strip()
 
 
 if __name__ == "__main__":

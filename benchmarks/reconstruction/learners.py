@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
     from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "Reference", "TensorExamples"]
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "uploaded"]
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -90,6 +90,13 @@ class Reference(Protocol):
     ) -> "list[Pattern]": ...
 
 
+def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
+    """A tensor on a device; a GPU is not waited for."""
+    if device.type == "cuda" and numbers.device.type == "cpu":
+        numbers = numbers.pin_memory()  # from pageable memory the copy would wait for all work of the stream
+    return numbers.to(device, non_blocking=True)
+
+
 class TensorExamples:
     """Base of frozen dataclasses whose fields are tensors with one row for each example."""
 
@@ -101,7 +108,7 @@ class TensorExamples:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self:
         """The examples ``rows``, without augmentation."""
-        return self[rows.to(self.device, non_blocking=True)]
+        return self[uploaded(rows, self.device)]
 
     @property
     def device(self) -> torch.device:
@@ -116,7 +123,7 @@ class TensorExamples:
     def put(self, rows: Int[Tensor, " b"], others: Self) -> None:
         """Replace the examples ``rows`` by others, in place."""
         for column, values in zip(self._columns(), others._columns(), strict=True):
-            column[rows.to(column.device)] = values.to(column.device)
+            column[uploaded(rows, column.device)] = uploaded(values, column.device)
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:

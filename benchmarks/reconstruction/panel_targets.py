@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from benchmarks.reconstruction.garments import CENTRE, GarmentSet
-from benchmarks.reconstruction.learners import TensorExamples
+from benchmarks.reconstruction.learners import TensorExamples, uploaded
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import PanelShape
@@ -70,7 +70,7 @@ class PanelTargets(TensorExamples):
     def with_points(self, count: int, generator: torch.Generator) -> "PanelTargets":
         """The garments with ``count`` of their points, drawn at random."""
         chosen = torch.randperm(self.points.shape[1], generator=generator, device=generator.device)[:count]
-        return replace(self, points=self.points[:, chosen.to(self.points.device, non_blocking=True)])
+        return replace(self, points=self.points[:, uploaded(chosen, self.points.device)])
 
 
 @dataclass(frozen=True)

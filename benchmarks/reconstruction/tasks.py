@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.reconstruction.garments import Split, generated, read_folder, split_off
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["CHECK_SEED", "FRESH_SEED", "SURFACES", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
+__all__ = ["CHECK_SEED", "FRESH_SEED", "NAMED", "SURFACES", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
 
 TRAIN_SEED, TEST_SEED, CHECK_SEED, FRESH_SEED = 0, 1, 2, 1000
 CHECKED = 32  # garments that watch a training
@@ -22,6 +22,8 @@ PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
 POSE = ("pose",)
 """Of T0, T1 and T2: the bodies on which answers can be draped."""
+NAMED = (*POSE, "panel_names", "design")
+"""Of T0 and T1: also the names of panels and the design parameters, targets of some models."""
 SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
@@ -86,13 +88,16 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=POSE),
-        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=POSE),
+        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=NAMED),
+        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=NAMED),
         Task(
             "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
-            points=8192, extra=("pose", "scan"),
+            points=8192, extra=(*NAMED, "scan"),
         ),
-        Task("T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=POSE),
+        Task(
+            "T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE, extra=("pose", "pictures"),
+            sizes=(1000, 4000),
+        ),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,

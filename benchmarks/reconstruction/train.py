@@ -13,6 +13,7 @@ truth; and the checkpoint, from which a repeated call continues.
 import argparse
 import csv
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,15 +32,17 @@ from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
-from benchmarks.reconstruction.training import TrainConfig, Trained, one_of_several_ranks, train
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, one_of_several_ranks, train
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import png_bytes
 
-__all__ = ["Result", "add_arguments", "main", "options_from", "run"]
+__all__ = ["UNFINISHED", "Result", "add_arguments", "main", "options_from", "run"]
 
-MINUTES = 8.0
+MINUTES, TRAINED = 8.0, 4000
+UNFINISHED = 3
+"""Exit code of a call that ``--limit-minutes`` ended."""
 SMOKE: Mapping[str, Any] = {
     "train": 16, "test": 8, "resolution": 4.0,
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
@@ -72,6 +75,10 @@ class Options:
     workers: int = 0
     device: str = "cpu"
     smoke: bool = False
+    make_only: bool = False
+    """Make the garments, nothing else."""
+    limit_minutes: float = 0.0
+    """Time of this call; 0: no limit."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
 
     option("--task", "T0", f"one of {', '.join(TASKS)}")
-    option("--train", 4000, "garments to train on")
+    option("--train", 0, f"garments to train on; 0: {TRAINED}, or {SMOKE['train']} with --smoke")
     option("--test", 0, "garments to test on; 0: those of the task")
     option("--out", "out", "folder of the results; a repeated call continues there")
     option("--data", "", "folder that caches the garments (default: garments beside --out)")
@@ -104,10 +111,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--batch", 0, "garments of a step; 0: the model's own")
     option("--lr", 0.0, "highest learning rate; 0: the model's own")
     option("--seed", 0, "seed of weights and order")
+    option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
     option("--resolution", 0.0, "edge length of the meshes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
     parser.add_argument("--compile", action="store_true", help="compile the network")
+    parser.add_argument("--make-only", action="store_true", help="make the garments of --data, then stop")
     parser.add_argument("--smoke", action="store_true", help="few coarse garments and a tiny network, for two cores")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="sizes of the network")
 
@@ -131,7 +140,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         model=model,
         task=task_named(args.task),
         out=out,
-        train=SMOKE["train"] if args.smoke else args.train,
+        train=args.train or (SMOKE["train"] if args.smoke else TRAINED),
         test=args.test or (SMOKE["test"] if args.smoke else 0),
         config=TrainConfig(**chosen, seed=args.seed, compile=args.compile),
         sizes=_sizes(args.set),
@@ -143,6 +152,8 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         workers=workers,
         device=device,
         smoke=args.smoke,
+        make_only=args.make_only,
+        limit_minutes=args.limit_minutes,
     )
 
 
@@ -154,7 +165,10 @@ def _sizes(texts: Sequence[str]) -> dict[str, int]:
 
 
 def run(options: Options) -> Result | None:
-    """Make the garments, train, answer, score. ``None`` on ranks other than the first. Raises ``ConfigError``."""
+    """Make the garments, train, answer, score. ``None`` on ranks other than the first, and with ``make_only``.
+
+    Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
+    """
     _require_model_of_task(options)
     begun = time.perf_counter()
     if options.smoke:
@@ -163,11 +177,14 @@ def run(options: Options) -> Result | None:
     with one_of_several_ranks(options.device) as device:
         split = _loaded(options)
         loaded = time.perf_counter()
+        if options.make_only:
+            print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")
+            return None
         trained, received = None, 0
         if hasattr(module, "build"):
             torch.manual_seed(options.config.seed)
             learner = module.build(smoke=options.smoke, options=options.sizes)
-            trained, received = _trained(learner, split, options, device)
+            trained, received = _trained(learner, split, options, device, begun)
         if dist.is_initialized() and dist.get_rank():
             return None
         trained_at = time.perf_counter()
@@ -208,15 +225,18 @@ def _loaded(options: Options) -> Split:
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-def _trained(learner: Learner[Any, Any], split: Split, options: Options, device: torch.device) -> tuple[Trained, int]:
-    """The trained learner, and the number of fresh garments received."""
+def _trained(
+    learner: Learner[Any, Any], split: Split, options: Options, device: torch.device, begun: float
+) -> tuple[Trained, int]:
+    """The trained learner, and the number of fresh garments received; the call began at ``begun``."""
     learner.to(device)
     examples = learner.prepare(split.train, device=device, workers=options.workers)
     watched = learner.prepare(split.check, device=device)
     check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
-    trained = train(learner, examples, options.config, device=device, out=options.out, check=check)
+    limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
+    trained = train(learner, examples, options.config, device=device, out=options.out, check=check, limit=limit)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 
@@ -281,7 +301,13 @@ def _report(
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))
         },
-        "options": {**asdict(options.config), "sizes": options.sizes, "leave_out": options.leave_out},
+        "options": {
+            "train": options.train,
+            **asdict(options.config),
+            "sizes": options.sizes,
+            "leave_out": options.leave_out,
+            "fresh": options.fresh,
+        },
         "steps": trained.steps if trained else 0,
         "minutes": trained.seconds / 60 if trained else 0.0,
         "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
@@ -320,6 +346,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     try:
         result = run(options_from(args, args.model))
+    except StoppedError as stopped:
+        print(f"train {args.model}: {stopped}", file=sys.stderr)
+        return UNFINISHED
     except GcdError as error:
         print(f"train {args.model}: {error}", file=sys.stderr)
         return 1

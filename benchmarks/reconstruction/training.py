@@ -30,11 +30,13 @@ from gcd_dataset.files import drafted, make_folder
 __all__ = [
     "Check",
     "Growing",
+    "StoppedError",
     "TrainConfig",
     "Trained",
     "TrainingError",
     "learning_rate",
     "one_of_several_ranks",
+    "step_of",
     "train",
 ]
 
@@ -48,6 +50,10 @@ BETAS = (0.9, 0.98)
 
 class TrainingError(GcdError):
     """A training that cannot go on."""
+
+
+class StoppedError(GcdError):
+    """A training that reached the time limit of its call before its end; its checkpoint is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +138,16 @@ def train(
     out: Path | None = None,
     check: Check | None = None,
     stop_after: int | None = None,
+    limit: float = math.inf,
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
     ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``: stop after this step
-    as a job's time limit does, with a checkpoint. Raises ``TrainingError`` for a loss that is not finite, and
+    as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises ``StoppedError``, with a
+    checkpoint in ``out``, for a training that the limit ends; ``TrainingError`` for a loss that is not finite;
     ``ConfigError`` for a checkpoint of other options.
     """
+    called = time.perf_counter()
     torch.manual_seed(config.seed)
     run = _Run(learner.to(device), config, device)
     curves = _Curves(None if out is None or _rank() else make_folder(out))
@@ -151,8 +160,8 @@ def train(
         run.take_step(examples)
         elapsed = time.perf_counter() - mark
         run.seconds, mark = run.seconds + elapsed, mark + elapsed
-        run.agree_on_time()
-        is_last = run.progress >= 1 or run.step == stop_after
+        is_over = run.agree_on_time(is_over=mark - called > limit) and run.progress < 1
+        is_last = is_over or run.progress >= 1 or run.step == stop_after
         checked: Mapping[str, float] = {}
         if check is not None and run.progress * config.checks >= next_check:
             next_check = math.floor(run.progress * config.checks) + 1
@@ -163,8 +172,19 @@ def train(
             run.save(out / CHECKPOINT, examples)
             saved = time.perf_counter()
         aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
+        if is_over:
+            curves.close()
+            raise StoppedError(f"stopped by the limit at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
+
+
+def step_of(
+    learner: Learner[Batch, Any], examples: Examples[Batch], config: TrainConfig, *, device: torch.device
+) -> Callable[[], None]:
+    """A function that takes a training step, to measure it."""
+    run = _Run(learner.to(device), config, device)
+    return lambda: run.take_step(examples)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
@@ -254,12 +274,14 @@ class _Run:
             return min(1.0, (self.step + 0.5) / self.config.steps)
         return min(1.0, (self.step + 1) / max(self.step, 1) * self.progress) if self.step else 1e-3
 
-    def agree_on_time(self) -> None:
-        """All ranks take the time of the first, and so stop at the same step."""
+    def agree_on_time(self, *, is_over: bool) -> bool:
+        """All ranks take the time and the decision of the first, and so stop at the same step."""
         if _ranks() > 1:
-            seconds = torch.tensor([self.seconds], dtype=torch.float64, device=self.device)
-            dist.broadcast(seconds, 0)
-            self.seconds = seconds.item()
+            said = torch.tensor([self.seconds, is_over], dtype=torch.float64, device=self.device)
+            dist.broadcast(said, 0)
+            self.seconds, over = said.tolist()
+            return bool(over)
+        return is_over
 
     def average(self) -> Learner[Any, Any]:
         """The averaged learner, in evaluation mode."""

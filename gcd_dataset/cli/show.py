@@ -2,14 +2,17 @@
 
 import argparse
 import contextlib
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
 from gcd_dataset.cli.verb import SOURCE_HELP, add_server, add_verb, natural_number, open_source
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, ShardError
 
 if TYPE_CHECKING:
+    from gcd_dataset.loaders import PublishedGarmentCodeData
+    from gcd_dataset.records import Pattern
     from gcd_dataset.viewer.album import Album
     from gcd_dataset.viewer.server import Design
 
@@ -25,7 +28,7 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument(
         "what",
         nargs="?",
-        metavar="DATASET|SPEC",
+        metavar="DATASET|PUBLISHED|SPEC",
         help=f"{SOURCE_HELP}; GarmentCodeData as published; specification JSON, or a folder of it",
     )
     show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
@@ -67,17 +70,25 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.generator.svg import pattern_svg
     from gcd_dataset.records import Sample
+    from gcd_dataset.viewer.album import NO_BODY, published_content
     from gcd_dataset.viewer.content import content_of
     from gcd_dataset.viewer.page import page_of
 
-    subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
+    published = _published(options)
+    if published is not None:
+        subject: Sample | Pattern = published.sample(_position(options, len(published)))
+    else:
+        subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
     if options.png is not None:
         picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
     if options.svg is not None:
         write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
     if options.html is not None:
-        write_whole(options.html, page_of(content_of(subject)).encode())
+        content = content_of(subject) if published is None else published_content(published, options.index)
+        write_whole(options.html, page_of(content).encode())
+        if problem := dict(content.tables.get("Recipe", ())).get(NO_BODY):
+            print(f"gcd show: {problem}", file=sys.stderr)
     print(*given.values(), sep="\n")
     if isinstance(subject, Sample) and subject.caption is not None:
         print(subject.caption)
@@ -95,18 +106,40 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _album(options: argparse.Namespace) -> "Album":
+    from gcd_dataset.hub.site import Remote
     from gcd_dataset.shards import ShardReader
+    from gcd_dataset.shards.manifest import MANIFEST
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    is_no_set = "://" not in options.what and folder.is_dir() and not (folder / "manifest.json").exists()
+    published = None if options.truth is not None else _published(options)
+    if published is not None:
+        return PublishedAlbum(published, options.what)
+    is_no_set = "://" not in options.what and folder.is_dir() and not (folder / MANIFEST).exists()
     if options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
         return spec_album(folder, options.truth)
-    if is_no_set and any(folder.glob("garments_5000_*")):
-        from gcd_dataset.loaders import PublishedGarmentCodeData
+    reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
+    return ShardAlbum(reader, options.what, Remote().folder)
 
-        return PublishedAlbum(PublishedGarmentCodeData(folder, split=options.split or "train"), options.what)
-    return ShardAlbum(ShardReader(open_source(options.what, options.endpoint), options.split or "train"), options.what)
+
+def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
+    """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
+    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.shards.published import is_published
+
+    folder = Path(options.what)
+    if "://" in options.what or not folder.is_dir() or (folder / MANIFEST).exists() or not is_published(folder):
+        return None
+    from gcd_dataset.loaders import PublishedGarmentCodeData
+
+    return PublishedGarmentCodeData(folder, split=options.split)
+
+
+def _position(options: argparse.Namespace, count: int) -> int:
+    """``--index``. Raises ``ShardError`` beyond the last garment."""
+    if options.index >= count:
+        raise ShardError(f"{options.what}: garment {options.index} of {count}: give one from 0 to {count - 1}")
+    return int(options.index)
 
 
 def _design(start: str) -> "Design":

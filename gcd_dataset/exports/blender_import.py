@@ -207,6 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cloth", action="store_true", help="add cloth and collision modifiers")
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="save the scene")
     parser.add_argument("--render", type=Path, metavar="FILE.png", help="render the front")
+    parser.add_argument("--size", type=int, default=800, metavar="PIXELS", help="side of the rendered picture (800)")
     if arguments is None:
         arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     options = parser.parse_args(arguments)
@@ -220,7 +221,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         parser.exit(1, f"{parser.prog}: {error}\n")
     if options.render is not None:
-        render(garment, options.render)
+        render(garment, options.render, size=options.size)
     if options.save is not None:
         bpy.ops.wm.save_as_mainfile(filepath=str(options.save.resolve()))
 

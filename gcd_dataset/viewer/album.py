@@ -1,33 +1,68 @@
 """The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
-import json
-import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import BodyError, ConfigError, PatternError
+from gcd_dataset.records import EdgeRef, Pattern
 from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.spec import read_pattern
-from gcd_dataset.viewer.content import content_of
+from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
 
-__all__ = ["Album", "Found", "PublishedAlbum", "ShardAlbum", "SpecAlbum", "spec_album"]
+__all__ = [
+    "ANY",
+    "NO_BODY",
+    "Album",
+    "Filter",
+    "Found",
+    "PublishedAlbum",
+    "ShardAlbum",
+    "SpecAlbum",
+    "published_content",
+    "spec_album",
+]
 
-CHUNK = 256  # samples whose metadata are read at once
-KEPT_MATCHES = 32  # filters whose matches are kept
+KEPT_MATCHES = 32  # albums whose keys are kept as a mapping
 SUFFIX = "_specification"
-META = "meta.json"
+REQUESTED = 256  # garments of a remote data set whose tags are requested at a time
+NO_BODY = "body mesh"  # in the table of the recipe: why there is no body
+SETTLED, UNSETTLED = "settled", "all but settled"  # no outcome has the latter name
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Conditions that a garment must meet; an empty text admits all."""
+
+    kind: str = ""
+    """A tag."""
+    grade: str = ""
+    outcome: str = ""
+
+
+ANY = Filter()
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The values to filter by, each with the number of its garments."""
+
+    grades: Mapping[str, int] = field(default_factory=dict)
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+    kinds: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -39,14 +74,18 @@ class Found:
     rank: int
     count: int
     """Garments that the filter admits, of those known so far."""
+    following: int
+    """Position of the next garment that the filter admits, counted round."""
 
 
 class Album(ABC):
-    """Garments in a fixed order, with tags and grades to filter by. All methods may be called from several threads."""
+    """Garments in a fixed order, to filter by kind, grade and outcome. Methods may be called from several threads."""
 
     title: str
     beside: tuple[str, ...] = ("",)
     """Headings of the pages of a garment, from left to right."""
+    waits: bool = False
+    """Whether ``read_tags`` reads only a part, and is to be called again for more."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -59,36 +98,42 @@ class Album(ABC):
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
 
-    def grades(self) -> dict[str, int]:
-        """Grade to the number of its garments; empty without grades."""
-        return {}
+    def links(self, position: int) -> dict[str, Any]:
+        """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
+        return {"panels": [], "seams": []}
 
-    def tags(self) -> dict[str, int]:
-        """Tag to the number of its garments, of those read so far."""
-        return {}
+    def facets(self) -> Facets:
+        """Grades, outcomes and kinds, as far as they are known."""
+        return Facets()
 
     @property
-    def read(self) -> int:
+    def known(self) -> int:
         """Garments whose tags are known."""
         return len(self)
 
-    def matches(self, grade: str = "", tag: str = "") -> Int[np.ndarray, " m"]:
-        """Positions of the garments of a grade and with a tag; an empty word admits all."""
+    @property
+    def problem(self) -> str:
+        """Why ``read_tags`` ended early; empty if it did not."""
+        return ""
+
+    def read_tags(self, between: Callable[[], None] | None = None) -> None:  # noqa: B027 -- most albums have none
+        """Read tags that are not known yet, until ``close``; ``between`` is called before each part."""
+
+    def close(self) -> None:  # noqa: B027
+        """Stop ``read_tags``."""
+
+    def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
+        """Positions of the garments that a filter admits, of those known so far."""
         return np.arange(len(self))
 
-    def found(self, rank: int, *, grade: str = "", tag: str = "") -> Found:
+    def found(self, rank: int, where: Filter = ANY) -> Found:
         """The garment at ``rank`` of those that a filter admits, counted round."""
-        matches = self.matches(grade, tag)
-        if not len(matches):
-            return Found(-1, 0, 0)
-        rank %= len(matches)
-        return Found(int(matches[rank]), rank, len(matches))
+        return _at(self.matches(where), rank)
 
-    def nearest(self, position: int, *, grade: str = "", tag: str = "") -> Found:
+    def nearest(self, position: int, where: Filter = ANY) -> Found:
         """The admitted garment at ``position`` or after it, or else the last one."""
-        matches = self.matches(grade, tag)
-        rank = int(np.searchsorted(matches, position))
-        return self.found(min(rank, max(len(matches) - 1, 0)), grade=grade, tag=tag)
+        matches = self.matches(where)
+        return _at(matches, min(int(np.searchsorted(matches, position)), max(len(matches) - 1, 0)))
 
     def position_of(self, text: str) -> int:
         """The position of a garment by its index or key. Raises ``ConfigError`` for an unknown one."""
@@ -97,17 +142,29 @@ class Album(ABC):
         raise ConfigError(f"no garment {text.strip()!r:.80}: give a number from 0 to {len(self) - 1}")
 
 
-class ShardAlbum(Album):
-    """A split of a data set. Grades come from the index; a thread reads the tags, so that opening takes no longer."""
+def _at(matches: Int[np.ndarray, " m"], rank: int) -> Found:
+    if not len(matches):
+        return Found(-1, 0, 0, -1)
+    rank %= len(matches)
+    return Found(int(matches[rank]), rank, len(matches), int(matches[(rank + 1) % len(matches)]))
 
-    def __init__(self, reader: ShardReader, title: str) -> None:
+
+class ShardAlbum(Album):
+    """A split of a data set. Grades, and which drapes settled, come from the index; ``read_tags`` reads the rest.
+
+    Tags of a local data set are read all at once; of a remote one ``REQUESTED`` at a time, since each takes a request.
+    ``cache``: folder that keeps the tags between runs; ``None`` for none.
+    """
+
+    def __init__(self, reader: ShardReader, title: str, cache: Path | None = None) -> None:
         self.title = title
+        self.waits = not isinstance(reader.store, FolderStore)
         self._reader = reader
         rows = reader.rows(range(len(reader)))
         self._grade = reader.index.table.grade[rows]
+        self._settled = reader.index.table.settled[rows]
         self._number = reader.index.table.sample[rows]
-        self._tags: dict[str, list[int]] = {}
-        self._read, self._lock, self._closed = 0, threading.Lock(), threading.Event()
+        self._tags = GarmentTags(reader, cache)
 
     def __len__(self) -> int:
         return len(self._reader)
@@ -118,27 +175,47 @@ class ShardAlbum(Album):
     def page(self, position: int, side: int = 0) -> str:
         return page_of(content_of(self._reader.sample(position)))
 
-    def grades(self) -> dict[str, int]:
+    def facets(self) -> Facets:
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
-        return {name: count for name, count in zip(GRADES, counts, strict=True) if name and count}
-
-    def tags(self) -> dict[str, int]:
-        with self._lock:
-            return {tag: len(rows) for tag, rows in sorted(self._tags.items())}
+        settled = int(self._settled.sum())
+        outcomes = {SETTLED: settled, UNSETTLED: len(self) - settled} if settled else {}
+        unsettled = {word: count for word, count in self._tags.counts(OUTCOME).items() if word not in outcomes}
+        return Facets(
+            grades={name: count for name, count in zip(GRADES, counts, strict=True) if name and count},
+            outcomes={word: count for word, count in (outcomes | unsettled).items() if count},
+            kinds=self._tags.counts(TAG),
+        )
 
     @property
-    def read(self) -> int:
-        return self._read
+    def known(self) -> int:
+        return self._tags.known
 
-    def matches(self, grade: str = "", tag: str = "") -> Int[np.ndarray, " m"]:
+    @property
+    def problem(self) -> str:
+        return self._tags.problem
+
+    def read_tags(self, between: Callable[[], None] | None = None) -> None:
+        self._tags.read(REQUESTED if self.waits else None, between)
+
+    def close(self) -> None:
+        self._tags.close()
+
+    def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
         admitted: Bool[np.ndarray, " n"] = np.ones(len(self), bool)
-        if grade:
-            admitted = self._grade == (GRADES.index(grade) if grade in GRADES else len(GRADES))
-        if tag:
-            with self._lock:
-                rows = np.array(self._tags.get(tag, []), int)
-            admitted = admitted & np.isin(np.arange(len(self)), rows)
+        if where.grade:
+            admitted &= self._grade == (GRADES.index(where.grade) if where.grade in GRADES else len(GRADES))
+        if where.outcome in (SETTLED, UNSETTLED):
+            admitted &= self._settled == (where.outcome == SETTLED)
+        elif where.outcome:
+            admitted &= self._with(OUTCOME, where.outcome)
+        if where.kind:
+            admitted &= self._with(TAG, where.kind)
         return np.flatnonzero(admitted)
+
+    def _with(self, field: str, word: str) -> Bool[np.ndarray, " n"]:
+        mask = np.zeros(len(self), bool)
+        mask[self._tags.positions(field, word)] = True
+        return mask
 
     def position_of(self, text: str) -> int:
         digits = text.strip().rsplit("_", 1)[-1]
@@ -150,32 +227,6 @@ class ShardAlbum(Album):
             f"{self.title} has no sample {text.strip()!r:.80}: give an index from {self._number[0]} to "
             f"{self._number[-1]}, or a key"
         )
-
-    def read_tags(self) -> None:
-        """Read the tags of all garments, until ``close``; damaged ones have none."""
-        for first in range(0, len(self), CHUNK):
-            if self._closed.is_set():
-                return
-            chunk = range(first, min(first + CHUNK, len(self)))
-            found = [self._tags_of(position) for position in chunk]
-            with self._lock:
-                for position, tags in zip(chunk, found, strict=True):
-                    for tag in tags:
-                        self._tags.setdefault(tag, []).append(position)
-                self._read = chunk[-1] + 1
-
-    def close(self) -> None:
-        """Stop ``read_tags``."""
-        self._closed.set()
-
-    def _tags_of(self, position: int) -> list[str]:
-        try:
-            meta = json.loads(bytes(self._reader.read(position, [META])[META]))
-        except (ShardError, ValueError):  # ``gcd verify`` reports damage; the garment's own page does too
-            return []
-        outcome = str((meta.get("drape") or {}).get("outcome") or "").lower().replace("_", " ")
-        tags = [tag for tag in meta.get("tags") or () if isinstance(tag, str)]
-        return [*tags, *([f"outcome: {outcome}"] if outcome else [])]
 
 
 class SpecAlbum(Album):
@@ -193,13 +244,25 @@ class SpecAlbum(Album):
         return _key(self._paths[position])
 
     def page(self, position: int, side: int = 0) -> str:
+        return page_of(content_of(read_pattern(self._path(position, side))))
+
+    def links(self, position: int) -> dict[str, Any]:
+        """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.
+
+        Panels are matched as for scores (``gcd_dataset.metrics``); a right seam joins the matched edges of a true one.
+        """
+        if len(self.beside) < 2:
+            return super().links(position)
+        predicted, true = (read_pattern(self._path(position, side)) for side in (0, 1))
+        return _links(predicted, true)
+
+    def _path(self, position: int, side: int) -> Path:
         path = self._paths[position]
-        if side:
-            key = _key(path)
-            if key not in self._truth:
-                raise ConfigError(f"{path}: no file of this name in the folder of the truth")
-            path = self._truth[key]
-        return page_of(content_of(read_pattern(path)))
+        if not side:
+            return path
+        if _key(path) not in self._truth:
+            raise ConfigError(f"{path}: no file of this name in the folder of the truth")
+        return self._truth[_key(path)]
 
     def position_of(self, text: str) -> int:
         keys = _positions(tuple(map(_key, self._paths)))
@@ -208,10 +271,12 @@ class SpecAlbum(Album):
 
 
 class PublishedAlbum(Album):
-    """GarmentCodeData as published."""
+    """GarmentCodeData as published, each garment on its body where the release's bodies are on disk."""
 
     def __init__(self, published: "PublishedGarmentCodeData", title: str) -> None:
         self.title, self._published = title, published
+        folders = np.array([name.split("/")[1] for name in published.names])
+        self._kinds = {str(folder): np.flatnonzero(folders == folder) for folder in np.unique(folders)}
 
     def __len__(self) -> int:
         return len(self._published)
@@ -220,11 +285,42 @@ class PublishedAlbum(Album):
         return self._published.name(position)
 
     def page(self, position: int, side: int = 0) -> str:
-        return page_of(content_of(self._published.sample(position)))
+        return page_of(published_content(self._published, position))
+
+    def facets(self) -> Facets:
+        return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
+
+    def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
+        if where.grade or where.outcome:
+            return np.zeros(0, np.int64)
+        if where.kind:
+            return self._kinds.get(where.kind.replace(" ", "_"), np.zeros(0, np.int64))
+        return np.arange(len(self))
 
     def position_of(self, text: str) -> int:
         names = _positions(self._published.names)
-        return names[text.strip()] if text.strip() in names else super().position_of(text)
+        wanted = text.strip()
+        if wanted in names:
+            return names[wanted]
+        found = [position for name, position in names.items() if name.endswith(f"/{wanted}")]
+        return found[0] if found else super().position_of(text)
+
+
+def published_content(published: "PublishedGarmentCodeData", position: int) -> Content:
+    """The content of a published garment, with its body; where that is missing, the table of the recipe says so.
+
+    Raises ``ShardError`` for a damaged garment.
+    """
+    sample = published.sample(position)
+    try:
+        body, problem = published.body(position), ""
+    except BodyError as error:
+        body, problem = None, str(error)
+    content = replace(content_of(sample, body), title=sample.pattern.name)
+    if not problem:
+        return content
+    recipe = ((NO_BODY, problem), *content.tables.get("Recipe", ()))
+    return replace(content, tables={**content.tables, "Recipe": recipe})
 
 
 def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
@@ -235,6 +331,28 @@ def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
     if truth is not None and not truth.is_dir():
         raise ConfigError(f"--truth {truth}: not a folder: give the folder of the true specification files")
     return SpecAlbum(paths, str(source), truth)
+
+
+def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:
+    from gcd_dataset.metrics.matching import match_panels, matched_edges
+
+    try:
+        pairs = match_panels(predicted, true)
+    except PatternError:  # a true panel without a closed outline: there are no scores either
+        return {"panels": [], "seams": []}
+    numbers = [{panel.name: i for i, panel in enumerate(pattern.panels)} for pattern in (predicted, true)]
+    panels = [
+        [numbers[0][pair.predicted.panel.name], numbers[1][pair.true.panel.name], round(pair.iou, 3)] for pair in pairs
+    ]
+    edges: dict[EdgeRef, EdgeRef | None] = {ref: other for pair in pairs for ref, other in matched_edges(pair).items()}
+    seam_of: dict[frozenset[EdgeRef | None], int]
+    seam_of = {frozenset((seam.left, seam.right)): number for number, seam in enumerate(true.seams)}
+    matched = (seam_of.get(frozenset((edges.get(seam.left), edges.get(seam.right)))) for seam in predicted.seams)
+    return {"panels": panels, "seams": [[i, j] for i, j in enumerate(matched) if j is not None]}
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _by_key(folder: Path) -> dict[str, Path]:

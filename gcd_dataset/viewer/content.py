@@ -190,9 +190,11 @@ def _recipe_rows(sample: Sample) -> Iterator[tuple[str, str]]:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Nested values as dotted names and texts."""
+    """Nested values as dotted names and texts; of a parameter with its range, as in design files, the value."""
     for name, value in values.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and "v" in value and ("range" in value or "type" in value):
+            yield f"{prefix}{name}", _text(value["v"])
+        elif isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", _text(value)

@@ -2,12 +2,14 @@
 
 import base64
 import json
+import re
 from collections.abc import Iterable
 from functools import cache
 from html import escape
 from importlib import resources
 from typing import Any
 
+from gcd_dataset.generator.lay_plan import LayPlan
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Pattern
 
@@ -26,9 +28,12 @@ def script_data(value: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def inline_svg(pattern: Pattern, attributes: str = "") -> str:
-    """The drawing of a pattern as an ``<svg>`` element without a size of its own; ``attributes``: HTML, escaped."""
-    text = pattern_svg(pattern).decode()
+def inline_svg(pattern: Pattern, attributes: str = "", plan: LayPlan | None = None) -> str:
+    """The drawing of a pattern as an ``<svg>`` element without a size of its own; ``attributes``: HTML, escaped.
+
+    ``plan``: the pattern's ``lay_out``, where it is known.
+    """
+    text = pattern_svg(pattern, plan).decode()
     head, _, rest = text[text.index("<svg") :].partition(">")
     kept = head[head.index("viewBox=") :]
     return f'<svg xmlns="http://www.w3.org/2000/svg" {attributes} {kept}>{rest}'
@@ -41,7 +46,11 @@ def picture(encoded: bytes, text: str, style: str = "") -> str:
     return f'<img alt="{escape(text)}" style="{style}" src="data:image/{kind};base64,{content}">'
 
 
-def table(rows: Iterable[tuple[str, Any]]) -> str:
-    """A table of names and values."""
-    lines = (f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
+def table(rows: Iterable[tuple[str, Any]], *, breaks: bool = False) -> str:
+    """A table of names and values; ``breaks``: a name may be broken after a dot or an underscore."""
+    lines = (f"<tr><th>{_name(str(name), breaks)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
     return f"<table>{''.join(lines)}</table>"
+
+
+def _name(text: str, breaks: bool) -> str:
+    return re.sub(r"([._])(?=.)", r"\1<wbr>", escape(text)) if breaks else escape(text)

@@ -5,7 +5,9 @@ const data = JSON.parse($("data").textContent);
 const TURN = 0.0085; // rad per pixel
 const TILT = [-1.45, 1.45]; // rad
 const ZOOM = [0.08, 4];
+const SCHEMES = ["", "light", "dark"];
 const SHEET_ZOOM = 16; // largest magnification of the drawing
+const LAST = 2; // the last stage, also of a garment that ends at an earlier one
 const PIXELS_FOR_NUMBERS = 9; // pixels per cm from which seam numbers are legible
 
 const state = { stage: 0, body: true, colours: "panels", lit: null, pinned: null, yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] };
@@ -63,6 +65,64 @@ function cornerColours(garment, mode) {
 let picture = null;
 let pending = 0;
 
+/** Camera, stage and colours: what stays from one garment to the next. */
+function currentView() {
+  const { yaw, pitch, zoom, pan, colours, body } = state;
+  const stage = picture && state.stage === picture.garment.last ? LAST : state.stage;
+  return { yaw, pitch, zoom, pan, stage, colours, body, scheme: document.documentElement.dataset.scheme || "" };
+}
+
+let quiet = true; // while the page starts, or follows another one
+
+/** Tell the page around this one, if any, what has changed. */
+function tell(name, detail) {
+  if (!quiet) document.dispatchEvent(new CustomEvent(name, { detail }));
+}
+
+/** Do something without telling the page around. */
+function quietly(action) {
+  const before = quiet;
+  quiet = true;
+  try {
+    action();
+  } finally {
+    quiet = before;
+  }
+}
+
+/** Show the garment as another one is shown; unknown or missing values are left out. */
+function follow(view) {
+  quietly(() => {
+    if (SCHEMES.includes(view.scheme) && view.scheme !== (document.documentElement.dataset.scheme || "")) setScheme(view.scheme);
+    if (!picture) return;
+    if (Number.isFinite(view.yaw)) state.yaw = view.yaw;
+    if (Number.isFinite(view.pitch)) state.pitch = clamp(view.pitch, ...TILT);
+    if (Number.isFinite(view.zoom)) state.zoom = clamp(view.zoom, ...ZOOM);
+    if (Array.isArray(view.pan) && view.pan.length === 3 && view.pan.every(Number.isFinite)) state.pan = [...view.pan];
+    if ($("body") && typeof view.body === "boolean") $("body").checked = state.body = view.body;
+    if (Number.isFinite(view.stage) && clamp(view.stage, 0, picture.garment.last) !== state.stage) setStage(view.stage);
+    const mode = [...document.querySelectorAll("input[name=colours]:enabled")].find((input) => input.value === view.colours);
+    if (mode && view.colours !== state.colours) setColours(view.colours);
+    redraw();
+  });
+}
+
+/** The view that the address of the page asks for after its #; null without one. */
+function askedView() {
+  try {
+    const view = JSON.parse(decodeURIComponent(location.hash.slice(1)));
+    return view && typeof view === "object" ? view : null;
+  } catch {
+    return null;
+  }
+}
+
+/** Draw again, after a change of the view. */
+function changed() {
+  tell("gcd-view", currentView());
+  redraw();
+}
+
 function redraw() {
   if (!picture || pending) return;
   pending = requestAnimationFrame(() => {
@@ -84,6 +144,7 @@ function light(part) {
   part = part || state.pinned;
   if (same(part, state.lit)) return;
   state.lit = part;
+  tell("gcd-lit", part);
   const svg = document.querySelector("#pattern svg");
   const panels = litPanels();
   svg.classList.toggle("has-lit", Boolean(part));
@@ -114,7 +175,6 @@ function preparePattern() {
     group.setAttribute("aria-label", `panel ${data.panels[number].text}`);
     group.setAttribute("tabindex", number === 0 ? "0" : "-1");
     group.firstElementChild.classList.add("cloth");
-    group.firstElementChild.style.setProperty("--panel", `rgb(${data.panels[number].colour})`);
     group.addEventListener("pointerenter", () => light(panel));
     group.addEventListener("focus", () => light(panel));
     group.addEventListener("blur", () => light(null));
@@ -148,10 +208,20 @@ function preparePattern() {
       });
     });
   });
+  recolour(data.panels.map((panel) => panel.colour));
   svg.addEventListener("pointerleave", () => light(null));
   svg.addEventListener("pointermove", (event) => event.target === svg && light(null));
   svg.addEventListener("click", (event) => event.target === svg && state.pinned && pin(null));
   prepareSheet(svg);
+}
+
+/** Give the panels other colours, RGB bytes each, in both views. */
+function recolour(colours) {
+  document.querySelectorAll("#pattern [data-panel]").forEach((group, number) => {
+    data.panels[number].colour = colours[number];
+    group.firstElementChild.style.setProperty("--panel", `rgb(${colours[number]})`);
+  });
+  if (picture) quietly(() => setColours(state.colours));
 }
 
 /** Wheel and pinch zoom the drawing, dragging moves it, a double click shows all of it. */
@@ -217,7 +287,7 @@ function setStage(stage) {
   });
   picture.move(state.stage);
   document.body.dataset.stage = state.stage.toFixed(3);
-  redraw();
+  changed();
 }
 
 let moving = 0;
@@ -244,30 +314,30 @@ function setColours(mode) {
   document.querySelectorAll("input[name=colours]").forEach((input) => (input.checked = input.value === mode));
   document.querySelectorAll("[data-legend]").forEach((legend) => (legend.hidden = legend.dataset.legend !== mode));
   picture.upload(picture.buffers.colour, cornerColours(picture.garment, mode));
-  redraw();
+  changed();
 }
 
 function resetCamera() {
   Object.assign(state, { yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] });
-  redraw();
+  changed();
 }
 
 function turn(dx, dy) {
   state.yaw -= dx;
   state.pitch = clamp(state.pitch + dy, ...TILT);
-  redraw();
+  changed();
 }
 
 function zoom(factor) {
   state.zoom = clamp(state.zoom * factor, ...ZOOM);
-  redraw();
+  changed();
 }
 
 function pan(dx, dy) {
   const { right, up, distance, slope } = picture.camera();
   const perPixel = (2 * slope * distance) / picture.canvas.clientHeight;
   state.pan = add(state.pan, add(scaled(right, -dx * perPixel), scaled(up, dy * perPixel)));
-  redraw();
+  changed();
 }
 
 function prepareCanvas(canvas) {
@@ -346,30 +416,34 @@ function prepareControls() {
   if ($("body")) {
     $("body").addEventListener("change", (event) => {
       state.body = event.target.checked;
-      redraw();
+      changed();
     });
   }
   paintRamp();
   $("reset").addEventListener("click", resetCamera);
 }
 
+const systemDark = matchMedia("(prefers-color-scheme: dark)");
+
+/** Show a scheme: light, dark, or the empty text for that of the system. */
+function setScheme(scheme) {
+  if (scheme) document.documentElement.dataset.scheme = scheme;
+  else delete document.documentElement.dataset.scheme;
+  $("scheme").setAttribute("aria-pressed", String(scheme ? scheme === "dark" : systemDark.matches));
+  if (picture) setColours(state.colours);
+}
+
 function prepareScheme() {
-  const dark = matchMedia("(prefers-color-scheme: dark)");
-  const show = () => {
-    const chosen = document.documentElement.dataset.scheme;
-    $("scheme").setAttribute("aria-pressed", String(chosen ? chosen === "dark" : dark.matches));
-    if (picture) setColours(state.colours);
-  };
   $("scheme").addEventListener("click", () => {
-    const isDark = $("scheme").getAttribute("aria-pressed") === "true";
-    document.documentElement.dataset.scheme = isDark ? "light" : "dark";
-    show();
+    setScheme($("scheme").getAttribute("aria-pressed") === "true" ? "light" : "dark");
+    changed();
   });
-  dark.addEventListener("change", show);
-  show();
+  systemDark.addEventListener("change", () => setScheme(document.documentElement.dataset.scheme || ""));
+  setScheme(document.documentElement.dataset.scheme || "");
 }
 
 async function start() {
+  document.documentElement.classList.toggle("framed", window.parent !== window);
   preparePattern();
   $("parts").addEventListener("change", (event) => {
     const [kind, number] = event.target.value.split(":");
@@ -377,7 +451,22 @@ async function start() {
     pin(kind ? { kind, number: Number(number) } : null);
   });
   document.addEventListener("keydown", (event) => event.key === "Escape" && state.pinned && pin(null));
+  const view = askedView();
+  if (view && SCHEMES.includes(view.scheme)) document.documentElement.dataset.scheme = view.scheme;
   prepareScheme();
+  window.gcdPage = {
+    state, setStage, follow, recolour,
+    colours: () => data.panels.map((panel) => panel.colour),
+    light: (part, silent) => (silent ? quietly(() => light(part)) : light(part)),
+  };
+  await startPicture();
+  if (view) follow(view);
+  quiet = false;
+  if (picture) document.body.dataset.ready = "true";
+}
+
+/** Start the 3-D view, if the garment has a mesh. */
+async function startPicture() {
   if (!data.mesh) return;
   try {
     if (typeof DecompressionStream === "undefined") throw new Error("This browser cannot unpack the meshes: update it");
@@ -390,13 +479,12 @@ async function start() {
     $("no-view").hidden = false;
     return;
   }
+  window.gcdPage.picture = picture;
   prepareCanvas(picture.canvas);
   prepareControls();
   setStage(picture.garment.last);
   setColours("panels");
   new ResizeObserver(redraw).observe(picture.canvas);
-  window.gcdPage = { state, picture, setStage, light };
-  document.body.dataset.ready = "true";
 }
 
 start();

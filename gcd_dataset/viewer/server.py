@@ -4,31 +4,36 @@ Each garment is shown by its self-contained page (``page``), in a frame below a 
 machine can reach the server, unless another address is given.
 """
 
+import contextlib
 import json
 import sys
 import threading
 import webbrowser
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from os import environ
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.viewer.album import Album, Found, ShardAlbum
-from gcd_dataset.viewer.design_desk import Control, Desk, controls, measure_controls
+from gcd_dataset.viewer.album import Album, Filter, Found
 from gcd_dataset.viewer.markup import asset, inline_svg, script_data
 from gcd_dataset.viewer.page import page_of
+
+if TYPE_CHECKING:
+    from gcd_dataset.viewer.design_desk import Control, Desk
 
 __all__ = ["Answer", "Design", "Gallery", "serve"]
 
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
+LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
+LONGEST_WAIT = 1.0  # s that the reading of tags waits for pages
 HOST = "127.0.0.1"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
@@ -41,15 +46,18 @@ Answer = tuple[HTTPStatus, str, bytes]
 
 
 class Gallery:
-    """Answers requests about an album. Pages are kept, and that of the next garment is made ahead."""
+    """Answers requests about an album. Pages are kept, and that of the next garment is made ahead.
+
+    The album reads its tags in the background, once the first page has been made.
+    """
 
     def __init__(self, album: Album, start: int = 0) -> None:
         self._album, self._start = album, start
         self._pages: OrderedDict[tuple[int, int], Future[str]] = OrderedDict()
         self._lock = threading.Lock()
         self._makers = ThreadPoolExecutor(2, thread_name_prefix="pages")
-        if isinstance(album, ShardAlbum):
-            threading.Thread(target=album.read_tags, daemon=True).start()
+        self._tag_reader = ThreadPoolExecutor(1, thread_name_prefix="tags")
+        self._reading: Future[None] | None = None
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
         """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist."""
@@ -57,39 +65,65 @@ class Gallery:
             given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
             return _html(asset("browse.html"), self._album.title, given)
         if path == "/facets":
-            facets = {"grades": self._album.grades(), "tags": self._album.tags()}
-            return _json({**facets, "read": self._album.read, "count": len(self._album)})
+            return _json(self._facets())
         if path == "/find":
             return _json(self._found(query))
+        if path == "/links":
+            return _json(self._album.links(self._valid(_number(query, "position"))))
         if path == "/garment":
             return HTTPStatus.OK, HTML, self._page(_number(query, "position"), _number(query, "side")).encode()
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
-        """The answer to ``POST path``."""
+        """The answer to ``POST /more``, which reads more tags. Raises ``ConfigError`` for another path."""
+        if path == "/more":
+            self._read_tags()
+            return _json(self._facets())
         raise ConfigError(f"no page {path!r:.80}")
 
     def close(self) -> None:
         """Stop the threads."""
-        self._makers.shutdown(wait=False, cancel_futures=True)
-        if isinstance(self._album, ShardAlbum):
-            self._album.close()
+        self._album.close()
+        for threads in (self._makers, self._tag_reader):
+            threads.shutdown(wait=False, cancel_futures=True)
+
+    def _facets(self) -> dict[str, Any]:
+        album = self._album
+        is_reading = self._reading is None or not self._reading.done()
+        progress = {"known": album.known, "count": len(album), "reading": is_reading, "waits": album.waits}
+        return asdict(album.facets()) | progress | {"problem": album.problem}
+
+    def _read_tags(self) -> None:
+        """Begin to read tags, unless a thread reads them."""
+        with self._lock:
+            if self._reading is None or self._reading.done():
+                self._reading = self._tag_reader.submit(self._album.read_tags, self._wait_for_pages)
+
+    def _wait_for_pages(self) -> None:
+        """Wait until no page is being made: it would take twice as long beside another busy thread."""
+        with self._lock:
+            pages = list(self._pages.values())
+        wait(pages, timeout=LONGEST_WAIT)
 
     def _found(self, query: Mapping[str, str]) -> dict[str, Any]:
-        album, words = self._album, {name: query.get(name, "") for name in ("grade", "tag")}
+        album, where = self._album, Filter(*(query.get(name, "") for name in ("kind", "grade", "outcome")))
         if "text" in query:
-            found = album.nearest(album.position_of(query["text"]), **words)
+            found = album.nearest(album.position_of(query["text"]), where)
         elif "position" in query:
-            found = album.nearest(_number(query, "position"), **words)
+            found = album.nearest(_number(query, "position"), where)
         else:
-            found = album.found(_number(query, "rank"), **words)
-        self._begin(found, words)
+            found = album.found(_number(query, "rank"), where)
+        self._begin(found)
         return {**asdict(found), "key": album.key(found.position) if found.count else ""}
 
-    def _begin(self, found: Found, words: Mapping[str, str]) -> None:
-        """Begin the pages of a garment and of the next one."""
-        for rank in (found.rank, found.rank + 1) if found.count else ():
-            position = self._album.found(rank, **words).position
+    def _begin(self, found: Found) -> None:
+        """Begin the pages of a garment; once they are made, those of the next one."""
+        if found.count:
+            pages = [self._begun(found.position, side) for side in range(len(self._album.beside))]
+            pages[-1].add_done_callback(lambda _: self._make_ahead(found.following))
+
+    def _make_ahead(self, position: int) -> None:
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
             for side in range(len(self._album.beside)):
                 self._begun(position, side)
 
@@ -104,19 +138,31 @@ class Gallery:
         return page
 
     def _page(self, position: int, side: int) -> str:
-        if not 0 <= position < len(self._album) or not 0 <= side < len(self._album.beside):
+        if not 0 <= side < len(self._album.beside):
+            raise ConfigError(f"no side {side}: there are {len(self._album.beside)}")
+        try:
+            return self._begun(self._valid(position), side).result()
+        finally:
+            if self._reading is None:
+                self._read_tags()
+
+    def _valid(self, position: int) -> int:
+        if not 0 <= position < len(self._album):
             raise ConfigError(f"no garment {position}: there are {len(self._album)}")
-        return self._begun(position, side).result()
+        return position
 
 
 class Design:
     """Answers requests of the design page."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: "Desk") -> None:
         self._desk, self._lock = desk, threading.Lock()
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
         """The answer to ``GET path``. Raises ``ConfigError`` for another path."""
+        # Imported here: the drawing of designs takes as long to import as all the rest of a gallery.
+        from gcd_dataset.viewer.design_desk import controls, measure_controls
+
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
@@ -206,6 +252,10 @@ def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
         def _given(self) -> dict[str, Any]:
             length = self.headers.get("Content-Length", "")
             if not length.isdecimal() or int(length) > LARGEST_BODY:
+                # A client that is still sending would not see the answer.
+                left = min(int(length), LARGEST_DRAINED) if length.isdecimal() else 0
+                while left > 0 and (piece := self.rfile.read(min(left, 1 << 16))):
+                    left -= len(piece)
                 raise ConfigError(f"a request of {length or 'unknown'} bytes: at most {LARGEST_BODY} are read")
             try:
                 given = json.loads(self.rfile.read(int(length)))
@@ -253,7 +303,8 @@ def _json(value: Mapping[str, Any]) -> Answer:
 
 
 def _html(template: str, title: str, given: Mapping[str, Any]) -> Answer:
-    head, _, tail = template.replace("{{policy}}", POLICY, 1).partition("{{data}}")
+    styled = template.replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
+    head, _, tail = styled.partition("{{data}}")
     return HTTPStatus.OK, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 
 
@@ -265,5 +316,5 @@ def _number(query: Mapping[str, str], name: str) -> int:
     return int(text)
 
 
-def _control(one: Control) -> dict[str, Any]:
+def _control(one: "Control") -> dict[str, Any]:
     return {**asdict(one), "section": one.section}

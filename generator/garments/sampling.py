@@ -156,6 +156,7 @@ def _held_up(
         return draft, {}
     replaced = replace(draft, meta=replace(meta, bottom=bottoms.narrowed(trousers).draw(rng)))
     replaced = _with_sections(replaced, _own_sections(replaced) - {"waistband"}, rng, overlay)
+    replaced = _without_sections(replaced, draft.sections_used() - replaced.sections_used())
     return replaced, {Redraw("nothing_holds", "meta.bottom"): 1}
 
 
@@ -175,6 +176,12 @@ def _with_sections(
 ) -> OutfitDesign:
     """The design with some of its sections drawn, in the order of the fields."""
     return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
+
+
+def _without_sections(design: OutfitDesign, names: Collection[str]) -> OutfitDesign:
+    """The design with the defaults of some of its sections."""
+    default = OutfitDesign()
+    return replace(design, **{name: getattr(default, name) for name in names})
 
 
 def _with_new_numbers(design: OutfitDesign, rng: np.random.Generator, overlay: Overlay) -> OutfitDesign:

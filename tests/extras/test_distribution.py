@@ -15,7 +15,18 @@ import pytest
 import gcd_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
-UNTRACKED = (".git", ".venv*", ".*_cache", "__pycache__", "*.egg-info", "build", "dist", "demo", "node_modules")
+UNTRACKED = (
+    ".git",
+    ".venv*",
+    ".*_cache",
+    ".hypothesis",
+    "__pycache__",
+    "*.egg-info",
+    "build",
+    "dist",
+    "demo",
+    "node_modules",
+)
 BUILD = "import sys; from setuptools import build_meta; print(getattr(build_meta, sys.argv[1])(sys.argv[2]))"
 """Builds without build isolation, which would download setuptools."""
 PATTERN = """

@@ -32,7 +32,7 @@ SMALLER = {
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
     },
     "guides/train": {"--count 1000": "--count 40", "EPOCHS = 25": "EPOCHS = 2"},
-    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 12 --bodies both --resolution 6"},
+    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
     "guides/generate": {
         "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 5 --device cpu --picture 64",
         'GeneratedGarments(6, cache_dir="kept", fields=fields, resolution=4.0)': (

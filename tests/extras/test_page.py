@@ -1,11 +1,13 @@
 """The page of a garment in headless Chromium: both views light up together, the slider moves the mesh, keys work."""
 
+import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium o
 
 SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 READY = "body[data-ready]"
+DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Resolves after the picture that the page has scheduled for its next frame."""
 SEAM_POINT = """(seam) => {
   const { picture } = gcdPage;
   const { ends, segmentSeam } = picture.garment;
@@ -60,7 +64,7 @@ def browser() -> Iterator[Any]:
 class Opened:
     """A page open in the browser, with the faults that the browser reported."""
 
-    def __init__(self, browser: Any, content: Content, folder: Path, **options: Any) -> None:
+    def __init__(self, browser: Any, content: Content, folder: Path, view: str = "", **options: Any) -> None:
         self.file = folder / "garment.html"
         self.file.write_bytes(page_of(content).encode())
         options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
@@ -69,8 +73,9 @@ class Opened:
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on("dialog", lambda dialog: self.faults.append(dialog.message))
         self.page.on("console", lambda note: self.faults.append(note.text) if note.type == "error" else None)
-        self.page.on("request", lambda request: None if request.url == self.file.as_uri() else self.note(request.url))
-        self.page.goto(self.file.as_uri())
+        own = self.file.as_uri()
+        self.page.on("request", lambda request: None if request.url.split("#")[0] == own else self.note(request.url))
+        self.page.goto(f"{own}#{quote(view)}" if view else own)
 
     def note(self, url: str) -> None:
         if not url.startswith("blob:"):
@@ -98,7 +103,7 @@ class Opened:
 
     def view(self) -> np.ndarray:
         """The pixels of the 3-D view."""
-        self.page.wait_for_timeout(120)
+        self.page.evaluate(DRAWN)
         return np.asarray(Image.open(BytesIO(self.page.locator(".stage").screenshot())).convert("RGB"), float)
 
     def middle(self) -> tuple[float, float]:
@@ -340,6 +345,31 @@ def test_a_browser_without_webgl_says_so_and_shows_the_rest(browser: Any, conten
     opened.page.locator("[data-panel=back] .cloth").hover()
     assert opened.lit_panels == ["back"]
     limited.close()
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        (
+            {"yaw": 0.5, "zoom": 2.0, "stage": 1, "colours": "strain", "body": False},
+            {"yaw": 0.5, "zoom": 2.0, "stage": 1},
+        ),
+        (
+            {"yaw": "x", "zoom": 1e9, "pitch": -9, "stage": 7, "colours": "<b>", "pan": [1, None, 2]},
+            {"zoom": 4, "stage": 2},
+        ),
+        ([], {"yaw": 0, "zoom": 1, "stage": 2}),
+    ],
+)
+def test_the_address_asks_for_a_view(
+    asked: Any, expected: dict[str, Any], browser: Any, content: Content, tmp_path: Path
+) -> None:
+    opened = Opened(browser, content, tmp_path, view=json.dumps(asked)).ready()
+    state = opened.page.evaluate("structuredClone(gcdPage.state)")
+    assert {name: state[name] for name in expected} == expected
+    assert len(state["pan"]) == 3 and all(isinstance(part, int | float) for part in state["pan"])
+    assert opened.faults == []
+    opened.page.context.close()
 
 
 def test_a_phone_shows_all_without_sideways_scrolling(browser: Any, content: Content, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ CPU = torch.device("cpu")
 
 @cache
 def skirts() -> GarmentSet:
-    return generated(6, 0, points=64, extra=SURFACES, resolution=5.0, design=SKIRTS).select(range(4))
+    return generated(4, 0, points=64, extra=SURFACES, resolution=6.0, design=SKIRTS)
 
 
 def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[dict[str, float]]]:
@@ -41,20 +41,20 @@ def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[di
 
 
 def test_the_labels_of_four_meshes() -> None:
-    scores, curve = by_heart("segmentation", 300)
+    scores, curve = by_heart("segmentation", 130)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.panel_label for score in scores]) > 0.97
     assert np.mean([score.panel_class for score in scores]) > 0.97
 
 
 def test_the_measures_of_four_bodies() -> None:
-    scores, curve = by_heart("measures", 300)
+    scores, curve = by_heart("measures", 130)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.error_cm for score in scores]) < 1.0
 
 
 def test_the_drapes_of_four_garments() -> None:
-    scores, curve = by_heart("drape_surrogate", 300)
+    scores, curve = by_heart("drape_surrogate", 200)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.error_cm for score in scores]) < 3.0
 
@@ -76,8 +76,8 @@ def test_the_command_trains_and_scores(
     model: str, task: str, headline: str, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, data = tmp_path_factory.mktemp(model), tmp_path_factory.getbasetemp() / "garments"
-    flags = ["--task", task, "--smoke", "--test", "3", "--resolution", "6", "--steps", "3", "--device", "cpu"]
-    assert main([model, *flags, "--data", str(data), "--out", str(out)]) == 0
+    flags = ["--task", task, "--smoke", "--train", "4", "--test", "2", "--resolution", "6", "--steps", "3"]
+    assert main([model, *flags, "--device", "cpu", "--data", str(data), "--out", str(out)]) == 0
     assert f"{task}.{model}.{headline} " in capsys.readouterr().out
     report = json.loads((out / "report.json").read_text())
     with (out / "scores.csv").open() as file:

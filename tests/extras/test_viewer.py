@@ -1,5 +1,6 @@
-"""The viewer in headless Chromium: move, filter, jump, predictions beside truth, and a design by hand."""
+"""The viewer in headless Chromium: move, filter, jump, hover, predictions beside truth, and a design by hand."""
 
+import argparse
 import shutil
 import threading
 from collections.abc import Iterator
@@ -11,16 +12,24 @@ from typing import Any
 
 import pytest
 
+from gcd_dataset.cli.show import _album
+from gcd_dataset.hub.opening import open_store
+from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
+from gcd_dataset.viewer import album as album_module
 from gcd_dataset.viewer.album import ShardAlbum, spec_album
 from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.server import Design, Gallery, serve
+from tests.hub.server import running_hub
+from tests.release.published import publish
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on the PATH")
+VIEW = ("yaw", "pitch", "zoom", "pan", "stage", "colours", "body")
 SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
@@ -63,11 +72,33 @@ def heading(page: Any, frame: int = 0) -> str:
     return str(page.frame_locator("iframe").nth(frame).locator("h1").inner_text())
 
 
-def test_buttons_keys_filters_and_jumps_move_among_the_garments(browser: Any, tmp_path: Path) -> None:
-    with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
+def frame(page: Any, number: int = 0) -> Any:
+    """The frame of a garment, once its 3-D view is drawn."""
+    page.frame_locator("iframe").nth(number).locator("body[data-ready]").wait_for()
+    return page.locator("iframe").nth(number).element_handle().content_frame()
+
+
+def lit(frame: Any) -> str:
+    """The part that is lit in a frame."""
+    return str(frame.evaluate("document.body.dataset.lit || ''"))
+
+
+@pytest.fixture(scope="module")
+def garments(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five garments: even ones are skirts, odd ones dresses; 3 and 4 failed, 4 slid off."""
+    folder = tmp_path_factory.mktemp("garments")
+    with ShardWriter(folder, seed=0, recipe={}) as writer:
         for index in range(5):
-            writer.write(replace(fake_sample(0, index), tags=("even",) if index % 2 == 0 else ("odd",)))
-    with opened(browser, Gallery(ShardAlbum(ShardReader(tmp_path), "set"), 2)) as page:
+            sample = replace(fake_sample(0, index), tags=("skirt", "mini") if index % 2 == 0 else ("dress",))
+            assert sample.drape is not None
+            outcome = Outcome.SLID_OFF if index == 4 else Outcome.SETTLED
+            grade = Grade.FAILED if index > 2 else Grade.CLEAN
+            writer.write(replace(sample, grade=grade, drape=replace(sample.drape, outcome=outcome)))
+    return folder
+
+
+def test_buttons_keys_filters_and_jumps_move_among_the_garments(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"), 2)) as page:
         expect = sync_api.expect
         status = page.locator("#status")
         expect(status).to_have_text("3 of 5")
@@ -76,8 +107,8 @@ def test_buttons_keys_filters_and_jumps_move_among_the_garments(browser: Any, tm
         expect(status).to_have_text("4 of 5")
         page.keyboard.press("ArrowLeft")
         expect(status).to_have_text("3 of 5")
-        expect(page.locator("#tag")).to_be_visible()
-        page.select_option("#tag", "odd")
+        page.wait_for_selector("#kind option[value=dress]", state="attached")
+        page.select_option("#kind", "dress")
         expect(status).to_have_text("1 of 2")
         expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000001")
         page.fill("#jump", "3")
@@ -86,6 +117,89 @@ def test_buttons_keys_filters_and_jumps_move_among_the_garments(browser: Any, tm
         page.fill("#jump", "99")
         page.press("#jump", "Enter")
         expect(page.locator("#problem")).to_contain_text("no sample '99'")
+
+
+def test_kind_and_outcome_are_two_menus_that_combine(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        expect = sync_api.expect
+        page.wait_for_selector("#kind option[value=dress]", state="attached")
+        groups = {"#kind": ["Garment", "Style"], "#outcome": ["Grade", "Outcome"]}
+        for menu, labels in groups.items():
+            assert page.eval_on_selector_all(f"{menu} optgroup", "all => all.map(g => g.label)") == labels
+        page.select_option("#outcome", "grade:failed")
+        expect(page.locator("#status")).to_have_text("1 of 2")
+        page.select_option("#kind", "skirt")
+        expect(page.locator("#status")).to_have_text("1 of 1")
+        expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000004")
+        page.select_option("#outcome", "outcome:slid off")
+        expect(page.locator("#status")).to_have_text("1 of 1")
+        page.select_option("#kind", "dress")
+        expect(page.locator("#problem")).to_have_text("No garment has this kind and outcome.")
+        page.select_option("#outcome", "")
+        expect(page.locator("#status")).to_have_text("1 of 2")
+
+
+def test_hover_lights_both_views_and_the_view_stays_at_the_next_garment(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        first = frame(page)
+        first.locator("[data-panel=back] .cloth").hover()
+        assert lit(first) == "panel:1"
+        box = first.locator("#view").bounding_box()
+        x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+        page.mouse.move(x, y)
+        assert lit(first) == "panel:0"
+        assert first.eval_on_selector_all("[data-panel].lit", "all => all.map(g => g.dataset.panel)") == ["front"]
+        page.mouse.down()
+        page.mouse.move(x + 80, y, steps=3)
+        page.mouse.up()
+        first.locator("input[value=strain]").check()
+        first.locator("#stage").fill("1.25")
+        first.locator("#scheme").click()
+        view = first.evaluate("structuredClone(gcdPage.state)")
+        assert view["yaw"] < -0.5
+        page.click("#next")
+        sync_api.expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000001")
+        after = frame(page).evaluate("structuredClone(gcdPage.state)")
+        assert {name: after[name] for name in VIEW} == {name: view[name] for name in VIEW}
+        schemes = [where.evaluate("document.documentElement.dataset.scheme") for where in (page, frame(page))]
+        assert schemes == ["dark", "dark"]
+
+
+def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> None:
+    root = publish(tmp_path)
+    options = argparse.Namespace(what=str(root), split="train", truth=None, endpoint=None, index=0)
+    with opened(browser, Gallery(_album(options))) as page:
+        expect = sync_api.expect
+        expect(page.locator("#status")).to_have_text("1 of 4")
+        assert frame(page).locator("[data-panel]").count() == 2
+        page.wait_for_selector("#kind option[value='random body']", state="attached")
+        page.select_option("#kind", "random body")
+        expect(page.locator("#status")).to_have_text("1 of 2")
+        expect(page.frame_locator("iframe").locator(".tables")).to_contain_text("missing, so the body is left out")
+
+
+def test_kinds_of_a_remote_data_set_are_read_in_parts(
+    browser: Any, garments: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(album_module, "REQUESTED", 2)
+    with running_hub() as hub:
+        hub.static |= {f"set/{path.name}": path.read_bytes() for path in garments.iterdir() if path.is_file()}
+        url = f"{hub.endpoint}/files/set"
+        reader = ShardReader(open_store(url, Remote(cache_dir=tmp_path)))
+        with opened(browser, Gallery(ShardAlbum(reader, url, tmp_path))) as page:
+            expect = sync_api.expect
+            assert heading(page) == "gcd_000000000"
+            expect(page.locator("#kind option").first).to_have_text("All kinds (2 of 5 read)")
+            page.select_option("#kind", "dress")
+            expect(page.locator("#status")).to_have_text("1 of 1")
+            page.select_option("#outcome", "grade:failed")  # known of all garments, from the index
+            expect(page.locator("#problem")).to_contain_text("among the 2 whose kind is known so far")
+            for text in ("All kinds (4 of 5 read)", "All kinds"):
+                page.click("#more")
+                expect(page.locator("#kind option").first).to_have_text(text)
+            expect(page.locator("#more")).to_be_hidden()
+            page.select_option("#kind", "skirt")
+            expect(page.locator("#status")).to_have_text("1 of 1")
 
 
 def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, tmp_path: Path) -> None:
@@ -98,16 +212,51 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
         sync_api.expect(page.locator("#problem")).to_be_hidden()
 
 
-def test_predictions_stand_beside_the_truth(browser: Any, tmp_path: Path) -> None:
-    pattern = fake_sample(0, 0).pattern
-    for name, seams in (("predicted", ()), ("true", pattern.seams)):
+def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, tmp_path: Path) -> None:
+    """The prediction has the panels in another order, under other names, and lacks the first seam."""
+    true = fake_sample(0, 0).pattern
+    names = {panel.name: f"predicted {panel.name}" for panel in true.panels}
+    panels = tuple(replace(panel, name=names[panel.name]) for panel in reversed(true.panels))
+    predicted = replace(
+        true,
+        panels=panels,
+        seams=tuple(
+            replace(
+                seam,
+                left=replace(seam.left, panel=names[seam.left.panel]),
+                right=replace(seam.right, panel=names[seam.right.panel]),
+            )
+            for seam in true.seams[1:]
+        ),
+    )
+    for name, pattern in (("predicted", predicted), ("true", true)):
         (tmp_path / name).mkdir()
-        write_pattern(replace(pattern, seams=seams), tmp_path / name / "a.json")
+        for key in ("a", "b"):
+            write_pattern(replace(pattern, name=key), tmp_path / name / f"{key}.json")
     with opened(browser, Gallery(spec_album(tmp_path / "predicted", tmp_path / "true"))) as page:
-        assert page.locator("#frames h2").all_inner_texts() == ["predicted", "true"]
-        assert [heading(page, 0), heading(page, 1)] == ["a", "a"]
-        options = [page.frame_locator("iframe").nth(k).locator("#parts option") for k in (0, 1)]
-        assert options[1].count() - options[0].count() == len(pattern.seams)
+        assert [text.split("\n")[0] for text in page.locator("#frames h2").all_inner_texts()] == ["predicted", "true"]
+        one, other = frame(page, 0), frame(page, 1)
+        page.wait_for_function("links !== null")
+        one.locator("[data-panel='predicted back'] .cloth").hover()
+        assert (lit(one), lit(other)) == ("panel:0", "panel:1")
+        assert page.inner_text("#match") == "matched panel, outlines overlap by 100 %"
+        fills = [
+            where.locator(f"[data-panel='{name}'] .cloth").evaluate("path => getComputedStyle(path).fill")
+            for where, name in ((one, "predicted back"), (other, "back"))
+        ]
+        assert fills[0] == fills[1]
+        other.locator("#parts").select_option("seam:1")
+        assert (lit(one), lit(other)) == ("seam:0", "seam:1")
+        other.locator("#parts").select_option("seam:0")
+        assert (lit(one), lit(other)) == ("", "seam:0")
+        assert page.inner_text("#match") == "no matching seam"
+        one.locator("#view").focus()
+        page.keyboard.press("ArrowRight")
+        yaws = [where.evaluate("gcdPage.state.yaw") for where in (one, other)]
+        assert yaws[0] == yaws[1] != 0
+        page.click("#next")
+        sync_api.expect(page.frame_locator("iframe").nth(1).locator("h1")).to_have_text("b")
+        assert [frame(page, side).evaluate("gcdPage.state.yaw") for side in (0, 1)] == yaws
 
 
 def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> None:

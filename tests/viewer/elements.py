@@ -2,7 +2,7 @@
 
 from html.parser import HTMLParser
 
-VOID = {"img", "br", "meta", "link", "input"}
+VOID = {"img", "br", "meta", "wbr", "link", "input"}
 
 
 class Elements(HTMLParser):

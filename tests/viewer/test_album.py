@@ -1,5 +1,6 @@
 """Albums of the viewer: order, filters, jumps, damaged garments, predictions beside truth."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,22 +9,28 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Grade
+from gcd_dataset.records import EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.viewer.album import ShardAlbum, spec_album
+from gcd_dataset.viewer.album import Filter, ShardAlbum, spec_album
 
 COUNT = 6
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Samples 0 to 5: every third of grade ``paper``, the others ``clean``; even ones are skirts, odd ones dresses."""
+    """Six samples: every third of grade ``paper``, the others ``clean``; even ones are skirts, odd ones dresses.
+
+    Number 4 slid off.
+    """
     where = tmp_path_factory.mktemp("shards")
     with ShardWriter(where, seed=0, recipe={}) as writer:
         for index in range(COUNT):
             grade = Grade.PAPER if index % 3 == 0 else Grade.CLEAN
-            writer.write(replace(fake_sample(0, index), grade=grade, tags=("skirt" if index % 2 == 0 else "dress",)))
+            sample = replace(fake_sample(0, index), grade=grade, tags=("skirt" if index % 2 == 0 else "dress",))
+            assert sample.drape is not None
+            outcome = Outcome.SLID_OFF if index == 4 else Outcome.SETTLED
+            writer.write(replace(sample, drape=replace(sample.drape, outcome=outcome)))
     return where
 
 
@@ -32,28 +39,37 @@ def album(folder: Path) -> ShardAlbum:
     return ShardAlbum(ShardReader(folder), "shards")
 
 
-def test_grades_are_known_at_once_and_tags_once_they_are_read(album: ShardAlbum) -> None:
-    assert album.grades() == {"paper": 2, "clean": 4}
-    assert album.read == 0 and not album.tags() and not len(album.matches(tag="skirt"))
+def test_grades_and_settled_drapes_are_known_at_once_and_kinds_once_they_are_read(album: ShardAlbum) -> None:
+    facets = album.facets()
+    assert facets.grades == {"paper": 2, "clean": 4}
+    assert facets.outcomes == {"settled": 5, "all but settled": 1}
+    assert album.known == 0 and not facets.kinds and not len(album.matches(Filter(kind="skirt")))
+    assert album.matches(Filter(outcome="all but settled")).tolist() == [4]
     album.read_tags()
-    assert album.read == COUNT
-    assert album.tags()["skirt"] == album.tags()["dress"] == 3
+    assert album.known == COUNT
+    assert album.facets().kinds == {"dress": 3, "skirt": 3}
+    assert album.facets().outcomes == {"settled": 5, "all but settled": 1, "slid off": 1}
+    assert album.matches(Filter(outcome="slid off")).tolist() == [4]
 
 
-def test_a_filter_admits_garments_of_its_grade_and_tag(album: ShardAlbum) -> None:
+def test_filters_combine(album: ShardAlbum) -> None:
     album.read_tags()
-    assert album.matches(grade="paper").tolist() == [0, 3]
-    assert album.matches(tag="dress").tolist() == [1, 3, 5]
-    assert album.matches(grade="clean", tag="dress").tolist() == [1, 5]
-    assert not len(album.matches(grade="nonsense"))
+    assert album.matches(Filter(grade="paper")).tolist() == [0, 3]
+    assert album.matches(Filter(kind="dress")).tolist() == [1, 3, 5]
+    assert album.matches(Filter(kind="dress", grade="clean")).tolist() == [1, 5]
+    assert album.matches(Filter(kind="skirt", outcome="settled")).tolist() == [0, 2]
+    assert not len(album.matches(Filter(grade="nonsense")))
+    assert not len(album.matches(Filter(outcome="nonsense")))
 
 
 def test_moving_goes_round_and_stays_among_the_admitted(album: ShardAlbum) -> None:
     album.read_tags()
-    assert [album.found(rank, tag="dress").position for rank in (0, 1, 2, 3, -1)] == [1, 3, 5, 1, 5]
-    assert album.nearest(2, tag="dress").position == 3
-    assert album.nearest(5, tag="skirt").position == 4  # none follows: the last one
-    assert album.found(0, grade="failed").position == -1
+    dress = Filter(kind="dress")
+    assert [album.found(rank, dress).position for rank in (0, 1, 2, 3, -1)] == [1, 3, 5, 1, 5]
+    assert [album.found(rank, dress).following for rank in (0, 2)] == [3, 1]
+    assert album.nearest(2, dress).position == 3
+    assert album.nearest(5, Filter(kind="skirt")).position == 4  # none follows: the last one
+    assert album.found(0, Filter(grade="failed")).position == -1
 
 
 @pytest.mark.parametrize("text", ["4", " gcd_000000004 ", "000000004"])
@@ -75,7 +91,7 @@ def test_a_garment_has_its_page(album: ShardAlbum) -> None:
 def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     album.close()
     album.read_tags()
-    assert album.read == 0
+    assert album.known == 0
 
 
 def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> None:
@@ -98,3 +114,25 @@ def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> 
 def test_a_folder_without_specifications_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no specification file"):
         spec_album(tmp_path)
+
+
+def test_matched_panels_and_right_seams_of_a_prediction_are_linked(tmp_path: Path) -> None:
+    """Panels in another order and with other names match by place and outline; a seam is linked if its edges match."""
+    true = fake_sample(0, 1).pattern
+    renamed = {panel.name: f"p{number}" for number, panel in enumerate(true.panels)}
+    panels = tuple(replace(panel, name=renamed[panel.name]) for panel in reversed(true.panels))
+    seams = tuple(
+        replace(seam, left=_on(renamed, seam.left), right=_on(renamed, seam.right)) for seam in true.seams[1:]
+    )
+    for name, pattern in (("predicted", replace(true, panels=panels, seams=seams)), ("true", true)):
+        (tmp_path / name).mkdir()
+        write_pattern(pattern, tmp_path / name / "a.json")
+    links = spec_album(tmp_path / "predicted", tmp_path / "true").links(0)
+    last = len(panels) - 1
+    assert sorted(links["panels"]) == [[i, last - i, 1.0] for i in range(len(panels))]
+    assert links["seams"] == [[i, i + 1] for i in range(len(seams))]
+    assert spec_album(tmp_path / "true").links(0) == {"panels": [], "seams": []}
+
+
+def _on(renamed: Mapping[str, str], edge: EdgeRef) -> EdgeRef:
+    return replace(edge, panel=renamed[edge.panel])

@@ -4,12 +4,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+import trimesh
 
-from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_packed, collate_padded
+from gcd_dataset.generator.drawing import SKIN, draw_body
+from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
+from gcd_dataset.loaders import (
+    BodyDataset,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    PublishedBodies,
+    collate_packed,
+    collate_padded,
+)
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Panel, Pattern, Sample
+from gcd_dataset.shards import BodyWriter
 from tests.shards.folders import fill
 from tests.viewer.elements import Elements
 
@@ -23,6 +36,16 @@ def displayed(value: Any) -> Elements:
 @pytest.fixture(scope="module")
 def sample() -> Sample:
     return fake_sample(3, 1)
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two generated people in shards."""
+    folder = tmp_path_factory.mktemp("bodies")
+    with BodyWriter(folder, model_mesh(), seed=1, recipe=people_recipe("random")) as writer:
+        for index in range(2):
+            writer.write(index, make_person(1, index))
+    return folder
 
 
 def test_a_pattern_displays_one_group_for_each_panel(sample: Sample) -> None:
@@ -90,3 +113,39 @@ def test_a_data_set_displays_its_first_garments(tmp_path: Path) -> None:
 
 def test_garments_that_would_be_generated_are_not_displayed() -> None:
     assert displayed(FakeGarments(5)).count("img") == 0
+
+
+def test_a_stream_of_fresh_garments_displays_how_it_uses_them() -> None:
+    elements = displayed(FreshGarments(FakeGarments(4), replay=2.5, room=3))
+    text = " ".join(elements.texts)
+    assert "10 items an epoch" in text and "used 2.5 ×" in text and "buffer of 3 garments" in text
+    assert "FakeGarments" in text and elements.count("img") == 0
+
+
+def test_a_set_of_bodies_displays_its_first_people(bodies: Path) -> None:
+    elements = displayed(BodyDataset(bodies))
+    assert elements.count("img") == 2
+    text = " ".join(elements.texts)
+    assert "2 people" in text and " cm" in text
+
+
+def test_a_person_displays_its_name_and_fields(bodies: Path) -> None:
+    person = BodyDataset(bodies, fields=("name", "measures"))[0]
+    assert {person["name"], "measures"} <= set(displayed(person).texts)
+
+
+def test_published_bodies_without_meshes_display_their_number(tmp_path: Path) -> None:
+    (tmp_path / "measurements").mkdir()
+    for name in ("00001", "00002"):
+        (tmp_path / "measurements" / f"{name}.yaml").write_text("body: {}")
+    elements = displayed(PublishedBodies(tmp_path, fields=("name",)))
+    assert elements.count("img") == 0 and "2 people" in " ".join(elements.texts)
+
+
+def test_a_body_is_drawn_from_the_front_in_proportion() -> None:
+    """A box of 20 by 40 by 10 cm: twice as high as wide, its front lit, its back unseen."""
+    box = trimesh.creation.box((20.0, 40.0, 10.0))
+    drawn = draw_body(np.asarray(box.vertices), np.asarray(box.faces), height=200)
+    front = np.abs(drawn.astype(int) - SKIN).max(axis=2) < 8
+    rows, columns = front.any(axis=1).nonzero()[0], front.any(axis=0).nonzero()[0]
+    assert np.ptp(rows) / np.ptp(columns) == pytest.approx(2.0, abs=0.05)

@@ -79,7 +79,7 @@ def test_the_bar_starts_at_the_asked_garment_and_escapes_the_title(gallery: Runn
 
 def test_garments_are_found_by_rank_and_by_index(gallery: Running) -> None:
     found = json.loads(gallery.ask("GET", "/find?rank=4")[2])
-    assert found == {"position": 1, "rank": 1, "count": 3, "key": "gcd_000000001"}
+    assert found == {"position": 1, "rank": 1, "count": 3, "following": 2, "key": "gcd_000000001"}
     assert json.loads(gallery.ask("GET", "/find?text=2")[2])["position"] == 2
     status, kind, text = gallery.ask("GET", "/garment?position=2")
     assert (status, kind) == (200, "text/html")

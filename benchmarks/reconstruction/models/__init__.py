@@ -1,8 +1,8 @@
 """The models: one file each.
 
 A module of a network has ``build(smoke=…, options=…)``, which returns its ``Learner``, and ``USUAL`` and ``SMOKE``,
-options of ``TrainConfig``. A module of a reference has ``answers``, a ``Reference``. ``TASKS`` names the tasks of a
-module whose answers are no patterns.
+options of ``TrainConfig``. A module of a reference has ``answers``, a ``Reference``. ``TASKS`` names the tasks that a
+module answers; by default all whose answers are patterns.
 """
 
 from importlib import import_module
@@ -16,6 +16,10 @@ MODELS = {
     name: f"benchmarks.reconstruction.models.{name}"
     for name in (
         "panel_set",
+        "edge_tokens",
+        "neural_tailor",
+        "parameters",
+        "picture_set",
         "stitches",
         "nearest",
         "typical",

@@ -10,10 +10,11 @@ Nothing in a training step waits for the device: sizes do not depend on values t
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import chain
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
+from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
@@ -33,25 +35,38 @@ from gcd_dataset.workers import parallel_map
 __all__ = [
     "SMOKE",
     "USUAL",
+    "DrawnPoints",
+    "Edges",
     "NetConfig",
     "PanelDecoder",
     "PanelSet",
+    "PointConfig",
+    "PointLearner",
     "PointTokens",
     "Predicted",
     "answers_of",
+    "axes_of",
+    "best_pairs",
     "build",
+    "common_labels",
+    "edge_numbers",
+    "edges_of",
     "encoder",
     "match_panels",
+    "mean_of",
     "panel_losses",
     "regions_of",
     "rotation_of",
     "set_loss",
+    "sizes_from",
+    "waves",
 ]
+
+Sizes = TypeVar("Sizes", bound="PointConfig")
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
-LAYER_OPTIONS: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
 WEIGHTS = {
     "exists": 2.0, "corners": 5.0, "bends": 5.0, "areas": 0.5, "extents": 0.5, "centres": 5.0, "rotations": 1.0,
     "edges": 0.5, "labels": 0.2, "partners": 1.0, "turned": 0.2, "kinds": 0.5, "edge_labels": 0.2,
@@ -80,10 +95,11 @@ SMALL: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True, slots=True)
-class NetConfig:
-    """Sizes of a network."""
+class PointConfig:
+    """Sizes of answers and of the point encoder."""
 
     queries: int = 40
+    """Most panels of a garment."""
     slots: int = 40
     """Most edges of a panel."""
     edges: int = 320
@@ -95,7 +111,13 @@ class NetConfig:
     width: int = 384
     heads: int = 6
     layers: int = 6
-    """Layers of the encoder, and of the decoder."""
+    """Layers of the encoder; of a ``PanelDecoder``, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetConfig(PointConfig):
+    """Sizes of a ``PanelSet``."""
+
     edge_width: int = 256
     """Features of an edge."""
     edge_heads: int = 8
@@ -195,18 +217,20 @@ class Sewn:
 # ---------------------------------------------------------------------------------------------------------- the learner
 
 
-class PanelSet(Learner[PanelTargets, Pattern]):
-    """Points and normals to a pattern."""
+class PointLearner(Learner[PanelTargets, Pattern]):
+    """Base of networks from points and normals to a pattern."""
 
-    def __init__(self, config: NetConfig | None = None, *, points: int = 4096, stored_points: int = 8192) -> None:
-        """``points``: points of a garment in a step, drawn from the first ``stored_points``."""
+    def __init__(self, config: PointConfig, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """``points``: points of a garment in a step, drawn from the first ``stored_points``.
+
+        Raises ``ConfigError`` unless the number of tokens is a power of 2, at most ``points``.
+        """
         super().__init__()
-        self.config = config or NetConfig()
-        if not 1 <= self.config.tokens <= points or self.config.tokens & (self.config.tokens - 1):
-            raise ConfigError(f"{self.config.tokens} tokens of {points} points: give a power of 2, at most the points")
+        self.config = config
+        if not 1 <= config.tokens <= points or config.tokens & (config.tokens - 1):
+            raise ConfigError(f"{config.tokens} tokens of {points} points: give a power of 2, at most the points")
         self.points, self.stored_points = points, stored_points
-        self.tokens = PointTokens(self.config)
-        self.decoder = PanelDecoder(self.config)
+        self.tokens = PointTokens(config)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
         """Targets of the garments."""
@@ -224,39 +248,65 @@ class PanelSet(Learner[PanelTargets, Pattern]):
         config = self.config
         return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
 
-    def compile_parts(self) -> None:
-        self.tokens.encoder.compile()
-        for layer in self.decoder.layers:
-            layer.compile()
-
-    def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
-        return set_loss(self.decoder, self.tokens(batch.points), batch)
-
     def predict(self, batch: PanelTargets) -> list[Pattern]:
-        return patterns_from(self._said(batch))
+        return patterns_from(self._predicted(batch))
 
     def answers(
         self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
     ) -> Iterator[Pattern]:
         rows = torch.split(torch.arange(count), batch)
-        said = PanelTargets.join([self._said(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+        said = PanelTargets.join([self._predicted(examples.batch(part)).to(torch.device("cpu")) for part in rows])
         parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
         return chain.from_iterable(parallel_map(patterns_from, parts, workers))
 
-    def _said(self, batch: PanelTargets) -> PanelTargets:
+    def _predicted(self, batch: PanelTargets) -> PanelTargets:
         with torch.no_grad():
-            return answers_of(self.decoder, self.tokens(batch.points[:, : self.points]))
+            return self.decoded(self.tokens(batch.points[:, : self.points]))
+
+    @abstractmethod
+    def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
+        """The predictions in the form of the targets, from the tokens of the points."""
+
+
+class PanelSet(PointLearner):
+    """Points and normals to a pattern, by queries for panels."""
+
+    def __init__(self, config: NetConfig | None = None, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """See ``PointLearner``."""
+        config = config or NetConfig()
+        super().__init__(config, points=points, stored_points=stored_points)
+        self.decoder = PanelDecoder(config)
+
+    def compile_parts(self) -> None:
+        # Layer by layer: equal layers share their code. The number of edges differs between batches.
+        for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.layers):
+            part.compile()
+        for layer in (*self.decoder.mover.layers, *self.decoder.seams.layers.layers):
+            layer.compile(dynamic=True)
+
+    def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
+        return set_loss(self.decoder, self.tokens(batch.points), batch)
+
+    def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
+        return answers_of(self.decoder, tokens)
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
     """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``."""
-    given = {**(SMALL if smoke else {}), **options}
-    own = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
-    unknown = set(given) - set(NetConfig.__dataclass_fields__)
+    sizes, own = sizes_from("panel_set", NetConfig, {**(SMALL if smoke else {}), **options})
+    return PanelSet(sizes, **own)
+
+
+def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tuple[Sizes, dict[str, Any]]:
+    """The configuration of a network, and the arguments of ``PointLearner``. Raises ``ConfigError``."""
+    given = dict(options)
+    own: dict[str, Any] = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
+    names = [field.name for field in fields(kind)]
+    unknown = set(given) - set(names)
     if unknown:
-        known = ", ".join([*NetConfig.__dataclass_fields__, "points", "stored_points"])
-        raise ConfigError(f"no size {min(unknown)} of a panel_set network: choose of {known}")
-    return PanelSet(NetConfig(**given), **own)
+        known = ", ".join([*names, "points", "stored_points"])
+        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {known}")
+    return kind(**given), own
 
 
 @dataclass(frozen=True)
@@ -285,14 +335,11 @@ class DrawnPoints:
 class PointTokens(nn.Module):
     """Points and normals to tokens of regions, related to each other."""
 
-    def __init__(self, config: NetConfig) -> None:
+    def __init__(self, config: PointConfig) -> None:
         super().__init__()
         self.config = config
-        width, inner = config.width, config.region_width
-        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
-        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
-        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
-        self.form = nn.Linear(2 * inner, width)
+        width = config.width
+        self.features = RegionFeatures(config.region_width, width)
         self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.encoder = encoder(config)
@@ -305,11 +352,26 @@ class PointTokens(nn.Module):
             offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
             inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
             places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
-        features = self.point(inputs)
-        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
-        features = self.form(self.region(features).amax(dim=2))
-        tokens: Tensor = self.encoder(self.merge(features + self.position(places)).float())
+        tokens: Tensor = self.encoder(self.merge(self.features(inputs) + self.position(places)).float())
         return tokens
+
+
+class RegionFeatures(nn.Module):
+    """A feature vector of the points in each region."""
+
+    def __init__(self, inner: int, width: int) -> None:
+        """``inner``: features of a point."""
+        super().__init__()
+        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
+        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
+        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
+        self.form = nn.Linear(2 * inner, width)
+
+    def forward(self, points: Float[Tensor, "b t m 6"]) -> Float[Tensor, "b t w"]:
+        features = self.point(points)
+        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
+        found: Tensor = self.form(self.region(features).amax(dim=2))
+        return found
 
 
 def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
@@ -340,9 +402,7 @@ class PanelDecoder(nn.Module):
         self.config = config
         width = config.width
         self.queries = nn.Parameter(torch.randn(config.queries, width))
-        self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.heads, 4 * width, **LAYER_OPTIONS) for _ in range(config.layers)
-        )
+        self.layers = nn.ModuleList(DecoderLayer(width, config.heads, 4 * width) for _ in range(config.layers))
         sizes = (1, 2 * config.slots * (1 + BENDS), 2, 3, 6, config.slots + 1, len(PANEL_LABELS))
         self.norm = nn.LayerNorm(width)
         self.heads = nn.ModuleList(
@@ -389,8 +449,7 @@ class EdgeMover(nn.Module):
         self.slot = nn.Embedding(config.slots, width)
         self.tokens = nn.Linear(config.width, width)
         self.layers = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
-            for _ in range(config.edge_layers)
+            DecoderLayer(width, config.edge_heads, 4 * width) for _ in range(config.edge_layers)
         )
         self.norm = nn.LayerNorm(width)
         self.head = nn.Linear(width, 2 * (1 + BENDS))
@@ -402,7 +461,7 @@ class EdgeMover(nn.Module):
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
         """``said`` with moved corners and bends, and the features of the edges."""
         features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
-        tokens, hidden = self.tokens(tokens), edges.hidden
+        tokens, hidden = self.tokens(tokens), hiding(edges.hidden)
         for layer in self.layers:
             features = layer(features, tokens, tgt_key_padding_mask=hidden)
         with torch.autocast(features.device.type, enabled=False):
@@ -423,7 +482,7 @@ class SeamHead(nn.Module):
         super().__init__()
         width = config.edge_width
         self.describe = _EdgeFeatures(config, before=width)
-        layer = nn.TransformerEncoderLayer(width, config.edge_heads, 4 * width, **LAYER_OPTIONS)
+        layer = EncoderLayer(width, config.edge_heads, 4 * width)
         self.layers = nn.TransformerEncoder(layer, config.seam_layers, nn.LayerNorm(width), enable_nested_tensor=False)
         self.queries, self.keys = nn.Linear(width, width), nn.Linear(width, width)
         self.turned = nn.Linear(width, width)
@@ -461,13 +520,13 @@ class _EdgeFeatures(nn.Module):
     def forward(self, edges: Edges, before: Float[Tensor, "b e d"], said: Predicted) -> Float[Tensor, "b e v"]:
         # In float32: bfloat16 would round places before the waves of high frequency are taken.
         with torch.autocast(before.device.type, enabled=False):
-            known = _numbers_of(edges, said)
+            known = edge_numbers(edges, said)
             known = torch.cat([waves(known), known], dim=-1)
         found: Tensor = self.mlp(torch.cat([known, before], dim=-1))
         return found
 
 
-def _numbers_of(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
+def edge_numbers(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
     """Start, middle and end of edges in the panel and in space, their lengths, their numbers in the loop."""
     device = edges.slots.device
     garments = torch.arange(len(edges.slots), device=device)[:, None]
@@ -489,9 +548,9 @@ def _symmetric(one: Float[Tensor, "b e v"], other: Float[Tensor, "b e v"]) -> Fl
     return 0.5 * (scores + scores.transpose(1, 2))
 
 
-def encoder(config: NetConfig) -> nn.TransformerEncoder:
+def encoder(config: PointConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
-    layer = nn.TransformerEncoderLayer(config.width, config.heads, 4 * config.width, **LAYER_OPTIONS)
+    layer = EncoderLayer(config.width, config.heads, 4 * config.width)
     return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
 
 
@@ -549,12 +608,12 @@ def panel_losses(
         "extents": (said.extents.log() - true.extents.clamp(min=LEAST_EXTENT).log()).abs().mean(dim=-1),
         "centres": (said.centres - true.centres).abs().mean(dim=-1),
         # Of the columns as they are: rotations half a turn away from the truth would be a local minimum.
-        "rotations": (said.axes - _axes_of(true.rotations)).abs().mean(dim=-1),
+        "rotations": (said.axes - axes_of(true.rotations)).abs().mean(dim=-1),
         "edges": functional.cross_entropy(said.edges.reshape(-1, slots), numbers, reduction="none"),
         "labels": functional.cross_entropy(said.labels.reshape(-1, kinds), labels, reduction="none"),
     }
     existing = true.exists.expand(count, -1, -1)
-    parts = {name: _mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
+    parts = {name: mean_of(values.view(existing.shape), existing) for name, values in of_panels.items()}
     parts["exists"] = _existence_loss(layers.exists, queries, true.exists)
     return {**parts, **_loop_losses(said, true, shifts)}, queries, shifts[-1]
 
@@ -566,7 +625,7 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
         counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
         cost = (
             2.0 * torch.cdist(predicted.centres, true.centres)
-            + 0.5 * torch.cdist(predicted.axes, _axes_of(true.rotations))
+            + 0.5 * torch.cdist(predicted.axes, axes_of(true.rotations))
             + 1.0 * torch.cdist(predicted.extents.log(), true.extents.clamp(min=LEAST_EXTENT).log(), p=1.0)
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]
@@ -578,11 +637,11 @@ def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"],
     """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
-    return _mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
+    return mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
 
 
-def _axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
-    """The first two columns."""
+def axes_of(rotations: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 6"]:
+    """The first two columns of rotations."""
     return rotations[..., :2].transpose(-1, -2).flatten(-2)
 
 
@@ -626,7 +685,7 @@ def _loop_losses(said: Predicted, true: PanelTargets, shifts: Int[Tensor, "l b p
         "bends": _mean_of_rows(bends.abs().mean(dim=(-2, -1)), within),
         "areas": torch.log1p(_mean_of_rows(distances, within) * true.slimness),
     }
-    return {name: _mean_of(value, existing) for name, value in values.items()}
+    return {name: mean_of(value, existing) for name, value in values.items()}
 
 
 def _mean_of_rows(values: Float[Tensor, "*m n"], within: Bool[Tensor, "*k n"]) -> Float[Tensor, " *m"]:
@@ -657,11 +716,12 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
     is_sewn = exists & (partners >= 0)
     turned = sewn.turned.gather(2, partners.clamp(min=0)[..., None])[..., 0]
     of_seams = functional.binary_cross_entropy_with_logits(turned, true.turned.float(), reduction="none")
-    means = {name: _mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
-    return {**means, "turned": _mean_of(of_seams, is_sewn)}
+    means = {name: mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
+    return {**means, "turned": mean_of(of_seams, is_sewn)}
 
 
-def _mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+    """Mean of the chosen values; 0 if there are none."""
     return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
@@ -674,14 +734,11 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))
     counts = LEAST_EDGES + last.edges[..., LEAST_EDGES:].argmax(dim=-1)
-    edges = _edges_of(exists, counts, decoder.config.edges)
+    edges = edges_of(exists, counts, decoder.config.edges)
     moved, features = decoder.mover(edges, panels, last, tokens)
     sewn = decoder.seams(edges, features, moved)
     partners = _partners(sewn.partners, edges.exists)
     mutual = partners.clamp(min=0)[..., None]
-    labels = sewn.labels + torch.where(  # of both edges: sewn edges with different labels are a fault
-        (partners >= 0)[..., None], sewn.labels.gather(1, mutual.expand_as(sewn.labels)), 0.0
-    )
     return PanelTargets(
         points=tokens.new_zeros(len(tokens), 0, 6),
         exists=exists,
@@ -696,13 +753,13 @@ def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTa
         edge_panels=torch.where(edges.exists, edges.queries, -1),
         edge_slots=edges.slots,
         edge_kinds=(sewn.kinds > 0).long(),
-        edge_labels=labels.argmax(dim=-1),
+        edge_labels=common_labels(sewn.labels, partners),
         partners=partners,
         turned=sewn.turned.gather(2, mutual)[..., 0] > 0,
     )
 
 
-def _edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
+def edges_of(exists: Bool[Tensor, "b q"], counts: Int[Tensor, "b q"], room: int) -> Edges:
     """The edges of the queries that exist; a panel beyond the room gets none."""
     shape = (len(exists), room)
     queries, slots, following = (np.zeros(shape, np.int64) for _ in range(3))
@@ -724,11 +781,24 @@ def _partners(logits: Float[Tensor, "b e f"], exists: Bool[Tensor, "b e"]) -> In
     """The partner of each edge, or -1: the likeliest pairs first, while they are likelier than two free edges."""
     log = logits.float().log_softmax(dim=-1)
     pairs, free = log[..., :-1] + log[..., :-1].transpose(1, 2), log[..., -1]
-    gains = (pairs - free[:, :, None] - free[:, None]).cpu().numpy()
+    return best_pairs(pairs - free[:, :, None] - free[:, None], exists)
+
+
+def best_pairs(gains: Float[Tensor, "b e e"], exists: Bool[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """The partner of each edge, or -1: pairs in the order of their gains, while these are above 0.
+
+    Of ``gains`` only the upper triangle is read.
+    """
     partners = np.full(exists.shape, -1)
-    for gain, known, chosen in zip(gains, exists.cpu().numpy(), partners, strict=True):
+    for gain, known, chosen in zip(gains.cpu().numpy(), exists.cpu().numpy(), partners, strict=True):
         left, right = np.nonzero(np.triu((gain > 0) & known[:, None] & known[None], 1))
         for k in np.argsort(-gain[left, right], kind="stable").tolist():
             if chosen[left[k]] < 0 and chosen[right[k]] < 0:
                 chosen[left[k]], chosen[right[k]] = right[k], left[k]
-    return torch.from_numpy(partners).to(logits.device)
+    return torch.from_numpy(partners).to(gains.device)
+
+
+def common_labels(logits: Float[Tensor, "b e l"], partners: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    """The likeliest label of each edge, of both edges of a seam: sewn edges with different labels are a fault."""
+    others = logits.gather(1, partners.clamp(min=0)[..., None].expand_as(logits))
+    return (logits + torch.where((partners >= 0)[..., None], others, 0.0)).argmax(dim=-1)

@@ -11,7 +11,7 @@ from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.metrics import PanelShape, failed_score, score_pattern
 from gcd_dataset.records import BoxMesh, Pattern
 from gcd_dataset.spec import is_bodice, is_trouser_leg, read_pattern
-from gcd_dataset.validate import Severity, check_pattern
+from gcd_dataset.validate import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.workers import parallel_map
 
 __all__ = ["SPACING", "Scored", "box_mesh_distance", "kind_of", "mesh_of", "score_case", "score_cases", "score_garment"]
@@ -19,6 +19,7 @@ __all__ = ["SPACING", "Scored", "box_mesh_distance", "kind_of", "mesh_of", "scor
 SPACING = 2.0  # cm: edge length of the box meshes that are compared
 MOST_CLOTH = 400_000.0  # cm²: forty square metres; a larger prediction is not meshed
 NO_PREDICTION = "no prediction"
+SIZES = (Rule.MANY_PANELS, Rule.MANY_EDGES)
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ def score_case(case: Case, *, spacing: float = SPACING) -> Scored:
         return score_garment(case.name, None, true, failure=NO_PREDICTION, spacing=spacing)
     try:
         predicted = read_pattern(case.predicted)
+        _require_size(predicted)
     except GcdError as error:
         return score_garment(
             case.name, None, true, failure=str(error).removeprefix(f"{case.predicted}: "), spacing=spacing
@@ -113,6 +115,12 @@ def first_fault(pattern: Pattern) -> str:
     """The first reason why a pattern cannot be sewn."""
     faults = (str(fault) for fault in check_pattern(pattern) if fault.severity is Severity.ERROR)
     return next(faults, "a panel is smaller than 1 cm²")
+
+
+def _require_size(pattern: Pattern) -> None:
+    """Raise ``PatternError`` for more panels or edges than a garment has: matching them takes minutes and gigabytes."""
+    if len(pattern.panels) > MOST_PANELS or any(len(panel.edges) > MOST_EDGES for panel in pattern.panels):
+        raise PatternError(next(str(fault) for fault in check_pattern(pattern) if fault.rule in SIZES))
 
 
 def _read_true(case: Case) -> Pattern:

@@ -4,12 +4,14 @@
     python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
 
 The patterns are those of ``tasks``: training and test set share no design and no body. ``--data`` keeps them.
+With ``--leave-out`` the test patterns are of that kind of garment, and none of the training patterns.
 ``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
 the seams of the parts) and, with ``--examples``, the specifications of a folder.
 """
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -28,8 +30,9 @@ from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_i
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS
-from benchmarks.reconstruction.training import TrainConfig, train
-from gcd_dataset.errors import ConfigError, PatternError
+from benchmarks.reconstruction.train import UNFINISHED
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, train
+from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
@@ -46,16 +49,41 @@ SMOKE: dict[str, Any] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command."""
+    """Run the command. Returns the exit code."""
     args = _parser().parse_args(arguments)
     if args.smoke:
         args = argparse.Namespace(**{**vars(args), **SMOKE})
+    try:
+        run(args)
+    except StoppedError as stopped:
+        _say(f"stitching.run: {stopped}")
+        return UNFINISHED
+    except GcdError as error:
+        _say(f"stitching.run: {error}")
+        return 1
+    return 0
+
+
+def run(args: argparse.Namespace) -> None:
+    """Draw the patterns, train, score, write the report.
+
+    Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
+    """
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
+<<<<<<< HEAD
     split = TASKS["T3"].load(
         args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.test)
     )
+=======
+    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
+    if args.leave_out:
+        split = split.without(args.leave_out)
+    if args.make_only:
+        print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
+        return
+>>>>>>> main
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
@@ -67,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
     config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
-    trained = train(learner, examples, config, device=device, out=out, check=check)
+    limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
+    trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
@@ -81,14 +110,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "steps": trained.steps,
         "train_s": round(trained.seconds, 1),
+<<<<<<< HEAD
         **evaluate(best, tests, out, args.workers, calibrated(best, watched)),
+=======
+        **evaluate(best, tests, out, args.workers, kinds=split.test.kinds),
+>>>>>>> main
     }
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
     report["all_s"] = round(time.perf_counter() - began, 1)
     (out / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     print(json.dumps({name: value for name, value in report.items() if name not in ("arguments", "config")}, indent=2))
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -99,6 +131,7 @@ def _parser() -> argparse.ArgumentParser:
 
     parser.add_argument("--out", required=True, help="folder of the checkpoint, curves and report")
     parser.add_argument("--smoke", action="store_true", help="200 patterns and half a minute on a CPU")
+    parser.add_argument("--make-only", action="store_true", help="draw the patterns of --data, then stop")
     parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
     parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
@@ -106,6 +139,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--test", 500, "patterns to test on, of another seed")
     option("--seed", 0, "seed of the patterns, the network and the order")
     option("--minutes", 6.0, "time of the training")
+    option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
+    option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
     option("--batch", 256, "patterns of a step")
     option("--lr", 8e-4, "highest learning rate")
     option("--width", 256, "features of an edge")
@@ -133,6 +168,7 @@ def _config(args: argparse.Namespace) -> StitchConfig:
 # ----------------------------------------------------------------------------------------------------------- the scores
 
 
+<<<<<<< HEAD
 def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivision:
     """The subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
 
@@ -156,6 +192,14 @@ def evaluate(
 
     ``way``: how edges are subdivided for seams n to m. Writes the predicted and the true specifications into folders of
     ``out``.
+=======
+def evaluate(
+    learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, *, kinds: Sequence[str]
+) -> dict[str, Any]:
+    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+
+    ``kinds``: kind of each garment. Writes the predicted and the true specifications into folders of ``out``.
+>>>>>>> main
     """
     greedy = []
     for pattern in patterns:
@@ -180,8 +224,10 @@ def evaluate(
     else:
         scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
         several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
+    by_kind = {kind: [s for s, k in zip(scores, kinds, strict=True) if k == kind] for kind in sorted(set(kinds))}
     return {
         "one_to_one": _table(scores),
+        "scores_of_kinds": {kind: _means(of_kind) for kind, of_kind in by_kind.items()},
         "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
-from benchmarks.reconstruction.tasks import SURFACES
+from benchmarks.reconstruction.tasks import NAMED, SURFACES
 
 SKIRTS: dict[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}}
 
@@ -15,7 +15,7 @@ SKIRTS: dict[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["Skir
 @pytest.fixture(scope="session")
 def six() -> GarmentSet:
     """Six skirts with coarse box meshes."""
-    return generated(6, 0, points=512, drape=None, resolution=5.0, design=SKIRTS)
+    return generated(6, 0, points=512, extra=NAMED, drape=None, resolution=5.0, design=SKIRTS)
 
 
 @pytest.fixture(scope="session")

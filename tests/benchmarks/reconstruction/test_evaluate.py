@@ -15,8 +15,9 @@ from benchmarks.reconstruction.evaluate import main
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.metrics import PatternScore
-from gcd_dataset.records import Pattern
+from gcd_dataset.records import Edge, Pattern
 from gcd_dataset.spec import spec_from_pattern
+from gcd_dataset.validate import MOST_EDGES, MOST_PANELS
 from tests.test_metrics import SAME, garment
 
 
@@ -85,6 +86,39 @@ def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys
     tree = json.loads((tmp_path / "out.json").read_text())
     assert [row["iou"] for row in tree["garments"]] == pytest.approx([1, 0, 0, 0], abs=1e-9)
     assert tree["figures"]["iou"]["low"] <= 0.25 <= tree["figures"]["iou"]["high"]
+
+
+def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To match 20,000 edges takes gigabytes."""
+    whole, angles = garment(), np.linspace(0, 2 * np.pi, MOST_EDGES + 1, endpoint=False)
+    corners = 30 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    disc = replace(
+        whole.panels[0],
+        name="disc",
+        vertices=corners,
+        edges=tuple(Edge(k, (k + 1) % len(corners)) for k in range(len(corners))),
+    )
+    many = tuple(replace(whole.panels[0], name=f"panel {k}") for k in range(MOST_PANELS + 1))
+    ours = {"a": replace(whole, panels=(*whole.panels, disc)), "b": Pattern("", many, ()), "c": whole, "d": whole}
+    assert run(save(tmp_path / "ours", ours), truth) == 0
+    printed = capsys.readouterr().out
+    assert (figures(printed)["failed"], figures(printed)["iou"]) == (2, 0.5)
+    assert f"panel disc: error: too many edges: {MOST_EDGES + 1}" in printed
+    assert f"too many panels: {MOST_PANELS + 1}" in printed
+
+
+def test_a_preset_that_matches_names_says_if_no_name_matches(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbered = tuple(replace(panel, name=f"panel_{k}") for k, panel in enumerate(garment().panels))
+    ours = save(tmp_path / "ours", dict.fromkeys("abcd", Pattern("", numbered, ())))
+    assert run(ours, truth, "--preset", "aipparel", "--preset", "stitched") == 0
+    [remark] = capsys.readouterr().err.splitlines()
+    assert "preset aipparel matches panels by name, and no predicted panel has the name of a true one" in remark
+    assert run(truth, truth, "--preset", "aipparel") == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_lines_hold_interval_and_median(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:

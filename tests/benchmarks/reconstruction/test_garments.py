@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from benchmarks.reconstruction import garments
 from benchmarks.reconstruction.garments import (
     CENTRE,
     GarmentSet,
@@ -16,6 +17,7 @@ from benchmarks.reconstruction.garments import (
     fresh_garments,
     generated,
     read_folder,
+    read_garments,
     split_off,
 )
 from benchmarks.reconstruction.tasks import task_named
@@ -24,6 +26,7 @@ from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import recipe_of
+from gcd_dataset.loaders.base import Garments
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Drape, Outcome
@@ -71,6 +74,25 @@ def test_a_cached_set_grows_and_holds_the_smaller_ones(tmp_path: Path) -> None:
     assert [len(found) for found in made.values()] == [3, 5, 2]
     assert same(made[2], made[5].select([0, 1]))
     assert same(made[5], generated(5, 3, **PATTERNS))
+
+
+def test_a_stopped_call_keeps_the_garments_that_it_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = generated(5, 3, **PATTERNS)
+    made: list[int] = []
+
+    def stopped(source: Garments, **options: Any) -> GarmentSet:
+        if made == [2, 2]:
+            raise KeyboardInterrupt
+        made.append(len(source))
+        return read_garments(source, **options)
+
+    monkeypatch.setattr(garments, "PORTION", 2)
+    monkeypatch.setattr(garments, "read_garments", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        generated(5, 3, cache=tmp_path, **PATTERNS)
+    made.clear()
+    assert same(generated(5, 3, cache=tmp_path, **PATTERNS), whole)
+    assert made == [1]
 
 
 def test_workers_make_the_same_set() -> None:

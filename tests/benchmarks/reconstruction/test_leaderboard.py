@@ -4,14 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks.reconstruction.leaderboard import main, read_entries
 
 
-def result(task: str, model: str, exact: float) -> dict[str, Any]:
-    data = {"count": 4, "patterns": "ab" * 32, "ids": "cd" * 32, "recipe": {}}
+def result(task: str, model: str, exact: float, *, train: int = 4, **options: Any) -> dict[str, Any]:
+    data = {"count": train - 1, "patterns": "ab" * 32, "ids": "cd" * 32, "recipe": {}}
     return {
+        "options": {"train": train, **options},
         "task": task, "model": model, "scores": {"topology_exact": [exact, exact - 0.1, exact + 0.1]},
         "scores_of_kinds": {"skirt": {"topology_exact": 0.25}}, "data": {"train": data, "test": data},
         "minutes": 8.0, "steps": 10, "parameters": 1234, "device": "NVIDIA H200",
@@ -47,3 +50,57 @@ def test_another_file_is_refused(text: str, tmp_path: Path, capsys: pytest.Captu
     assert main(["--reports", str(tmp_path), "--add", str(tmp_path / "report.json"), "--command", "x"]) == 1
     assert "report.json" in capsys.readouterr().err
     assert not (tmp_path / "learning").exists()
+
+
+def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None:
+    added(tmp_path, result("T1", "panel_set", 0.3, train=1000))
+    assert not (tmp_path / "learning_T1.png").exists()
+    added(tmp_path, result("T1", "panel_set", 0.5, train=4000))
+    added(tmp_path, result("T1", "panel_set", 0.8, train=4000, fresh=65536) | {"fresh": 6000})
+    added(tmp_path, result("T1", "nearest", 0.2, train=4000))
+    page = (tmp_path / "learning_T1.md").read_text()
+    assert "| score | model | 1,000 | 4,000 | 10,000 |" in page
+    assert (
+        "| topology_exact | panel_set | 0.3 (0.2 to 0.4) | 0.5 (0.4 to 0.6) | 0.8 (0.7 to 0.9) |\n"
+        "| topology_exact | nearest |  | 0.2 (0.1 to 0.3) |  |" in page
+    )
+    assert "| panel_set | 4,000 + 6,000 fresh | 8.0 |" in page
+    picture = np.asarray(Image.open(tmp_path / "learning_T1.png").convert("RGB"))
+    assert min(picture.shape[:2]) > 200
+    assert (picture != 255).any(axis=2).mean() > 0.01
+
+
+def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path) -> None:
+    added(tmp_path, result("T0", "panel_set", 0.7))
+    added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt"))
+    for name in ("learning_T0.md", "leaderboard.md"):
+        page = (tmp_path / name).read_text()
+        assert "| left out | model | of | topology_exact, with | topology_exact, without |" in page
+        assert "| skirt | panel_set | 4 | 0.25 | 0.1 (0 to 0.2) |" in page
+        assert page.count("| panel_set | 4 | 8.0 |") == 1
+
+
+def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None:
+    added(tmp_path, result("T2", "picture_set", 0.5))
+    added(tmp_path, result("T2", "picture_set", 0.4, sizes={"views": 1}))
+    found = [entry.model for entry in read_entries(tmp_path / "learning")]
+    assert found == ["picture_set", "picture_set views=1"]
+
+
+def test_the_least_error_comes_first(tmp_path: Path) -> None:
+    for model, error in (("mean_measures", 4.0), ("measures", 1.0)):
+        added(tmp_path, result("T5", model, 0.0) | {"scores": {"error_cm": [error, error, error]}})
+    assert [entry.model for entry in read_entries(tmp_path / "learning")] == ["measures", "mean_measures"]
+    assert "| measures | 4 | 8.0 | 1 (1 to 1) |" in (tmp_path / "leaderboard.md").read_text()
+
+
+def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
+    data = {"count": 4, "patterns": "ab" * 32, "ids": "cd" * 32}
+    found: dict[str, Any] = {
+        "arguments": {"train": 1000, "leave_out": ""}, "data": {"train": data, "test": data}, "train_s": 60.0,
+        "one_to_one": {"f1_symmetric": [0.9, 0.8, 1.0]}, "scores_of_kinds": {"dress": {"f1_symmetric": 0.75}},
+    }  # fmt: skip
+    assert added(tmp_path, found) == 0
+    found |= {"arguments": {"train": 1000, "leave_out": "dress"}, "one_to_one": {"f1_symmetric": [0.5, 0.4, 0.6]}}
+    assert added(tmp_path, found) == 0
+    assert "| dress | stitches | 1,000 | 0.75 | 0.5 (0.4 to 0.6) |" in (tmp_path / "learning_T3.md").read_text()

@@ -1,6 +1,7 @@
 """The panel set network: what its loss ignores, what its answers are, and that it learns."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import pytest
@@ -10,9 +11,9 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import (
     PanelSet,
     Predicted,
-    _edges_of,
     _partners,
     build,
+    edges_of,
     match_panels,
     panel_losses,
     regions_of,
@@ -23,6 +24,7 @@ from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.validate import Severity, check_pattern
+from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")
 
@@ -40,28 +42,6 @@ def targets(six: GarmentSet) -> PanelTargets:
 def loss_of(network: PanelSet, true: PanelTargets) -> float:
     with torch.no_grad():
         return float(sum(part.item() for part in network.loss(true).values()))
-
-
-def shuffled(true: PanelTargets) -> PanelTargets:
-    """The same garments with their panels in another order."""
-    order = torch.randperm(true.exists.shape[1], generator=torch.Generator().manual_seed(1))
-    names = ("exists", "corners", "bends", "extents", "centres", "rotations", "edge_counts", "labels", "slimness")
-    place = order.argsort()[true.edge_panels.long().clamp(min=0)].to(true.edge_panels.dtype)
-    panels = {name: getattr(true, name)[:, order] for name in names}
-    return replace(true, **panels, edge_panels=torch.where(true.edge_panels < 0, true.edge_panels, place))
-
-
-def started_elsewhere(true: PanelTargets) -> PanelTargets:
-    """The same garments with every loop started two corners later."""
-    counts = true.edge_counts.clamp(min=1)[..., None]
-    slot = torch.arange(true.corners.shape[2])
-    at = torch.where(slot < counts, (slot + 2) % counts, slot)
-    garment, query = torch.arange(len(at))[:, None, None], torch.arange(at.shape[1])[:, None]
-    count = counts[..., 0].gather(1, true.edge_panels.long().clamp(min=0))
-    slots = torch.where(true.edge_panels < 0, 0, (true.edge_slots.long() - 2) % count).to(true.edge_slots.dtype)
-    return replace(
-        true, corners=true.corners[garment, query, at], bends=true.bends[garment, query, at], edge_slots=slots
-    )
 
 
 @pytest.mark.parametrize("change", [shuffled, started_elsewhere])
@@ -153,6 +133,24 @@ def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> No
     assert all(torch.allclose(one, other, atol=1e-4) for one, other in zip(ours, theirs, strict=True))
 
 
+def test_a_step_asks_for_no_value_on_the_device(targets: PanelTargets, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Tensors of the device "meta" have no values: whatever would wait for a GPU to read one raises an error.
+    def assigned(cost: torch.Tensor, asked: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(asked.shape, dtype=torch.int64, device=cost.device)
+
+    def no_autocast(kind: str, *, enabled: bool) -> AbstractContextManager[None]:
+        return nullcontext()  # the device has none
+
+    monkeypatch.setattr("benchmarks.reconstruction.models.panel_set.least_cost", assigned)
+    monkeypatch.setattr(torch, "autocast", no_autocast)
+    meta = torch.device("meta")
+    network, batch = learner().to(meta), targets[:2].with_points(128, torch.Generator()).to(meta)
+    loss = torch.stack(list(network.loss(batch).values())).sum()
+    torch.autograd.backward(loss)
+    with pytest.raises(RuntimeError):
+        loss.item()
+
+
 def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
     examples = learner().prepare(six, device=CPU)
     first, again, other = (
@@ -178,7 +176,7 @@ def test_the_likeliest_pairs_are_sewn_first() -> None:
 
 
 def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
-    edges = _edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
+    edges = edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
     assert edges.queries.tolist() == [[0, 0, 0, 2, 2, 2, 2, 0]]
     assert edges.slots.tolist() == [[0, 1, 2, 0, 1, 2, 3, 0]]
     assert edges.following.tolist() == [[1, 2, 0, 1, 2, 3, 0, 0]]
@@ -197,5 +195,5 @@ def test_regions_are_a_power_of_two() -> None:
 
 
 def test_an_unknown_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a panel_set network: choose of queries, slots"):
+    with pytest.raises(ConfigError, match="no size depth of panel_set: choose of queries, slots"):
         learner(depth=3)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.reconstruction.train import main
+from benchmarks.reconstruction.train import UNFINISHED, main
 from benchmarks.run import main as run_case
 from gcd_dataset.metrics import mean_scores, score_pattern
 from gcd_dataset.spec import read_pattern
 
-SMALL = ["--smoke", "--test", "3", "--resolution", "6", "--device", "cpu"]
+SMALL = ["--smoke", "--train", "4", "--test", "3", "--resolution", "6", "--device", "cpu"]
 
 
 def patterns_in(folder: Path) -> list[Path]:
@@ -28,7 +28,7 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     again = mean_scores([score_pattern(read_pattern(one), read_pattern(other)) for one, other in pairs])
     assert report["scores"]["iou"][0] == pytest.approx(again.iou, abs=1e-6)
     assert report["scores"]["stitch_f1"][0] == pytest.approx(again.stitch_f1)
-    assert (report["steps"], report["data"]["test"]["count"]) == (4, 3)
+    assert (report["steps"], report["data"]["train"]["count"], report["data"]["test"]["count"]) == (4, 4, 3)
     with (out / "scores.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sum(float(row["iou"]) for row in rows) / 3 == pytest.approx(again.iou)
@@ -40,9 +40,23 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
 
 
+def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
+    flags = ["panel_set", *SMALL, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
+    assert main([*flags, "--make-only"]) == 0
+    assert len(list((tmp_path / "data").glob("*.npz"))) == 3  # to train, to check, to test
+    assert not list((tmp_path / "out").iterdir())
+    assert main([*flags, "--limit-minutes", "0.0001"]) == UNFINISHED
+    assert (tmp_path / "out" / "checkpoint.pt").exists()
+    assert not (tmp_path / "out" / "report.json").exists()
+    assert main(flags) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["steps"], report["options"]["train"]) == (4, report["data"]["train"]["count"])
+
+
 def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
-    flags = ["--smoke", "--test", "2", "--steps", "60", "--batch", "2", "--fresh", "32", "--resolution", "8"]
-    assert main(["panel_set", *flags, "--device", "cpu", "--out", str(tmp_path / "out")]) == 0
+    flags = ["--smoke", "--train", "4", "--test", "2", "--steps", "16", "--batch", "2", "--fresh", "32"]
+    flags += ["--resolution", "8", "--device", "cpu"]
+    assert main(["panel_set", *flags, "--out", str(tmp_path / "out")]) == 0
     assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.reconstruction.training import TrainConfig, Trained, TrainingError, learning_rate, train
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, TrainingError, learning_rate, train
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
 
@@ -44,6 +44,15 @@ def test_a_stopped_training_continues_with_the_same_numbers(tmp_path: Path) -> N
     continued = trained(tmp_path, dropout=0.2)
     assert continued.steps == 40
     assert same(continued, whole)
+
+
+def test_a_training_that_its_limit_ends_continues_in_the_next_call(tmp_path: Path) -> None:
+    whole = trained(dropout=0.2)
+    with pytest.raises(StoppedError, match="stopped by the limit at 2%: repeat the command"):
+        trained(tmp_path, dropout=0.2, limit=0.0)
+    assert (tmp_path / "checkpoint.pt").exists()
+    assert same(trained(tmp_path, dropout=0.2), whole)
+    assert same(trained(tmp_path, dropout=0.2, limit=0.0), whole)  # finished before its limit counts
 
 
 def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None:

@@ -47,9 +47,10 @@ class LineLearner(Learner[Line, float]):
 
 
 def train_rank(rank: int, world: int, port: int, steps: int, file: Path) -> None:
-    """Train as one rank of several, and write the first rank's weights."""
+    """Train as one rank of several, which meet at a store on ``port``, and write the first rank's weights."""
     os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": str(world), "MASTER_PORT": str(port)}
-    os.environ["MASTER_ADDR"] = "127.0.0.1"
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "TORCHELASTIC_USE_AGENT_STORE": "True"}
+    os.environ["TORCHELASTIC_RESTART_COUNT"] = "0"
     torch.set_num_threads(1)
     with one_of_several_ranks("cpu") as device:
         found = train(LineLearner(), line(), TrainConfig(steps=steps, batch=8, lr=0.1), device=device)

@@ -1,0 +1,471 @@
+"""Train and score all models of a plan, some at once, in as many calls as it takes.
+
+    python -m benchmarks.reconstruction.campaign benchmarks/reconstruction/plans/smoke.toml --out runs
+    python -m benchmarks.reconstruction.campaign benchmarks/reconstruction/plans/h200.toml --out runs --only "T0-*" \\
+        --gpus 2 --limit-minutes 9
+    python -m benchmarks.reconstruction.campaign benchmarks/reconstruction/plans/h200.toml --out runs --report
+
+A plan is a TOML file with a table for each group of runs. Its keys are options of ``train``, or of ``stitching.run``
+with ``program = "stitching.run"``; a list holds a value for each run, and several lists all their combinations. A run
+is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score.
+
+A run is finished if ``OUT/NAME/report.json`` exists. First the garments of the other runs are made, a set at a time;
+then the runs start, one for each GPU, the longest that fits into the time first. A call that ends early, or is killed,
+is repeated: trainings continue from their checkpoints. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if
+a run failed, else 0. ``--report`` starts nothing: it hands the finished reports to ``leaderboard``.
+"""
+
+import argparse
+import csv
+import fcntl
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from fnmatch import fnmatch
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from benchmarks.reconstruction import leaderboard
+from benchmarks.reconstruction.stitching import run as stitching
+from benchmarks.reconstruction.tasks import task_named
+from benchmarks.reconstruction.train import MINUTES, SMOKE, UNFINISHED
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.generator.drape.device import cores
+
+__all__ = ["Planned", "State", "main", "read_plan"]
+
+PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}
+OWN = ("program", "model", "spare")
+"""Keys of a plan that are no options of the program."""
+SPARE = 1.0  # minutes
+LEAST = 1.5  # minutes; a training that cannot be finished is not begun with less
+LEAVE = 15.0  # s that a program has to write its checkpoint
+REPORT, LOG, PLANNED = "report.json", "log.txt", "planned.json"
+
+
+class State(StrEnum):
+    """What is known of a run."""
+
+    DONE = "done"
+    FAILED = "failed"
+    UNFINISHED = "unfinished"
+    WAITING = "waiting"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A run of a plan."""
+
+    name: str
+    program: str
+    """Key of ``PROGRAMS``."""
+    model: str
+    """First argument of ``train``; empty for ``stitching.run``."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    spare: float = SPARE
+    """Minutes to load and to score."""
+
+    @property
+    def command(self) -> list[str]:
+        """The command without the options that the campaign adds."""
+        return ["python", "-m", PROGRAMS[self.program], *([self.model] if self.model else []), *_flags(self.options)]
+
+    @property
+    def minutes(self) -> float:
+        """Time of the training."""
+        if self.options.get("smoke") or "steps" in self.options:
+            return 1.0
+        if "minutes" in self.options:
+            return float(self.options["minutes"])
+        return 6.0 if self.program == "stitching.run" else MINUTES * _is_network(self.model)
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        return str(self.options.get("task", "T3" if self.program == "stitching.run" else "T0"))
+
+    @property
+    def train(self) -> int:
+        """Garments to train on."""
+        given = int(self.options.get("train", 0))
+        if not self.options.get("smoke"):
+            return given
+        return int(stitching.SMOKE["train"]) if self.program == "stitching.run" else given or int(SMOKE["train"])
+
+    @property
+    def garments(self) -> str:
+        """Equal for runs whose garments share a file of ``--data``; a larger set holds the smaller ones."""
+        task = task_named(self.task)
+        names = ("source", "resolution", "test") + (("smoke",) if self.program == "train" else ())
+        return repr((dict(task.options), task.points, task.extra, [self.options.get(name) for name in names]))
+
+
+def read_plan(path: Path) -> list[Planned]:
+    """The runs of a plan, in its order. Raises ``ConfigError`` for an unusable one."""
+    try:
+        groups = tomllib.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}: give a TOML file of runs") from error
+    runs = [run for name, group in groups.items() for run in _runs(path, name, group)]
+    names = [run.name for run in runs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or not runs:
+        raise ConfigError(
+            f"{path}: {'no runs' if not runs else f'two runs {twice[0]}'}: give runs with different names"
+        )
+    return runs
+
+
+def _runs(path: Path, name: str, group: Any) -> list[Planned]:
+    if not isinstance(group, dict):
+        raise ConfigError(f"{path}: {name} is no table: give [{name}] with the options of its runs")
+    lists = {key: value for key, value in group.items() if isinstance(value, list) and key != "set"}
+    found = []
+    for values in product(*lists.values()):
+        chosen = {**group, **dict(zip(lists, values, strict=True))}
+        program = chosen.get("program", "train")
+        if program not in PROGRAMS:
+            raise ConfigError(f"{path}: [{name}] program {program!r}: give one of {', '.join(PROGRAMS)}")
+        if program == "train" and "model" not in chosen:
+            raise ConfigError(f"{path}: [{name}] has no model: give model = …")
+        options = {key: value for key, value in chosen.items() if key not in OWN}
+        task_named(str(options.get("task", "T0")))
+        title = "-".join([name, *(str(value) for value in values)])
+        found.append(Planned(title, program, chosen.get("model", ""), options, float(chosen.get("spare", SPARE))))
+    return found
+
+
+def _flags(options: Mapping[str, Any]) -> list[str]:
+    """Options as arguments: ``true`` is a flag, ``false`` none."""
+    found: list[str] = []
+    for key, value in options.items():
+        flag = f"--{key.replace('_', '-')}"
+        if isinstance(value, bool):
+            found += [flag] if value else []
+        else:
+            found += [flag, *(str(part) for part in (value if isinstance(value, list) else [value]))]
+    return found
+
+
+def _is_network(model: str) -> bool:
+    from benchmarks.reconstruction.models import load_model
+
+    return hasattr(load_model(model), "build")
+
+
+# ---------------------------------------------------------------------------------------------------------- the command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code."""
+    args = _parser().parse_args(arguments)
+    try:
+        runs = [run for run in read_plan(args.plan) if fnmatch(run.name, args.only)]
+        if not runs:
+            raise ConfigError(f"{args.plan} has no run {args.only}: give --only a pattern such as 'T0-*'")
+        return _report(runs, args) if args.report else _Campaign(args).run(runs)
+    except ConfigError as error:
+        print(f"campaign: {error}", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="campaign", description=__doc__, formatter_class=formatter)
+    parser.add_argument("plan", type=Path, help="TOML file of runs")
+    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder of the runs (%(default)s)")
+    parser.add_argument("--data", type=Path, help="folder of the garments (default: garments in --out)")
+    parser.add_argument("--only", default="*", metavar="GLOB", help="names of the runs to start (%(default)s)")
+    parser.add_argument("--gpus", type=int, default=-1, help="runs at once, each on its GPU; 0: one, on the CPU "
+                        "(default: the GPUs of this machine)")  # fmt: skip
+    parser.add_argument("--limit-minutes", type=float, default=0.0, help="time of this call; 0: no limit (%(default)s)")
+    parser.add_argument(
+        "--examples", default="", help="folder of specifications that the runs of T3 are tested on, too"
+    )
+    parser.add_argument("--list", action="store_true", help="print state and time of the runs, start nothing")
+    parser.add_argument("--report", action="store_true", help="add the finished reports to the leaderboard")
+    parser.add_argument("--reports", type=Path, default=leaderboard.REPORTS, help="folder of the leaderboard")
+    parser.add_argument("--commit", default="", help="commit of the runs, with --report (default: the present one)")
+    return parser
+
+
+def _report(runs: Sequence[Planned], args: argparse.Namespace) -> int:
+    """Add the finished reports to the leaderboard, with the commands of the plan."""
+    done = [run for run in runs if (args.out / run.name / REPORT).exists()]
+    if not done:
+        raise ConfigError(f"{args.out} has no finished run of {args.plan}: run the campaign first")
+    commit = args.commit or leaderboard.commit_here()
+    for run in done:
+        path = args.out / run.name / REPORT
+        date = datetime.fromtimestamp(path.stat().st_mtime, UTC).strftime("%Y-%m-%d")
+        command = shlex.join([*run.command, "--out", f"runs/{run.name}"])
+        leaderboard.add(path, args.reports / leaderboard.RESULTS, command=command, commit=commit, date=date)
+    for path in leaderboard.write_pages(args.reports):
+        print(path)
+    print(f"{len(done)} of {len(runs)} runs reported")
+    return 0
+
+
+# --------------------------------------------------------------------------------------------------------- the campaign
+
+
+@dataclass
+class _Job:
+    """A program that runs."""
+
+    run: Planned
+    process: subprocess.Popen[bytes]
+    begun: float
+
+
+class _Campaign:
+    """The runs of one call."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
+        self.data = args.data or args.out / "garments"
+        gpus = _gpus() if args.gpus < 0 else args.gpus
+        self.slots: list[int | None] = list(range(gpus)) or [None]
+        self.begun = time.monotonic()
+        self.limit = 60.0 * args.limit_minutes or float("inf")
+        self.states: dict[str, State] = {}
+        self.jobs: dict[int | None, _Job] = {}
+        self.lock = -1
+
+    def run(self, runs: Sequence[Planned]) -> int:
+        """Make the garments, start what is not finished, print the table. Returns the exit code."""
+        for run in runs:
+            self.states[run.name] = self._known(run)
+        pending = [run for run in runs if self.states[run.name] is not State.DONE]
+        if not self.lists:
+            with _locked(self.out / "lock") as self.lock:
+                before = signal.signal(signal.SIGTERM, _stop)
+                try:
+                    self._train(self._make(pending))
+                finally:
+                    self._end_all()
+                    signal.signal(signal.SIGTERM, before)
+        self._print(runs)
+        return int(State.FAILED in self.states.values())
+
+    def _known(self, run: Planned) -> State:
+        """The state that the files tell. Raises ``ConfigError`` for files of other options."""
+        folder = self.out / run.name
+        if (folder / PLANNED).exists() and json.loads((folder / PLANNED).read_text()) != run.command:
+            raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
+        if (folder / REPORT).exists():
+            return State.DONE
+        return State.UNFINISHED if (folder / "checkpoint.pt").exists() else State.WAITING
+
+    # ------------------------------------------------------------------------------------------------- the garments
+
+    def _make(self, pending: Sequence[Planned]) -> list[Planned]:
+        """Make the garments of each data set, the largest set of it; the runs whose garments are there."""
+        ready: list[Planned] = []
+        for garments in dict.fromkeys(run.garments for run in pending):
+            sharing = [run for run in pending if run.garments == garments]
+            largest = max(sharing, key=lambda run: run.train)
+            if self._left() <= 0:
+                break
+            _say(f"garments of {', '.join(run.name for run in sharing)}")
+            log = self.out / f"garments_{largest.name}.txt"
+            self._start(self.slots[0], largest, log, ["--make-only"], workers=max(0, cores() - 1))
+            code = self._wait(self.slots[0])
+            if code == 0:
+                ready += sharing
+            elif code is not None:
+                _say(f"no garments, see {log}: {_last_line(log)}")
+                self.states |= {run.name: State.FAILED for run in sharing}
+        return ready
+
+    # -------------------------------------------------------------------------------------------------- the trainings
+
+    def _train(self, ready: list[Planned]) -> None:
+        """Start the runs, the longest that fits first, and wait for them."""
+        waiting = list(ready)
+        workers = max(0, cores() // len(self.slots) - 1)
+        while waiting or self.jobs:
+            for slot in self.slots:
+                if slot not in self.jobs and (run := self._next(waiting)) is not None:
+                    waiting.remove(run)
+                    left = self._left() / 60
+                    more = ["--limit-minutes", f"{max(0.1, left - 0.5):.2f}"] if left < float("inf") else []
+                    _say(f"{run.name} begins" + ("" if slot is None else f" on GPU {slot}"))
+                    folder = make_folder(self.out / run.name)
+                    write_whole(folder / PLANNED, json.dumps(run.command).encode())
+                    self._start(slot, run, folder / LOG, more, workers=workers)
+            if not self.jobs:
+                return
+            if self._left() <= 0:
+                self._end_all()
+                return
+            time.sleep(0.2)
+            for slot, job in list(self.jobs.items()):
+                if (code := job.process.poll()) is not None:
+                    del self.jobs[slot]
+                    self._ended(job, code)
+
+    def _next(self, waiting: Sequence[Planned]) -> Planned | None:
+        """The longest run that fits into the time left; else the longest training, which a later call continues."""
+        left = self._left() / 60
+        ranked = sorted(waiting, key=self._expected, reverse=True)
+        fitting = [run for run in ranked if self._expected(run) <= left]
+        begun = [run for run in ranked if run.minutes] if left >= LEAST else []
+        return next(iter([*fitting, *begun]), None)
+
+    def _expected(self, run: Planned) -> float:
+        """Minutes that a run still takes."""
+        return max(0.0, run.minutes - _trained_minutes(self.out / run.name)) + run.spare
+
+    def _ended(self, job: _Job, code: int) -> None:
+        name, log = job.run.name, self.out / job.run.name / LOG
+        minutes = (time.monotonic() - job.begun) / 60
+        if code == 0 and (self.out / name / REPORT).exists():
+            self.states[name] = State.DONE
+            _say(f"{name} done after {minutes:.1f} min")
+        elif code == UNFINISHED:
+            self.states[name] = State.UNFINISHED
+            _say(f"{name} stopped after {minutes:.1f} min, to be continued")
+        else:
+            self.states[name] = State.FAILED
+            _say(f"{name} failed with exit code {code}, see {log}: {_last_line(log)}")
+
+    # --------------------------------------------------------------------------------------------------- the programs
+
+    def _start(self, slot: int | None, run: Planned, log: Path, more: Sequence[str], *, workers: int) -> None:
+        arguments = [*run.command[1:], "--out", str(self.out / run.name), "--data", str(self.data), *more]
+        if "workers" not in run.options and not run.options.get("smoke"):
+            arguments += ["--workers", str(workers)]
+        if run.program == "stitching.run" and self.examples:
+            arguments += ["--examples", self.examples]
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        if slot is not None:
+            cache = make_folder(self.data / "warp" / str(slot)).resolve()
+            environment |= {"CUDA_VISIBLE_DEVICES": str(slot), "WARP_CACHE_PATH": str(cache)}
+        with log.open("ab") as file:
+            file.write(f"$ {shlex.join(['python', *arguments])}\n".encode())
+            file.flush()
+            process = subprocess.Popen(
+                [sys.executable, *arguments],
+                stdout=file,
+                stderr=file,
+                env=environment,
+                start_new_session=True,
+                pass_fds=[self.lock],  # a program that a killed campaign leaves behind keeps the lock
+            )
+        self.jobs[slot] = _Job(run, process, time.monotonic())
+
+    def _wait(self, slot: int | None) -> int | None:
+        """The exit code of the program; ``None`` if the time is over before."""
+        job = self.jobs[slot]
+        try:
+            code = job.process.wait(None if self._left() == float("inf") else max(0.0, self._left()))
+        except subprocess.TimeoutExpired:
+            self._end_all()
+            return None
+        del self.jobs[slot]
+        return code
+
+    def _end_all(self) -> None:
+        """End the programs and the processes that they started."""
+        for job in self.jobs.values():
+            _signal_group(job.process, signal.SIGTERM)
+        deadline = time.monotonic() + LEAVE
+        for job in self.jobs.values():
+            while job.process.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.05)
+            _signal_group(job.process, signal.SIGKILL)
+            job.process.wait()
+            if job.run.name in self.states:
+                self.states[job.run.name] = self._known(job.run)
+        self.jobs.clear()
+
+    def _left(self) -> float:
+        """Time left [s]."""
+        return self.limit - (time.monotonic() - self.begun)
+
+    def _print(self, runs: Sequence[Planned]) -> None:
+        """The table of all runs."""
+        rows = [["run", "state", "minutes left", "headline"]]
+        for run in runs:
+            state = self.states[run.name]
+            left = "" if state is State.DONE else f"{self._expected(run):.1f}"
+            rows.append([run.name, str(state), left, _headline(self.out / run.name / REPORT, run.task)])
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        for row in rows:
+            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        counts = [f"{sum(s is state for s in self.states.values())} {state}" for state in State]
+        total = sum(self._expected(run) for run in runs if self.states[run.name] is not State.DONE)
+        print(", ".join(counts) + (f"; {total:.0f} minutes left on one device" if total else ""))
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[int]:
+    """A lock on a folder of runs, its file descriptor. Raises ``ConfigError`` if another process has it."""
+    with path.open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ConfigError(f"{path.parent}: a campaign, or a run that one left, goes on there: end it") from error
+        yield file.fileno()
+
+
+def _gpus() -> int:
+    import torch
+
+    return torch.cuda.device_count()
+
+
+def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    try:
+        os.killpg(process.pid, number)
+    except ProcessLookupError:
+        return
+
+
+def _stop(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)
+
+
+def _trained_minutes(folder: Path) -> float:
+    """Minutes of training that the curves show; 0 without a checkpoint to continue from."""
+    path = folder / "curves.csv"
+    if not path.exists() or not (folder / "checkpoint.pt").exists():
+        return 0.0
+    with path.open(newline="") as file:
+        return max((float(row["seconds"]) for row in csv.DictReader(file)), default=0.0) / 60
+
+
+def _headline(path: Path, task: str) -> str:
+    """The score by which models of the task are compared."""
+    if not path.exists():
+        return ""
+    found = json.loads(path.read_text())
+    name = "perfect_symmetric" if "one_to_one" in found else task_named(task).headline
+    value = found.get("one_to_one", found.get("scores", {})).get(name)
+    return f"{name} {value[0]:.3f}" if value else ""
+
+
+def _last_line(path: Path) -> str:
+    lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1].strip() if lines else ""
+
+
+def _say(text: str) -> None:
+    print(f"campaign: {text}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

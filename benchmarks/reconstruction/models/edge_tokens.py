@@ -1,0 +1,662 @@
+"""From surface points of a garment to its pattern, written edge by edge.
+
+A garment is a sequence: for each panel one token that opens it, then one token for each edge of its loop; the last
+edge closes the loop, and a token ends the pattern. The kind of a token is a class; corners, bends and placements are
+regressed from the state of the token before, and fed back as numbers (AIpparel, Nakayama et al., CVPR 2025, without the
+language model; DressCode, He et al., SIGGRAPH 2024, quantises them). The decoder is a causal transformer (Vaswani et
+al., NeurIPS 2017) that attends to the tokens of the points, the encoder of ``panel_set``. The state of an edge points
+to the earlier edge that it is sewn to, or to none (pointer networks, Vinyals et al., NeurIPS 2015).
+
+Training reads whole sequences in one pass (teacher forcing), with noise on the numbers fed back, since answers feed
+back their own errors. Answers are decoded greedily, all garments of a batch at once, with cached keys and values; kinds
+that would leave a loop open, with less than three edges, or beyond the sizes of the network are masked. A seam joins
+two edges, as in the targets: an edge that is sewn to several others is several edges there.
+
+Nothing in a training step waits for the device: sizes do not depend on values there.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.models.panel_set import (
+    FREQUENCIES,
+    LEAST_EDGES,
+    NEVER,
+    TINY,
+    PointConfig,
+    PointLearner,
+    axes_of,
+    best_pairs,
+    common_labels,
+    mean_of,
+    rotation_of,
+    sizes_from,
+    waves,
+)
+from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
+from benchmarks.reconstruction.panel_targets import BENDS, UNIT, PanelTargets, ToTargets
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
+
+__all__ = [
+    "SMOKE",
+    "USUAL",
+    "EdgeDecoder",
+    "EdgeTokens",
+    "Sequence",
+    "TokenConfig",
+    "Tokens",
+    "build",
+    "canonical",
+    "decode",
+    "sequence_of",
+    "token_loss",
+    "tokens_of",
+]
+
+LINE = len(PANEL_LABELS)  # kinds below: a new panel, with the row of its label
+CURVE, CLOSING_LINE, CLOSING_CURVE, END, START = range(LINE + 1, LINE + 6)
+KINDS = START  # kinds that are predicted
+EDGE_KINDS = 2  # straight and curved
+NUMBERS = 3 * 2 + 3 * 3 + 1 + 3 + 6  # that describe a token
+CENTIMETRE = 1 / UNIT
+FAR = 500  # cm: places are sorted within ± FAR
+ENDED_EVERY = 16  # tokens between checks whether all garments of a batch have ended
+WEIGHTS = {
+    "kinds": 1.0, "firsts": 5.0, "centres": 5.0, "rotations": 1.0, "corners": 5.0, "bends": 5.0, "areas": 0.5,
+    "edge_labels": 0.2, "partners": 1.0, "turned": 0.2,
+}  # fmt: skip
+USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
+"""Options of a training on a GPU."""
+SMOKE: Mapping[str, Any] = {
+    "steps": 300, "batch": 8, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+}  # fmt: skip
+"""Options of the smallest training, for two CPU cores."""
+SMALL: Mapping[str, Any] = {
+    **{name: SMALL_PANEL_SET[name] for name in ("queries", "slots", "edges", "points", "stored_points")},
+    "tokens": 32, "region_width": 32, "width": 64, "heads": 4, "layers": 1, "decoder_layers": 2,
+}  # fmt: skip
+"""Sizes of its network."""
+
+
+@dataclass(frozen=True, slots=True)
+class TokenConfig(PointConfig):
+    """Sizes of ``EdgeTokens``."""
+
+    decoder_layers: int = 8
+    noise_mm: int = 5
+    """Standard deviation of the noise on corners and centres that are fed back in training [mm]."""
+
+
+# ---------------------------------------------------------------------------------------------------------- the learner
+
+
+class EdgeTokens(PointLearner):
+    """Points and normals to a pattern, by a sequence of panels and edges."""
+
+    def __init__(self, config: TokenConfig | None = None, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """See ``PointLearner``. Raises ``ConfigError`` for sizes without room for a triangle."""
+        config = config or TokenConfig()
+        super().__init__(config, points=points, stored_points=stored_points)
+        if config.queries < 1 or min(config.slots, config.edges) < LEAST_EDGES:
+            raise ConfigError(
+                f"queries {config.queries}, slots {config.slots}, edges {config.edges}: give room for one panel of "
+                f"{LEAST_EDGES} edges"
+            )
+        self.noise = 0.1 * CENTIMETRE * config.noise_mm
+        self.decoder = EdgeDecoder(config)
+
+    def encoder(self) -> ToTargets:
+        config = self.config
+        return ToCanonical(config.queries, config.slots, config.edges, self.stored_points)
+
+    def compile_parts(self) -> None:
+        self.tokens.encoder.compile()
+        for layer in self.decoder.layers:
+            layer.compile(dynamic=True)
+
+    def loss(self, batch: PanelTargets) -> dict[str, Tensor]:
+        return token_loss(self.decoder, self.tokens(batch.points), batch, noise=self.noise if self.training else 0.0)
+
+    def decoded(self, tokens: Float[Tensor, "b m w"]) -> PanelTargets:
+        return decode(self.decoder, tokens)
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> EdgeTokens:
+    """The learner; ``options``: fields of ``TokenConfig``, ``points`` and ``stored_points``."""
+    sizes, own = sizes_from("edge_tokens", TokenConfig, {**(SMALL if smoke else {}), **options})
+    return EdgeTokens(sizes, **own)
+
+
+# ------------------------------------------------------------------------------------------------------ the order
+
+
+@dataclass(frozen=True)
+class ToCanonical(ToTargets):
+    """From garments to targets in canonical order."""
+
+    def __call__(self, garments: GarmentSet) -> PanelTargets:
+        """See ``ToTargets``."""
+        return canonical(super().__call__(garments))
+
+
+def canonical(true: PanelTargets) -> PanelTargets:
+    """The same garments with panels and edges in an order that does not depend on their order before.
+
+    Panels are sorted by label, the back before the front, then by height and from right to left of the wearer, to the
+    centimetre. Loops start at the corner of least x + 2 y.
+    """
+    queries, slots = true.corners.shape[1:3]
+    counts = true.edge_counts.clamp(min=1)
+    slot = torch.arange(slots, device=counts.device)
+    low = true.corners[..., 0] + 2.0 * true.corners[..., 1]
+    starts = low.masked_fill(slot >= counts[..., None], torch.inf).argmin(dim=-1)
+
+    x, y, z = (true.centres / CENTIMETRE).round().long().clamp(-FAR, FAR).unbind(dim=-1)
+    place = ((true.labels * 2 + (z >= 0)) * 2 * FAR + y) * 2 * FAR + x
+    order = place.masked_fill(~true.exists, torch.iinfo(torch.int64).max).argsort(dim=1, stable=True)
+    columns = ("exists", "corners", "bends", "extents", "centres", "rotations", "edge_counts", "labels", "slimness")
+    panels = {name: _rows(getattr(true, name), order) for name in columns}
+    at = torch.where(slot < counts[..., None], (slot + starts[..., None]) % counts[..., None], slot)
+    at = _rows(at, order)
+    panels |= {name: _of_slots(panels[name], at) for name in ("corners", "bends")}
+
+    is_edge = true.edge_panels >= 0
+    old = true.edge_panels.long().clamp(min=0)
+    new_panels = order.argsort(dim=1).gather(1, old)
+    new_slots = (true.edge_slots.long() - starts.gather(1, old)) % counts.gather(1, old)
+    number = (new_panels * slots + new_slots).masked_fill(~is_edge, queries * slots)
+    edges = number.argsort(dim=1, stable=True)
+    partners = true.partners.long()
+    moved = edges.argsort(dim=1).gather(1, partners.clamp(min=0))
+    table = {
+        "edge_panels": torch.where(is_edge, new_panels, -1),
+        "edge_slots": torch.where(is_edge, new_slots, 0),
+        "partners": torch.where(partners >= 0, moved, -1),
+        **{name: getattr(true, name) for name in ("edge_kinds", "edge_labels", "turned")},
+    }
+    table = {name: _rows(column, edges).to(getattr(true, name).dtype) for name, column in table.items()}
+    return replace(true, **panels, **table)
+
+
+def _rows(values: Float[Tensor, "b n *d"], rows: Int[Tensor, "b m"]) -> Float[Tensor, "b m *d"]:
+    """Rows of each garment."""
+    flat = values.flatten(2) if values.ndim > 2 else values[..., None]
+    return flat.gather(1, rows[..., None].expand(-1, -1, flat.shape[-1])).view(*rows.shape, *values.shape[2:])
+
+
+def _of_slots(values: Float[Tensor, "b q n *d"], slots: Int[Tensor, "b q m"]) -> Float[Tensor, "b q m *d"]:
+    """Slots of each panel."""
+    return _rows(values.flatten(0, 1), slots.flatten(0, 1)).view(*slots.shape, *values.shape[3:])
+
+
+# ------------------------------------------------------------------------------------------------------- the sequence
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """The kinds of the tokens of garments, and where their panels and edges stand; padded to one length."""
+
+    kinds: Int[Tensor, "b t"]
+    """``START``, then rows of ``PANEL_LABELS`` or kinds of edges, then ``END``, which also pads."""
+    panels: Int[Tensor, "b t"]
+    """The panel of a token; 0 for ``START`` and ``END``."""
+    slots: Int[Tensor, "b t"]
+    """0 for a panel, 1 + its number in the loop for an edge."""
+    known: Bool[Tensor, "b t"]
+    """Tokens up to the first ``END``; none of a garment without panels, which teaches nothing."""
+    at_panels: Int[Tensor, "b q"]
+    """Position of each panel; 1 where there is none."""
+    at_edges: Int[Tensor, "b e"]
+    """Position of each edge; 1 where there is none."""
+
+
+def sequence_of(true: PanelTargets) -> Sequence:
+    """The sequence of garments whose panels and edges follow each other in the order of their rows."""
+    device, (batch, queries) = true.exists.device, true.exists.shape
+    edges = true.edge_panels.shape[1]
+    length = 2 + queries + edges
+    is_edge, of_edges = true.edge_panels >= 0, true.edge_panels.long().clamp(min=0)
+    counts = torch.where(true.exists, true.edge_counts, 0)
+    before = torch.arange(1, queries + 1, device=device) + counts.cumsum(dim=1) - counts
+    at_panels = torch.where(true.exists, before, length)  # position ``length`` is cut off
+    at_edges = torch.where(is_edge, torch.arange(2, edges + 2, device=device) + of_edges, length)
+    slots = true.edge_slots.long()
+    closing = slots == counts.gather(1, of_edges) - 1
+    edge_kinds = LINE + true.edge_kinds.long() + EDGE_KINDS * closing
+
+    kinds = torch.full((batch, length + 1), END, device=device)
+    kinds[:, 0] = START
+    kinds = kinds.scatter(1, at_panels, true.labels).scatter(1, at_edges, edge_kinds)
+    zeros = torch.zeros_like(kinds)
+    panels = torch.arange(queries, device=device).expand(batch, -1)
+    ends = true.exists.sum(dim=1) + is_edge.sum(dim=1) + 1
+    ends = torch.where(true.exists.any(dim=1), ends, -1)
+    return Sequence(
+        kinds=kinds[:, :-1],
+        panels=zeros.scatter(1, at_panels, panels).scatter(1, at_edges, of_edges)[:, :-1],
+        slots=zeros.scatter(1, at_edges, slots + 1)[:, :-1],
+        known=torch.arange(length, device=device) <= ends[:, None],
+        at_panels=torch.where(true.exists, at_panels, 1),
+        at_edges=torch.where(is_edge, at_edges, 1),
+    )
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """Tokens as the decoder reads them; lengths in ``UNIT``. ``START`` and ``END`` have zeros for numbers."""
+
+    kinds: Int[Tensor, "b t"]
+    panels: Int[Tensor, "b t"]
+    slots: Int[Tensor, "b t"]
+    start: Float[Tensor, "b t 2"]
+    """Start of an edge; the first corner of a panel."""
+    bends: Float[Tensor, "b t k 2"]
+    end: Float[Tensor, "b t 2"]
+    """End of an edge; the first corner of a panel."""
+    centres: Float[Tensor, "b t 3"]
+    """Of the token's panel."""
+    axes: Float[Tensor, "b t 6"]
+    """First two columns of the rotation of the token's panel."""
+
+
+def tokens_of(shown: PanelTargets, sequence: Sequence) -> Tokens:
+    """The tokens of a sequence, with the numbers of ``shown``."""
+    of_edge = sequence.slots > 0
+    has_numbers = of_edge | (sequence.kinds < LINE)
+    count = _rows(shown.edge_counts, sequence.panels).clamp(min=1)
+    slot = (sequence.slots - 1).clamp(min=0)
+    following = torch.where(of_edge, (slot + 1) % count, 0)
+    slots = shown.corners.shape[2]
+    loops, bends = shown.corners.flatten(1, 2), shown.bends.flatten(1, 2)
+    row = sequence.panels * slots
+
+    def numbers(values: Tensor, chosen: Bool[Tensor, "b t"]) -> Tensor:
+        return values * chosen.view(*chosen.shape, *[1] * (values.ndim - 2))
+
+    return Tokens(
+        kinds=sequence.kinds,
+        panels=sequence.panels,
+        slots=sequence.slots,
+        start=numbers(_rows(loops, row + slot), has_numbers),
+        bends=numbers(_rows(bends, row + slot), of_edge),
+        end=numbers(_rows(loops, row + following), has_numbers),
+        centres=numbers(_rows(shown.centres, sequence.panels), has_numbers),
+        axes=numbers(_rows(axes_of(shown.rotations), sequence.panels), has_numbers),
+    )
+
+
+def _with_noise(true: PanelTargets, deviation: float) -> PanelTargets:
+    """Targets with Gaussian noise on corners, bends and centres [UNIT], and twice as much on entries of rotations."""
+    names = {"corners": 1.0, "bends": 0.5, "centres": 1.0, "rotations": 2.0}
+    columns = {name: getattr(true, name) for name in names}
+    return replace(true, **{k: v + names[k] * deviation * torch.randn_like(v) for k, v in columns.items()})
+
+
+# ---------------------------------------------------------------------------------------------------------- the network
+
+
+class EdgeDecoder(nn.Module):
+    """Sequences of panels and edges, given tokens of points."""
+
+    def __init__(self, config: TokenConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.kind = nn.Embedding(KINDS + 1, width)
+        self.panel, self.slot = nn.Embedding(config.queries, width), nn.Embedding(config.slots + 1, width)
+        self.numbers = nn.Sequential(
+            nn.Linear(NUMBERS * (2 * FREQUENCIES + 1), 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+        )
+        self.layers = nn.ModuleList(Block(width, config.heads) for _ in range(config.decoder_layers))
+        self.norm = nn.LayerNorm(width)
+        self.next_kind, self.next_panel, self.next_edge = (
+            nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, size))
+            for size in (KINDS, 2 + 3 + 6, 2 * (1 + BENDS))
+        )
+        self.queries, self.keys, self.no_partner = nn.Linear(width, width), nn.Linear(width, width), nn.Linear(width, 1)
+        self.meeting, self.label = nn.Linear(width, width), nn.Linear(width, len(EDGE_LABELS))
+
+    def forward(self, tokens: Tokens, points: Float[Tensor, "b m w"]) -> Float[Tensor, "b t w"]:
+        """The states of tokens, each computed from itself and those before it."""
+        features = self._features(tokens)
+        for layer in self.layers:
+            features = layer(features, points)
+        return self._state(features)
+
+    def step(self, token: Tokens, caches: "list[Cache]", at: int) -> Float[Tensor, "b w"]:
+        """The state of one token per garment at position ``at``; the caches hold those before it."""
+        features = self._features(token)
+        for layer, cache in zip(self.layers, caches, strict=True):
+            assert isinstance(layer, Block)
+            features = layer.step(features, cache, at)
+        return self._state(features)[:, 0]
+
+    def caches(self, points: Float[Tensor, "b m w"]) -> "list[Cache]":
+        """Empty caches for the longest sequence."""
+        length = 1 + self.config.queries + self.config.edges
+        return [layer.cache(points, length) for layer in self.layers if isinstance(layer, Block)]
+
+    def first_corner(self, state: Float[Tensor, "*b w"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Of a panel that follows: first corner, centre and axes [UNIT]."""
+        corner, centre, axes = self.next_panel(state).split([2, 3, 6], dim=-1)
+        return corner, centre, axes
+
+    def edge(self, state: Float[Tensor, "*b w"]) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b k 2"]]:
+        """Of an edge that follows: end and bends [UNIT]."""
+        found = self.next_edge(state).unflatten(-1, (1 + BENDS, 2))
+        return found[..., 0, :], found[..., 1:, :]
+
+    def partners(self, edges: Float[Tensor, "b e w"]) -> Float[Tensor, "b e f"]:
+        """Logits of the earlier edge that each edge is sewn to; the last column stands for none."""
+        scores = self.queries(edges) @ self.keys(edges).transpose(1, 2) / math.sqrt(edges.shape[-1])
+        earlier = torch.ones(scores.shape[1:], dtype=torch.bool, device=scores.device).tril(-1)
+        return torch.cat([scores.masked_fill(~earlier, NEVER), self.no_partner(edges)], dim=-1)
+
+    def turned(self, edges: Float[Tensor, "b e w"], partners: Int[Tensor, "b e"]) -> Float[Tensor, "b e"]:
+        """Logits of ``Seam.right_wrong`` of the seams of edges and their partners."""
+        others = _rows(edges, partners)
+        return ((self.meeting(edges) * others).sum(dim=-1) + (self.meeting(others) * edges).sum(dim=-1)) / math.sqrt(
+            edges.shape[-1]
+        )
+
+    def _features(self, tokens: Tokens) -> Float[Tensor, "b t w"]:
+        # In float32: bfloat16 would round places before the waves of high frequency are taken.
+        with torch.autocast(tokens.start.device.type, enabled=False):
+            known = _numbers_of(tokens)
+            known = torch.cat([waves(known), known], dim=-1)
+        found: Tensor = self.numbers(known)
+        return found + self.kind(tokens.kinds) + self.panel(tokens.panels) + self.slot(tokens.slots)
+
+    def _state(self, features: Float[Tensor, "b t w"]) -> Float[Tensor, "b t w"]:
+        with torch.autocast(features.device.type, enabled=False):
+            found: Tensor = self.norm(features.float())
+        return found
+
+
+def _numbers_of(tokens: Tokens) -> Float[Tensor, "b t n"]:
+    """Start, middle and end in the panel and in space, the length of the edge, centre and axes of the panel."""
+    share = torch.arange(1, BENDS + 1, device=tokens.start.device)[:, None] / (BENDS + 1)
+    start, end = tokens.start[..., None, :], tokens.end[..., None, :]
+    path = torch.cat([start, (1 - share) * start + share * end + tokens.bends, end], dim=-2)
+    length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
+    shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
+    placed = shown @ rotation_of(tokens.axes)[..., :2].transpose(-1, -2) + tokens.centres[..., None, :]
+    return torch.cat([shown.flatten(-2), placed.flatten(-2), length, tokens.centres, tokens.axes], dim=-1)
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Keys and values of a layer: of the tokens so far, filled in place, and of the points."""
+
+    keys: Float[Tensor, "b h t d"]
+    values: Float[Tensor, "b h t d"]
+    point_keys: Float[Tensor, "b h m d"]
+    point_values: Float[Tensor, "b h m d"]
+
+
+class Block(nn.Module):
+    """A layer: causal attention among tokens, attention to points, and a network for each token; pre-norm."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(3))
+        self.own, self.own_out = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.query, self.points, self.points_out = (nn.Linear(width, n * width) for n in (1, 2, 1))
+        self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+
+    def forward(self, features: Float[Tensor, "b t w"], points: Float[Tensor, "b m w"]) -> Float[Tensor, "b t w"]:
+        """All tokens at once."""
+        query, key, value = self._split(self.own(self.norms[0](features)), 3)
+        attended = functional.scaled_dot_product_attention(query, key, value, is_causal=True)
+        return self._rest(features, attended, *self._split(self.points(points), 2))
+
+    def step(self, features: Float[Tensor, "b 1 w"], cache: Cache, at: int) -> Float[Tensor, "b 1 w"]:
+        """One token of each garment, at position ``at``."""
+        query, cache.keys[:, :, at : at + 1], cache.values[:, :, at : at + 1] = self._split(
+            self.own(self.norms[0](features)), 3
+        )
+        known = cache.keys[:, :, : at + 1], cache.values[:, :, : at + 1]
+        attended = functional.scaled_dot_product_attention(query, *known)
+        return self._rest(features, attended, cache.point_keys, cache.point_values)
+
+    def cache(self, points: Float[Tensor, "b m w"], length: int) -> Cache:
+        """An empty cache for ``length`` tokens."""
+        keys, values = self._split(self.points(points), 2)
+        shape = (*keys.shape[:2], length, keys.shape[-1])
+        return Cache(keys.new_zeros(shape), keys.new_zeros(shape), keys, values)
+
+    def _rest(self, features: Tensor, attended: Tensor, keys: Tensor, values: Tensor) -> Tensor:
+        features = features + self.own_out(_merged(attended))
+        (query,) = self._split(self.query(self.norms[1](features)), 1)
+        features = features + self.points_out(_merged(functional.scaled_dot_product_attention(query, keys, values)))
+        moved: Tensor = features + self.mlp(self.norms[2](features))
+        return moved
+
+    def _split(self, values: Float[Tensor, "b t w"], parts: int) -> tuple[Tensor, ...]:
+        """Parts of the features, each as heads × tokens × features of a head."""
+        return values.view(*values.shape[:2], parts, self.heads, -1).permute(2, 0, 3, 1, 4).unbind()
+
+
+def _merged(heads: Float[Tensor, "b h t d"]) -> Float[Tensor, "b t w"]:
+    return heads.transpose(1, 2).flatten(2)
+
+
+# ------------------------------------------------------------------------------------------------------------- the loss
+
+
+def token_loss(
+    decoder: EdgeDecoder, points: Float[Tensor, "b m w"], true: PanelTargets, *, noise: float = 0.0
+) -> dict[str, Tensor]:
+    """Weighted loss terms by name, of targets in canonical order; ``noise`` of what is fed back [UNIT]."""
+    sequence = sequence_of(true)
+    states = decoder(tokens_of(_with_noise(true, noise) if noise else true, sequence), points)
+    with torch.autocast(points.device.type, enabled=False):
+        parts = _kind_loss(decoder, states, sequence)
+        parts |= _panel_losses(decoder, _rows(states, sequence.at_panels - 1), true)
+        parts |= _edge_losses(decoder, _rows(states, sequence.at_edges - 1), true)
+        parts |= _seam_losses(decoder, _rows(states, sequence.at_edges), true)
+    return {name: WEIGHTS[name] * part for name, part in parts.items()}
+
+
+def _kind_loss(decoder: EdgeDecoder, states: Float[Tensor, "b t w"], sequence: Sequence) -> dict[str, Tensor]:
+    logits = decoder.next_kind(states[:, :-1])
+    losses = functional.cross_entropy(logits.flatten(0, 1), sequence.kinds[:, 1:].flatten(), reduction="none")
+    known = sequence.known[:, 1:]
+    return {"kinds": mean_of(losses.view_as(known), known)}
+
+
+def _panel_losses(decoder: EdgeDecoder, before: Float[Tensor, "b q w"], true: PanelTargets) -> dict[str, Tensor]:
+    """``before``: the states of the tokens before the panels."""
+    corners, centres, axes = decoder.first_corner(before)
+    misses = {
+        "firsts": corners - true.corners[:, :, 0],
+        "centres": centres - true.centres,
+        "rotations": axes - axes_of(true.rotations),
+    }
+    return {name: mean_of(miss.abs().mean(dim=-1), true.exists) for name, miss in misses.items()}
+
+
+def _edge_losses(decoder: EdgeDecoder, before: Float[Tensor, "b e w"], true: PanelTargets) -> dict[str, Tensor]:
+    """``areas``: as in ``panel_set``, of each edge: a centimetre counts more for a cuff than for a skirt."""
+    exists, panels, slot = true.edge_panels >= 0, true.edge_panels.long().clamp(min=0), true.edge_slots.long()
+    following = (slot + 1) % true.edge_counts.gather(1, panels).clamp(min=1)
+    row = panels * true.corners.shape[2]
+    ends, bends = decoder.edge(before)
+    ends = ends - _rows(true.corners.flatten(1, 2), row + following)
+    bends = bends - _rows(true.bends.flatten(1, 2), row + slot)
+    distances = (ends.square().sum(dim=-1) + TINY).sqrt() + (bends.square().sum(dim=-1) + TINY).sqrt().mean(dim=-1)
+    losses = {
+        "corners": ends.abs().mean(dim=-1),
+        "bends": bends.abs().mean(dim=(-2, -1)),
+        "areas": torch.log1p(distances * true.slimness.gather(1, panels)),
+    }
+    return {name: mean_of(values, exists) for name, values in losses.items()}
+
+
+def _seam_losses(decoder: EdgeDecoder, edges: Float[Tensor, "b e w"], true: PanelTargets) -> dict[str, Tensor]:
+    """``edges``: the states of the edges."""
+    exists, partners = true.edge_panels >= 0, true.partners.long()
+    count = exists.shape[1]
+    earlier = (partners >= 0) & (partners < torch.arange(count, device=partners.device))
+    chosen = torch.where(earlier, partners, count)
+    turned = decoder.turned(edges, partners.clamp(min=0))
+    losses = {
+        "edge_labels": functional.cross_entropy(
+            decoder.label(edges).flatten(0, 1), true.edge_labels.long().flatten(), reduction="none"
+        ),
+        "partners": functional.cross_entropy(decoder.partners(edges).flatten(0, 1), chosen.flatten(), reduction="none"),
+    }
+    of_seams = functional.binary_cross_entropy_with_logits(turned, true.turned.float(), reduction="none")
+    means = {name: mean_of(values.view_as(exists), exists) for name, values in losses.items()}
+    return {**means, "turned": mean_of(of_seams, earlier & exists)}
+
+
+# ---------------------------------------------------------------------------------------------------------- the answers
+
+
+def decode(decoder: EdgeDecoder, points: Float[Tensor, "b m w"]) -> PanelTargets:
+    """The likeliest next token, one after the other, in the form of the targets: closed loops, at least one panel."""
+    draft = _Draft(decoder.config, points)
+    caches = decoder.caches(points)
+    token = draft.start()
+    for at in range(1 + decoder.config.queries + decoder.config.edges):
+        state = decoder.step(token, caches, at)
+        draft.keep(state)
+        logits = decoder.next_kind(state).masked_fill(~draft.allowed(), -torch.inf)
+        token = draft.add(logits.argmax(dim=-1), *decoder.first_corner(state), *decoder.edge(state))
+        if at % ENDED_EVERY == 0 and bool(draft.ended.all()):
+            break
+    return draft.sewn(decoder)
+
+
+class _Draft:
+    """Patterns that grow by a token at a time. Tables have one row more than the answer, for what does not exist."""
+
+    def __init__(self, config: TokenConfig, points: Float[Tensor, "b m w"]) -> None:
+        self.config = config
+        batch, device = len(points), points.device
+        queries, slots, edges = config.queries + 1, config.slots, config.edges + 1
+        self._garments = torch.arange(batch, device=device)
+        self._points = points.new_zeros(batch, 0, 6)
+        self._corners, self._bends = (points.new_zeros(batch, queries, slots, *d, 2) for d in ((), (BENDS,)))
+        self._centres, self._axes = points.new_zeros(batch, queries, 3), points.new_zeros(batch, queries, 6)
+        self._labels = torch.zeros(batch, queries, dtype=torch.long, device=device)
+        self._counts = torch.zeros_like(self._labels)
+        self._edge_panels = torch.full((batch, edges), -1, device=device)
+        self._edge_slots, self._edge_kinds = (torch.zeros_like(self._edge_panels) for _ in range(2))
+        self._states = points.new_zeros(batch, edges, points.shape[-1])
+        self._first, self._end = (points.new_zeros(batch, 2) for _ in range(2))
+        self._panels, self._edges, self._slots = (torch.zeros_like(self._garments) for _ in range(3))
+        self._open = torch.zeros(batch, dtype=torch.bool, device=device)
+        self._is_edge = self._open
+        self.ended = self._open
+        """Garments whose pattern is complete."""
+
+    def start(self) -> Tokens:
+        """The token that begins every sequence."""
+        zeros = torch.zeros_like(self._garments)[:, None]
+        numbers = [self._points.new_zeros(len(zeros), 1, *shape) for shape in ((2,), (BENDS, 2), (2,), (3,), (6,))]
+        return Tokens(zeros + START, zeros, zeros, *numbers)
+
+    def keep(self, state: Float[Tensor, "b w"]) -> None:
+        """Keep the state of the last token if it is an edge."""
+        row = torch.where(self._is_edge, self._edges - 1, self.config.edges)
+        self._states[self._garments, row] = state
+
+    def allowed(self) -> Bool[Tensor, "b k"]:
+        """Kinds of the next token after which the pattern can still become complete within the sizes."""
+        config = self.config
+        has_room = (self._panels < config.queries) & (self._edges + LEAST_EDGES <= config.edges)
+        begin = ~self._open & has_room
+        go_on = self._open & (self._slots < config.slots - 1) & (self._edges < config.edges - 1)
+        close = self._open & (self._slots >= LEAST_EDGES - 1)
+        end = ~self._open & (self._panels > 0)
+        kinds = [begin] * len(PANEL_LABELS) + [go_on] * EDGE_KINDS + [close] * EDGE_KINDS + [end]
+        return torch.stack(kinds, dim=-1)
+
+    def add(
+        self,
+        kinds: Int[Tensor, " b"],
+        corner: Float[Tensor, "b 2"],
+        centre: Float[Tensor, "b 3"],
+        axes: Float[Tensor, "b 6"],
+        end: Float[Tensor, "b 2"],
+        bends: Float[Tensor, "b k 2"],
+    ) -> Tokens:
+        """Add a token to each pattern that has not ended; the tokens."""
+        kinds = torch.where(self.ended, END, kinds)
+        self.ended = kinds == END
+        is_panel, is_edge = kinds < LINE, (kinds >= LINE) & (kinds < END)
+        closing, curved = is_edge & (kinds >= CLOSING_LINE), (kinds == CURVE) | (kinds == CLOSING_CURVE)
+        self._panels = self._panels + is_panel
+        panel = (self._panels - 1).clamp(min=0)
+        garments, none = self._garments, self.config.queries
+
+        self._first = torch.where(is_panel[:, None], corner, self._first)
+        start = torch.where(is_panel[:, None], corner, self._end)
+        finish = torch.where((is_panel | closing)[:, None], self._first, end)
+        bends = torch.where(curved[:, None, None], bends, 0.0)
+        slot = torch.where(is_edge, self._slots, 0)
+
+        new = torch.where(is_panel, panel, none)
+        self._labels[garments, new], self._centres[garments, new] = kinds, centre
+        self._axes[garments, new] = axes_of(rotation_of(axes))
+        drawn = torch.where(is_edge, panel, none)
+        self._corners[garments, drawn, slot], self._bends[garments, drawn, slot] = start, bends
+        self._counts[garments, drawn] = slot + 1
+        row = torch.where(is_edge, self._edges, self.config.edges)
+        self._edge_panels[garments, row], self._edge_slots[garments, row] = panel, slot
+        self._edge_kinds[garments, row] = curved.long()
+
+        self._edges, self._is_edge = self._edges + is_edge, is_edge
+        self._slots = torch.where(is_edge, slot + 1, 0)
+        self._open = ~self.ended & ~closing
+        self._end = finish
+        there = (~self.ended)[:, None]
+        columns = (
+            kinds,
+            torch.where(self.ended, 0, panel),
+            self._slots,
+            start * there,
+            bends * there[..., None],
+            finish * there,
+            self._centres[garments, panel] * there,
+            self._axes[garments, panel] * there,
+        )
+        return Tokens(*(column[:, None] for column in columns))
+
+    def sewn(self, decoder: EdgeDecoder) -> PanelTargets:
+        """The finished patterns with seams and labels of edges."""
+        states = self._states[:, :-1]
+        queries = torch.arange(self.config.queries, device=states.device)
+        exists = torch.arange(self.config.edges, device=states.device) < self._edges[:, None]
+        log = decoder.partners(states).log_softmax(dim=-1)
+        partners = best_pairs((log[..., :-1] - log[..., -1:]).transpose(1, 2), exists)
+        return PanelTargets(
+            points=self._points,
+            exists=queries < self._panels[:, None],
+            corners=self._corners[:, :-1],
+            bends=self._bends[:, :-1],
+            extents=torch.zeros_like(self._centres[:, :-1, :2]),
+            centres=self._centres[:, :-1],
+            rotations=rotation_of(self._axes[:, :-1]),
+            edge_counts=self._counts[:, :-1],
+            labels=self._labels[:, :-1],
+            slimness=torch.zeros_like(self._centres[:, :-1, 0]),
+            edge_panels=torch.where(exists, self._edge_panels[:, :-1], -1),
+            edge_slots=self._edge_slots[:, :-1],
+            edge_kinds=self._edge_kinds[:, :-1],
+            edge_labels=common_labels(decoder.label(states), partners),
+            partners=partners,
+            turned=decoder.turned(states, partners.clamp(min=0)) > 0,
+        )

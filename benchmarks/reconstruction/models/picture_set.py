@@ -1,0 +1,140 @@
+"""From pictures of a garment to the set of its panels, sewn.
+
+Convolutions and attention turn the pictures into tokens (``picture_model``); panels, edges and seams follow as in
+``panel_set``. The cameras are unknown, so the order of the pictures says nothing: each step draws another.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import chain
+from typing import Any, cast
+
+import numpy as np
+import torch
+from jaxtyping import Int, UInt8
+from torch import Tensor
+
+from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
+from benchmarks.reconstruction.models.panel_set import NetConfig, answers_of, set_loss
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.picture_model import PictureNet
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
+
+__all__ = ["SMOKE", "TASKS", "USUAL", "PictureSet", "PictureTargets", "build"]
+
+TASKS = ("T2",)
+USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
+SMOKE: Mapping[str, Any] = {
+    "steps": 60, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+}  # fmt: skip
+LARGE: Mapping[str, Any] = {
+    "width": 256, "heads": 8, "layers": 4, "edge_width": 256, "edge_heads": 8, "edge_layers": 2, "seam_layers": 2,
+}  # fmt: skip
+SMALL: Mapping[str, Any] = {
+    "queries": 12, "slots": 24, "edges": 96, "width": 64, "heads": 4, "layers": 1, "edge_width": 64, "edge_heads": 4,
+    "edge_layers": 1, "seam_layers": 1, "views": 2,
+}  # fmt: skip
+"""Sizes of the usual and of the smallest network."""
+CHUNK = 64  # garments that a process encodes at once
+TOGETHER = 8  # garments that a process draws at once
+
+
+@dataclass(frozen=True)
+class PictureTargets(PanelTargets):
+    """Pictures of garments and their targets."""
+
+    pictures: UInt8[Tensor, "b n h w 3"]
+    """sRGB; targets of garments that hold no pictures have n = 0."""
+
+
+class PictureSet(Learner[PictureTargets, Pattern]):
+    """Pictures to a pattern."""
+
+    def __init__(self, config: NetConfig, *, views: int = PICTURES) -> None:
+        """``views``: pictures that are seen. Raises ``ConfigError`` for a number that garments do not have."""
+        super().__init__()
+        if not 1 <= views <= PICTURES:
+            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
+        self.views = views
+        self.net = PictureNet(config, views=views, size=PICTURE_SIZE)
+
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPictures":
+        """Pictures and targets of the garments."""
+        parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
+        return self.drawn_from(PictureTargets.join(list(parallel_map(self.encoder(), parts, workers))).to(device))
+
+    def drawn_from(self, encoded: TensorExamples) -> "DrawnPictures":
+        return DrawnPictures(cast(PictureTargets, encoded), self.views)
+
+    def encoder(self) -> "ToPictureTargets":
+        config = self.net.config
+        return ToPictureTargets(ToTargets(config.queries, config.slots, config.edges, points=0))
+
+    def compile_parts(self) -> None:
+        for layer in (*self.net.encoder.layers, *self.net.decoder.layers):
+            layer.compile()
+
+    def loss(self, batch: PictureTargets) -> dict[str, Tensor]:
+        return set_loss(self.net.decoder, self.net(batch.pictures), batch)
+
+    def predict(self, batch: PictureTargets) -> list[Pattern]:
+        return patterns_from(self._said(batch))
+
+    def answers(
+        self, examples: Examples[PictureTargets], count: int, *, batch: int, workers: int = 0
+    ) -> Iterator[Pattern]:
+        rows = torch.split(torch.arange(count), batch)
+        said = PanelTargets.join([self._said(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
+        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+
+    def _said(self, batch: PictureTargets) -> PanelTargets:
+        with torch.no_grad():
+            return answers_of(self.net.decoder, self.net(batch.pictures))
+
+
+@dataclass(frozen=True)
+class ToPictureTargets:
+    """From garments to their ``PictureTargets``, on a CPU."""
+
+    to_targets: ToTargets
+
+    def __call__(self, garments: GarmentSet) -> PictureTargets:
+        """Pictures and targets of all garments."""
+        targets = self.to_targets(garments)
+        pictures = np.stack([garments.ragged["pictures"][k] for k in range(len(garments))])
+        columns = {field.name: getattr(targets, field.name) for field in fields(targets)}
+        return PictureTargets(**columns, pictures=torch.from_numpy(pictures))
+
+
+@dataclass(frozen=True)
+class DrawnPictures:
+    """Examples whose batches have some of the pictures, others and in another order in each step."""
+
+    whole: PictureTargets
+    views: int
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureTargets:
+        found = self.whole.batch(rows)
+        if chance is None:
+            return replace(found, pictures=found.pictures[:, : self.views])
+        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
+        return replace(found, pictures=found.pictures[:, uploaded(chosen, found.device)])
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureSet:
+    """The learner; ``options``: fields of ``NetConfig``, and ``views``. Raises ``ConfigError`` for others."""
+    given = {**(SMALL if smoke else LARGE), **options}
+    views = int(given.pop("views", PICTURES))
+    unknown = set(given) - {field.name for field in fields(NetConfig)}
+    if unknown:
+        known = ", ".join([*(field.name for field in fields(NetConfig)), "views"])
+        raise ConfigError(f"no size {min(unknown)} of a picture_set network: choose of {known}")
+    return PictureSet(NetConfig(**given), views=views)

@@ -1,0 +1,63 @@
+"""Times to drawn garments in headless Chromium."""
+
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.viewing.server import PAUSE, started
+
+__all__ = ["Pictures", "pictures_of"]
+
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+DRAWN = """(position) => {
+  const frame = document.querySelector("iframe");
+  const page = frame.contentDocument;
+  const asked = frame.contentWindow.location.search;
+  return page && page.body && page.body.dataset.ready && asked.includes(`position=${position}&`);
+}"""
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Times to drawn garments [s]."""
+
+    first: float
+    """From the command to the first."""
+    following: list[float]
+    """From each click to the next."""
+
+
+def pictures_of(folder: Path, index: int, environment: Mapping[str, str], count: int) -> Pictures | None:
+    """Times of the garment at ``index`` and the ``count`` after it; ``None`` without Playwright or Chromium."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        return None
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        return None
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        with started(folder, index, environment) as (address, began, _):
+            page.goto(address)
+            _wait(page, index)
+            first = time.perf_counter() - began
+            following = [_next(page, index + step) for step in range(1, count + 1)]
+        browser.close()
+    return Pictures(first, following)
+
+
+def _next(page: Any, position: int) -> float:
+    time.sleep(PAUSE)
+    began = time.perf_counter()
+    page.evaluate("document.getElementById('next').click()")
+    _wait(page, position)
+    return time.perf_counter() - began
+
+
+def _wait(page: Any, position: int) -> None:
+    page.wait_for_function(DRAWN, arg=position, polling=5, timeout=120_000)

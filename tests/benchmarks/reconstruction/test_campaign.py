@@ -1,0 +1,187 @@
+"""A campaign starts what is not finished, once for each data set and GPU, and goes on after failures and limits."""
+
+import argparse
+import fcntl
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from benchmarks.reconstruction import campaign
+from benchmarks.reconstruction.campaign import Planned, main, read_plan
+from benchmarks.reconstruction.stitching import run as stitching
+from benchmarks.reconstruction.tasks import TASKS
+from benchmarks.reconstruction.train import add_arguments, options_from
+from gcd_dataset.errors import ConfigError
+
+PLANS = Path(campaign.__file__).parent / "plans"
+FAMILIES = {"upper_garment", "dress", "jumpsuit", "skirt", "pants"}
+PLAN = """
+[a]
+task = "T0"
+model = ["short", "fails"]
+train = [10, 20]
+minutes = 1
+
+[b]
+task = "T1"
+model = "long"
+train = 5
+minutes = 3
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A plan of toy programs."""
+    monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
+    monkeypatch.setattr(campaign, "LEAVE", 0.5)
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def starts(out: Path) -> list[str]:
+    """The programs started since the last call of this function, in order."""
+    found = (out / "starts.txt").read_text().splitlines()
+    (out / "starts.txt").unlink()
+    return found
+
+
+def test_lists_hold_a_value_for_each_run(plan: Path) -> None:
+    runs = read_plan(plan)
+    assert [run.name for run in runs] == ["a-short-10", "a-short-20", "a-fails-10", "a-fails-20", "b"]
+    assert runs[1].command[3:] == ["short", "--task", "T0", "--train", "20", "--minutes", "1"]
+    assert Planned("c", "stitching.run", "", {"smoke": True, "placed": False, "leave_out": "skirt"}).command[3:] == [
+        "--smoke", "--leave-out", "skirt",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "no runs"),
+        ("a = 1", "a is no table"),
+        ("[a]\ntask = 'T0'", "[a] has no model"),
+        ("[a]\nmodel = 'x'\ntask = 'T9'", "no task 'T9'"),
+        ("[a]\nprogram = 'rm'", "program 'rm'"),
+        ("[a]\nmodel = ['x', 'x']", "two runs a-x"),
+        ("[a", "give a TOML file"),
+    ],
+)
+def test_an_unusable_plan_is_refused(text: str, expected: str, tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_plan(tmp_path / "plan.toml")
+    assert expected in str(caught.value)
+
+
+def test_a_repeated_call_starts_what_is_not_finished(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "runs"
+    call = [str(plan), "--out", str(out), "--gpus", "0"]
+    assert main(call) == 1
+    began = starts(out)
+    # Each data set is made once, by the run with most garments; the longest run comes first.
+    assert began[:3] == ["make a-short-20", "make b", "b"]
+    assert sorted(began[3:]) == ["a-fails-10", "a-fails-20", "a-short-10", "a-short-20"]
+    said = capsys.readouterr()
+    assert "a-fails-10 failed with exit code 1" in said.err
+    assert "the toy is broken" in said.err
+    assert "2 done, 2 failed, 1 unfinished, 0 waiting; 7 minutes left" in said.out  # 2 + 1, and twice 1 + 1
+    assert "the toy is broken" in (out / "a-fails-10" / "log.txt").read_text()
+
+    assert main([*call, "--only", "[!a]*"]) == 0
+    assert starts(out) == ["make b", "b"]
+    assert main([*call, "--only", "*-short-*"]) == 0
+    assert not (out / "starts.txt").exists()
+    assert "a-short-10  done                 topology_exact 0.500" in capsys.readouterr().out
+
+
+def test_runs_at_once_have_gpus_of_their_own(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan.write_text("[a]\ntask = 'T0'\nmodel = 'short'\ntrain = [1, 2, 3]\nminutes = 1")
+    assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "2"]) == 0
+    said = capsys.readouterr().err
+    assert "a-1 begins on GPU 0" in said
+    assert "a-2 begins on GPU 1" in said
+
+
+def test_the_limit_ends_what_runs(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan.write_text("[a]\ntask = 'T0'\nmodel = 'endless'\ntrain = 1\nminutes = 0.01\nspare = 0.01")
+    begun = time.monotonic()
+    assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--limit-minutes", "0.03"]) == 0
+    assert time.monotonic() - begun < 20
+    assert "0 done, 0 failed, 0 unfinished, 1 waiting" in capsys.readouterr().out
+
+
+def test_a_run_that_cannot_be_finished_in_time_is_not_begun(plan: Path, tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    assert main([str(plan), "--out", str(out), "--gpus", "0", "--only", "b", "--limit-minutes", "1"]) == 0
+    assert starts(out) == ["make b"]
+
+
+def test_a_folder_has_one_campaign_at_a_time(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call = [str(plan), "--out", str(tmp_path), "--gpus", "0", "--only", "a-short-10"]
+    with (tmp_path / "lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        # What a killed campaign leaves behind: a program that has inherited the lock.
+        left = subprocess.Popen(["sleep", "60"], pass_fds=[file.fileno()])
+    assert main(call) == 1
+    assert "a campaign, or a run that one left, goes on there" in capsys.readouterr().err
+    left.kill()
+    left.wait()
+    assert main(call) == 0
+
+
+def test_results_of_other_options_are_not_taken(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call = [str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--only", "a-short-10"]
+    assert main(call) == 0
+    plan.write_text(PLAN.replace("minutes = 1", "minutes = 2"))
+    assert main(call) == 1
+    assert "a-short-10 holds a run of other options" in capsys.readouterr().err
+    assert main([*call[:-1], "x*"]) == 1
+    assert "has no run x*" in capsys.readouterr().err
+
+
+def test_finished_runs_are_reported(plan: Path, tmp_path: Path) -> None:
+    out, reports = tmp_path / "runs", tmp_path / "reports"
+    call = [str(plan), "--out", str(out), "--gpus", "0", "--only", "a-short-*"]
+    report = [*call, "--report", "--reports", str(reports), "--commit", "abc"]
+    assert main(report) == 1
+    assert main(call) == 0
+    assert main(report) == 0
+    page = (reports / "learning_T0.md").read_text()
+    assert "| short | 20 | 1.0 | 0.5 (0.4 to 0.6) |" in page
+    assert "toy_program short --task T0 --train 10 --minutes 1 --out runs/a-short-10`" in page
+
+
+@pytest.mark.parametrize("name", ["smoke.toml", "h200.toml"])
+def test_the_commands_of_the_committed_plans_are_valid(name: str) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("model")
+    add_arguments(parser)
+    for run in read_plan(PLANS / name):
+        arguments = [*run.command[3:], "--out", "out"]
+        if run.program == "train":
+            args = parser.parse_args(arguments)
+            options_from(args, args.model)
+        else:
+            args = stitching._parser().parse_args(arguments)
+        assert not args.leave_out or args.leave_out in FAMILIES
+    tasks = {run.task for run in read_plan(PLANS / name)}
+    assert tasks >= set(TASKS) - {"T7"}
+
+
+def test_the_plan_trains_on_the_sizes_of_the_tasks() -> None:
+    runs = read_plan(PLANS / "h200.toml")
+    for task in set(TASKS) - {"T7"}:
+        sizes = {run.train for run in runs if run.task == task}
+        assert sizes >= {1000, 4000}
+        assert (24_000 in sizes) == (task in ("T0", "T3"))
+        left_out = {run.options.get("leave_out") for run in runs if run.task == task}
+        assert left_out >= FAMILIES
+        minutes = {run.minutes for run in runs if run.task == task and run.minutes}
+        assert len(minutes) == 1, f"the models of {task} have equal time"

@@ -1,0 +1,128 @@
+"""The network of design parameters: what it ignores, that its answers can be sewn, and that it learns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+
+from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.models.parameters import Answer, Designs, ParameterNet, build, drawn
+from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.garments.parameter import Choice
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.metrics import score_pattern
+from gcd_dataset.validate import Severity, check_pattern
+
+CPU = torch.device("cpu")
+PATHS = [leaf.path for leaf in PARAMETERS]
+
+
+def learner(**sizes: int) -> ParameterNet:
+    torch.manual_seed(0)
+    return build(smoke=True, options={"points": 128, "stored_points": 512, "tokens": 16, **sizes})
+
+
+def loss_of(network: ParameterNet, batch: Designs) -> float:
+    with torch.no_grad():
+        return float(sum(part.item() for part in network.loss(batch).values()))
+
+
+def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet) -> None:
+    for k in range(len(six)):
+        sizes = six.measures[k].astype(float)
+        pattern = drawn(Answer(six.ragged["design"][k][0], sizes, sizes))
+        score = score_pattern(pattern, six.pattern(k))
+        assert score.topology_exact == 1
+        assert score.iou > 0.999
+        assert score.transl_cm < 0.01
+
+
+def test_parameters_without_effect_change_no_loss(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    shirt = torch.tensor([path.startswith("shirt.") for path in PATHS])
+    assert not batch.effective[:, shirt].any()
+    assert loss_of(network, replace(batch, codes=torch.where(shirt, torch.nan, batch.codes))) == loss_of(network, batch)
+    bottom = PATHS.index("meta.bottom")
+    other = batch.codes.clone()
+    other[:, bottom] = 3.0
+    assert loss_of(network, replace(batch, codes=other)) != loss_of(network, batch)
+
+
+def test_measures_that_are_unknown_teach_nothing(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    unknown = replace(batch, measures=torch.full_like(batch.measures, torch.nan))
+    assert network.loss(unknown)["measures"].item() == 0.0
+
+
+def test_any_numbers_draw_a_garment_that_can_be_sewn() -> None:
+    rng = np.random.default_rng(0)
+    usual = np.array([neutral()[name] for name in MEASURES])
+    for _ in range(12):
+        codes = np.array([
+            rng.integers(9) if isinstance(space, Choice) else rng.uniform(*(np.array(space.range) * 1.2))
+            for _, space in PARAMETERS
+        ], np.float32)  # fmt: skip
+        pattern = drawn(Answer(codes, usual * rng.uniform(0.6, 1.5, len(usual)), usual))
+        assert pattern.panels
+        assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+
+
+def neutral() -> dict[str, float]:
+    from gcd_dataset.generator.body import build_body, measure, neutral_shape
+
+    return measure(build_body(neutral_shape())).to_file_values()
+
+
+def test_answers_before_training_exist_and_do_not_depend_on_their_batch(six: GarmentSet) -> None:
+    network = learner().eval()
+    examples = network.prepare(six, device=CPU)
+    whole, alone = (list(network.answers(examples, 6, batch=size)) for size in (6, 1))
+    assert len(whole) == 6
+    assert all(score_pattern(one, other).iou > 0.99 for one, other in zip(whole, alone, strict=True))
+
+
+def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -> None:
+    network = learner().eval()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with torch.no_grad():
+        network.biases[PATHS.index("meta.upper"), 4] = network.biases[PATHS.index("meta.bottom"), 8] = 50.0
+        network.biases[PATHS.index("meta.bottom"), 3] = 40.0
+    for answer in network._answers(batch):
+        meta = decode_design(answer.codes).meta
+        assert (meta.upper, meta.bottom.value if meta.bottom else "") == (None, "Pants")
+
+
+def test_a_step_never_reads_a_value_of_the_device(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
+        parts = network.loss(batch)
+    assert all(part.shape == () for part in parts.values())
+
+
+def test_the_loss_is_finite_in_half_precision(six: GarmentSet) -> None:
+    network = learner()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with torch.autocast("cpu", torch.bfloat16):
+        found = loss_of(network, batch)
+    assert found == pytest.approx(loss_of(network, batch), rel=0.1)
+
+
+def test_the_loss_falls(six: GarmentSet) -> None:
+    network = learner()
+    config = TrainConfig(steps=30, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
+    assert curve[-1]["loss"] < curve[0]["loss"] / 2
+
+
+def test_wrong_sizes_are_refused() -> None:
+    with pytest.raises(ConfigError, match="24 tokens of 128 points: give a power of 2"):
+        learner(tokens=24)
+    with pytest.raises(ConfigError, match="no size depth of a parameters network: choose of tokens"):
+        learner(depth=3)

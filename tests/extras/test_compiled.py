@@ -1,0 +1,29 @@
+"""A compiled network learns as the plain one does: a test of minutes, which the everyday tests leave out."""
+
+import shutil
+
+import pytest
+import torch
+
+from benchmarks.reconstruction.garments import generated
+from benchmarks.reconstruction.models.panel_set import build
+from benchmarks.reconstruction.training import TrainConfig, train
+from tests.benchmarks.reconstruction.conftest import SKIRTS
+
+CPU = torch.device("cpu")
+
+
+# Of torch's own code.
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method`:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor:UserWarning")
+@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs g++ on a CPU")
+def test_a_compiled_network_learns_the_same() -> None:
+    garments = generated(8, 0, points=256, drape=None, resolution=6.0, design=SKIRTS)
+    losses = []
+    for is_compiled in (False, True):
+        torch.manual_seed(0)
+        learner = build(smoke=True, options={"points": 128, "stored_points": 256})
+        config = TrainConfig(steps=6, batch=3, lr=1e-4, log_every=1, ema=0.0, compile=is_compiled)
+        trained = train(learner, learner.prepare(garments, device=CPU), config, device=CPU)
+        losses.append([row["loss"] for row in trained.curve])
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)

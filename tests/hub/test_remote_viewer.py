@@ -1,0 +1,69 @@
+"""The viewer of a data set on a server: bounded requests, and tags that are requested in parts."""
+
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.hub.opening import open_store
+from gcd_dataset.hub.site import Remote
+from gcd_dataset.shards import ShardReader
+from gcd_dataset.viewer import album as albums
+from gcd_dataset.viewer.album import ShardAlbum
+from gcd_dataset.viewer.server import Gallery
+from tests.hub.conftest import COUNT
+from tests.hub.server import Fault, Hub
+
+
+def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
+    store = open_store("org/garments", Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache"))
+    return ShardAlbum(ShardReader(store), "org/garments", tmp_path / "cache")
+
+
+def test_the_first_page_requests_no_more_than_its_garment_and_a_part_of_the_tags(
+    hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(albums, "REQUESTED", 4)
+    album = opened(hub, tmp_path)
+    gallery = Gallery(album)
+    assert album.facets().outcomes == {"settled": COUNT}
+    assert not hub.asked(r"\.tar")
+    gallery.get("/garment", {"position": "9"})
+    gallery._tag_reader.shutdown(wait=True)
+    assert album.known == 4
+    gallery.close()
+
+
+def test_more_tags_are_requested_on_demand_and_kept(
+    hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(albums, "REQUESTED", 4)
+    album = opened(hub, tmp_path)
+    assert album.waits
+    for known in (4, 8, COUNT):
+        album.read_tags()
+        assert album.known == known
+    hub.log.clear()
+    again = opened(hub, tmp_path)
+    again.read_tags()
+    assert again.known == COUNT
+    assert not hub.asked(r"\.tar")
+
+
+def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_path: Path) -> None:
+    album = opened(hub, tmp_path)
+    hub.faults.append(Fault(r"\.tar", times=1000, status=503))
+    album.read_tags()
+    assert album.known == 0 and "503" in album.problem
+    hub.faults.clear()
+    album.read_tags()
+    assert album.known == COUNT and not album.problem
+
+
+def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, commit: str, tmp_path: Path) -> None:
+    album = opened(hub, tmp_path)
+    table = album._reader.index.table
+    hub.faults.append(Fault(r"train-00000\.tar", times=1000, flip=int(table.offset[2, 0]) + 5))
+    album.read_tags()
+    assert album.known == COUNT and not album.problem
+    assert album.facets().outcomes == {"settled": COUNT}
+    assert len(album._tags.positions("outcome", "settled")) == COUNT - 1
