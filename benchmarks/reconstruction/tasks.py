@@ -59,13 +59,23 @@ class Task:
         """Whether an answer is a ``Pattern``."""
         return self.asked == "pattern"
 
-    def load(self, count: int, *, data: Path | None = None, workers: int = 0, tested: int = 0, **changes: Any) -> Split:
-        """The garments; ``data``: folder that caches them. ``changes``: other ``options``, for tests."""
+    def load(
+        self,
+        count: int,
+        *,
+        data: Path | None = None,
+        workers: int = 0,
+        tested: int = 0,
+        checked: int = 0,
+        **changes: Any,
+    ) -> Split:
+        """The garments; ``data``: folder that caches them. ``tested``, ``checked``: garments that test and that watch
+        a training, 0 for the usual number. ``changes``: other ``options``, for tests."""
         options = {**self.options, **changes}
         make = {"points": self.points, "extra": self.extra, "cache": data, "workers": workers, **options}
         return Split(
             train=generated(count, TRAIN_SEED, **make),
-            check=generated(min(CHECKED, count), CHECK_SEED, **make),
+            check=generated(checked or min(CHECKED, count), CHECK_SEED, **make),
             test=generated(tested or self.tested, TEST_SEED, **make),
         )
 

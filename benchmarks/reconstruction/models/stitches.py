@@ -29,6 +29,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
 from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import (
     MAX_CUTS,
     SAMPLES,
@@ -39,7 +40,7 @@ from benchmarks.reconstruction.stitching.graphs import (
     graph_of,
     with_seams,
 )
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split, subdivided
+from benchmarks.reconstruction.stitching.merging import Cuts, aligned, merged, needed, split, subdivided
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import EdgeRef, Pattern
 
@@ -51,6 +52,7 @@ __all__ = [
     "StitchExamples",
     "StitchLearner",
     "StitchNet",
+    "Subdivision",
     "build",
     "greedy_by_length",
     "sew",
@@ -78,11 +80,15 @@ CUT_BINS = 24  # an edge has at most one cut in each
 WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
-VARIETY = 3  # variants of a garment
 VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
+MOST_FOREIGN = 0.25  # largest share of the fourth variant, which takes the place of the third
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
+FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
+GLUED = 0.7  # share of the straight seams in the fourth variant whose panels become one
+FOREIGN_CUTS = 2  # most cuts of a seam in the fourth variant
 PARTS = 4  # a batch is computed in parts of garments of like size: less padding
+REVISIONS = 3  # most times that needless points of subdivision are taken back
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
 
 
@@ -108,6 +114,17 @@ class StitchConfig:
     """Probability of the seams that are fixed together in a round."""
     placed: bool = False
     """Whether the network sees the placement of the panels in space (variant B)."""
+    foreign: float = 0.0
+    """Share of the training garments that are subdivided as another source might, at most 0.25."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.foreign <= MOST_FOREIGN:
+            raise ConfigError(f"foreign is {self.foreign}: give a share between 0 and {MOST_FOREIGN}")
+
+    @property
+    def variety(self) -> int:
+        """Variants of a training garment."""
+        return 4 if self.foreign else 3
 
     @staticmethod
     def autosew(*, placed: bool = False) -> "StitchConfig":
@@ -116,6 +133,16 @@ class StitchConfig:
             width=512, layers=5, pair_width=128, encoder="sage", sinkhorn=100, temperature=0.4, relations=False,
             rounds=1, placed=placed,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Subdivision:
+    """How the points are chosen at which edges are subdivided."""
+
+    logit: float = 0.0
+    """Points of a greater log-odds are taken."""
+    revised: bool = False
+    """Whether points that separate no two seams are taken back, after which all seams are predicted again."""
 
 
 @dataclass(frozen=True)
@@ -432,10 +459,13 @@ def revealed(
 def stitch_loss(
     scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig
 ) -> dict[str, tuple[Tensor, Tensor]]:
-    """Sums and counts of the loss terms by name. Garments with joined edges have cuts, but not all pairs."""
+    """Sums and counts of the loss terms by name.
+
+    An edge without a partner in a garment with joined edges may be sewn to several: its choice is not counted.
+    """
     valid, partners = batch.valid, batch.partners
     whole = (batch.cuts >= 0).flatten(1).any(dim=1)
-    asked = valid & (known < 0) & ~whole[:, None]
+    asked = valid & (known < 0) & (~whole[:, None] | (partners >= 0))
     choices = scores.log_probabilities(config)
     target = torch.where(partners >= 0, partners, choices.shape[-1] - 1)
     chosen = -choices.gather(2, target[..., None])[..., 0]
@@ -476,14 +506,15 @@ class StitchBatch:
 
 @dataclass(frozen=True)
 class StitchExamples:
-    """Garments in three variants: as drawn; with joined edges; subdivided elsewhere.
+    """Garments in variants: as drawn; with joined edges; parted again; and, if asked for, as of another source.
 
     In the third variant, edges that were joined are parted again at slightly wrong points, as they are where the points
-    are predicted, and some seams are cut in two: patterns of other sources are subdivided in other ways.
+    are predicted, and some seams are cut in two. In the fourth, many seams are runs of edges, unsewn edges are
+    subdivided too, and panels that a straight seam joins are one.
     """
 
     graphs: PackedGraphs
-    """Three rows for each garment."""
+    """As many rows for each garment as there are variants."""
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
@@ -496,7 +527,7 @@ class StitchExamples:
         device = self.graphs.counts.device
         at = rows.to(device)
         if chance is None:
-            part = self.graphs[VARIETY * at]
+            part = self.graphs[self.config.variety * at]
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
             return StitchBatch(
                 (part,), (torch.zeros(len(at), device=device),), (torch.zeros_like(part.lengths),), patterns
@@ -506,8 +537,9 @@ class StitchExamples:
         kind, flip, share = torch.rand(3, len(self), generator=there, device=device)[:, at]
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
-        kinds = (kind > VARIANTS[0]).long() + (kind > VARIANTS[1]).long()
-        variants = VARIETY * at + kinds
+        limits = torch.tensor((*VARIANTS, 1 - self.config.foreign), device=device)
+        kinds = (kind[:, None] > limits).sum(dim=1)
+        variants = self.config.variety * at + kinds
         order = self.graphs.counts[variants].argsort()
         parts, shares, draws = [], [], []
         for chunk in order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,):
@@ -534,13 +566,13 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
 
     def examples(self, patterns: Sequence[Arrays], *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of patterns, given as arrays, and of their variants."""
-        jobs = list(enumerate(patterns))
+        jobs = [(number, arrays, self.net.config.foreign > 0) for number, arrays in enumerate(patterns)]
         if workers > 1:
             with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
                 found = list(pool.map(_variants, jobs, chunksize=32))
         else:
             found = [_variants(job) for job in jobs]
-        graphs = [graph for three in found for graph in three]
+        graphs = [graph for variants in found for graph in variants]
         return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
@@ -570,7 +602,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:
         """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
-        return sew(self.net, batch.patterns, subdivide=self.subdivide)
+        return sew(self.net, batch.patterns, subdivide=Subdivision() if self.subdivide else None)
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
@@ -584,9 +616,9 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
     return StitchLearner(StitchConfig(**given))
 
 
-def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
-    """Graphs of a pattern: as drawn, with joined edges, and subdivided elsewhere."""
-    number, arrays = job
+def _variants(job: tuple[int, Arrays, bool]) -> list[EdgeGraph]:
+    """Graphs of a pattern: as drawn, with joined edges, subdivided elsewhere, and as of another source."""
+    number, arrays, with_foreign = job
     pattern, rng = pattern_of(arrays), np.random.default_rng(number)
     joined, again = merged(pattern, rng), pattern
     graphs = [graph_of(pattern)] * 2
@@ -598,6 +630,11 @@ def _variants(job: tuple[int, Arrays]) -> list[EdgeGraph]:
         }
         again = replace(split(joined.pattern, moved), seams=joined.parts.seams)
     graphs.append(graph_of(subdivided(again, rng, share=SUBDIVIDED)))
+    if not with_foreign:
+        return graphs
+    share = float(rng.choice(FOREIGN_SHARES))
+    foreign = subdivided(pattern, rng, share=share, most=FOREIGN_CUTS, free=True)
+    graphs.append(glued(graph_of(foreign), rng, share=GLUED))
     return graphs
 
 
@@ -609,35 +646,46 @@ def sew(
     net: StitchNet,
     patterns: Sequence[Pattern],
     *,
-    subdivide: bool = False,
+    subdivide: Subdivision | None = None,
     rounds: int = 0,
     batch: int = 64,
     seed: int = 0,
 ) -> list[Pattern]:
     """The patterns with predicted seams instead of their own.
 
-    ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: edges may be subdivided, for seams that
-    join one edge to several. Rows are shuffled by ``seed``, so that the order of panels, or of the edges in a loop,
-    cannot help; it breaks ties between equally likely seams.
+    ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: how edges are subdivided, for seams that
+    join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
+    the edges in a loop, cannot help; it breaks ties between equally likely seams.
     """
     bare = [replace(pattern, seams=()) for pattern in patterns]
-    if not subdivide:
+    if subdivide is None:
         return _sewn(net, bare, rounds, batch, seed)
-    cuts = []
+    cuts: list[dict[EdgeRef, tuple[float, ...]]] = []
     for first in range(0, len(bare), batch):
         some = bare[first : first + batch]
         found = predict_cuts(
-            net, PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))]
+            net,
+            PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))],
+            logit=subdivide.logit,
         )
         cuts += [
-            {ref: own[row] for row, ref in enumerate(edge_refs(pattern)) if row in own}
+            {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
             for pattern, own in zip(some, found, strict=True)
         ]
     parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], rounds, batch, seed)
+    for _ in range(REVISIONS if subdivide.revised else 0):
+        fewer = [needed(*three) for three in zip(bare, cuts, parts, strict=True)]
+        changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
+        if not changed:
+            break
+        again = _sewn(net, [split(bare[k], fewer[k]) for k in changed], rounds, batch, seed)
+        cuts = fewer
+        for k, pattern in zip(changed, again, strict=True):
+            parts[k] = pattern
     return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
 
 
-def _moved(pattern: Pattern, cuts: dict[EdgeRef, list[float]], parts: Pattern) -> Pattern:
+def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
     """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do."""
     better = {
         ref: tuple(new if abs(new - old) < ALIGNED else old for new, old in zip(own, cuts[ref], strict=True))
@@ -719,10 +767,10 @@ def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:
     return sorted((min(pair), max(pair)) for pair in networkx.max_weight_matching(graph))
 
 
-def predict_cuts(net: StitchNet, batch: EdgeBatch) -> list[dict[int, list[float]]]:
-    """Shares of the length at which edges are subdivided, by row, for each garment."""
+def predict_cuts(net: StitchNet, batch: EdgeBatch, *, logit: float = 0.0) -> list[dict[int, list[float]]]:
+    """Shares of the length at which edges are subdivided, by row, for each garment: those above a log-odds."""
     scores = net(batch, torch.full_like(batch.partners, -1))
-    logits, offsets = scores.cuts.cpu().numpy(), scores.cut_offsets.cpu().numpy()
+    logits, offsets = (scores.cuts - logit).cpu().numpy(), scores.cut_offsets.cpu().numpy()
     valid = batch.valid.cpu().numpy()
     found: list[dict[int, list[float]]] = []
     for garment in range(len(batch)):

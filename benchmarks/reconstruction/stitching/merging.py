@@ -17,7 +17,7 @@ from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
 from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
 
-__all__ = ["Cuts", "Merged", "aligned", "merged", "split", "subdivided"]
+__all__ = ["Cuts", "Merged", "aligned", "merged", "needed", "split", "subdivided"]
 
 Cuts = Mapping[EdgeRef, Sequence[float]]
 """Shares of the length at which edges are subdivided, in order."""
@@ -26,6 +26,7 @@ SMOOTH = np.radians(15.0)  # largest turn of the outline at a corner that may va
 CLOSE = 0.2  # cm: largest distance of the joined curve from the edges
 SAMPLES = 33  # points of a curve that is fitted
 FEWEST_EDGES = 2  # of a panel
+LEAST_PART = 0.06  # share of a length that a part of a subdivided edge has at least
 ALIGNMENTS = 20  # passes; a chain of edges that subdivide one another settles in a few
 
 
@@ -112,13 +113,26 @@ def split(pattern: Pattern, cuts: Cuts) -> Pattern:
     return replace(whole, seams=seams)
 
 
-def subdivided(pattern: Pattern, rng: np.random.Generator, *, share: float) -> Pattern:
-    """The pattern with a random share of the seams cut in two, each side at the same place of the seam."""
-    chosen = [number for number in range(len(pattern.seams)) if rng.random() < share]
+def subdivided(
+    pattern: Pattern, rng: np.random.Generator, *, share: float, most: int = 1, free: bool = False
+) -> Pattern:
+    """The pattern with a random share of the seams subdivided, each side at the same places of the seam.
+
+    ``most``: most cuts of a seam, whose number is uniform. ``free``: the same share of the unsewn edges is subdivided
+    too.
+    """
     cuts: dict[EdgeRef, tuple[float, ...]] = {}
-    for seam in (pattern.seams[number] for number in chosen):
-        at = float(rng.uniform(0.25, 0.75))
-        cuts |= {seam.left: (at,), seam.right: (at if seam.right_wrong else 1 - at,)}
+    for seam in (seam for seam in pattern.seams if rng.random() < share):
+        at = _places(rng, most)
+        cuts[seam.left] = tuple(at.tolist())
+        cuts[seam.right] = tuple((at if seam.right_wrong else 1 - at[::-1]).tolist())
+    if free:
+        sewn = {side for seam in pattern.seams for side in (seam.left, seam.right)}
+        cuts |= {
+            ref: tuple(_places(rng, most).tolist())
+            for ref in edge_refs(pattern)
+            if ref not in sewn and rng.random() < share
+        }
     cut = split(pattern, cuts)
     parts: dict[EdgeRef, list[EdgeRef]] = {}
     for new, old in zip(edge_refs(cut), _origins(pattern, cuts), strict=True):
@@ -129,6 +143,14 @@ def subdivided(pattern: Pattern, rng: np.random.Generator, *, share: float) -> P
         along = right if seam.right_wrong else right[::-1]
         seams += [Seam(a, b, seam.right_wrong) for a, b in zip(left, along, strict=True)]
     return replace(cut, seams=tuple(seams))
+
+
+def _places(rng: np.random.Generator, most: int) -> Float[np.ndarray, " n"]:
+    """Between one and ``most`` random shares of a length in order; every part is longer than ``LEAST_PART``."""
+    count = int(rng.integers(1, most + 1))
+    gaps = rng.dirichlet(np.ones(count + 1)) * (1 - (count + 1) * LEAST_PART) + LEAST_PART
+    places: Float[np.ndarray, " n"] = np.cumsum(gaps)[:-1]
+    return places
 
 
 def aligned(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[float, ...]]:
@@ -154,6 +176,27 @@ def aligned(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple
         lengths = np.array([length[piece] for piece in own])
         found[old] = tuple((np.cumsum(lengths)[:-1] / lengths.sum()).tolist())
     return found
+
+
+def needed(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[float, ...]]:
+    """The cuts whose two sides are sewn to different edges of the pattern.
+
+    ``parts``: the pattern subdivided at ``cuts``, with seams. A cut beside a free part is dropped, and so is one whose
+    two sides are sewn to parts of one edge: without these cuts, one seam joins two whole edges.
+    """
+    refs = edge_refs(parts)
+    origin = dict(zip(refs, _origins(pattern, cuts), strict=True))
+    partner = {a: b for seam in parts.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    found: dict[EdgeRef, list[float]] = {}
+    pieces: dict[EdgeRef, list[EdgeRef]] = {}
+    for ref in refs:
+        pieces.setdefault(origin[ref], []).append(ref)
+    for old, shares in cuts.items():
+        for share, (before, after) in zip(shares, pairwise(pieces[old]), strict=True):
+            one, other = partner.get(before), partner.get(after)
+            if one is not None and other is not None and origin[one] != origin[other]:
+                found.setdefault(old, []).append(share)
+    return {old: tuple(shares) for old, shares in found.items()}
 
 
 def _origins(pattern: Pattern, cuts: Cuts) -> list[EdgeRef]:

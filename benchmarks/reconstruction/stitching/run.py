@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, greedy_by_length, sew
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
@@ -40,6 +40,9 @@ from gcd_dataset.spec import read_pattern, write_pattern
 __all__ = ["main"]
 
 DRAWS = 1000  # of the bootstrap
+CHECKED = 200  # patterns that choose how edges are subdivided
+WATCHED = 32  # of these: patterns that are scored during the training
+CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 SMOKE: dict[str, Any] = {
     "train": 200, "test": 50, "minutes": 0.5, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
 }  # fmt: skip
@@ -69,19 +72,26 @@ def run(args: argparse.Namespace) -> None:
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
+<<<<<<< HEAD
+    split = TASKS["T3"].load(
+        args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.test)
+    )
+=======
     split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
     if args.leave_out:
         split = split.without(args.leave_out)
     if args.make_only:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
+>>>>>>> main
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
 
     def check(step: int, current: Any) -> Mapping[str, float]:
-        scores = [_score(true, own) for true, own in zip(watched, sew(current.net, watched), strict=True)]
+        some = watched[:WATCHED]
+        scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
     config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
@@ -100,7 +110,11 @@ def run(args: argparse.Namespace) -> None:
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "steps": trained.steps,
         "train_s": round(trained.seconds, 1),
+<<<<<<< HEAD
+        **evaluate(best, tests, out, args.workers, calibrated(best, watched)),
+=======
         **evaluate(best, tests, out, args.workers, kinds=split.test.kinds),
+>>>>>>> main
     }
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
@@ -133,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--heads", 8, "heads of a layer")
     option("--layers", 8, "layers")
     option("--pair-width", 48, "features of a pair of edges")
+    option("--foreign", 0.0, "share of the training patterns that are subdivided as another source might, at most 0.25")
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
     option("--device", "auto", "auto, cpu or cuda:0")
@@ -146,19 +161,45 @@ def _config(args: argparse.Namespace) -> StitchConfig:
         return StitchConfig.autosew(placed=args.placed)
     return StitchConfig(
         width=args.width, heads=args.heads, layers=args.layers, pair_width=args.pair_width, placed=args.placed,
-        rounds=1 if args.one_round else StitchConfig().rounds,
+        rounds=1 if args.one_round else StitchConfig().rounds, foreign=args.foreign,
     )  # fmt: skip
 
 
 # ----------------------------------------------------------------------------------------------------------- the scores
 
 
+<<<<<<< HEAD
+def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivision:
+    """The subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
+
+    Their edges are joined wherever possible; where none can be, the usual subdivision is returned.
+    """
+    joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
+    if not joined:
+        return Subdivision()
+
+    def f1(way: Subdivision) -> float:
+        answers = sew(learner.net, [entry.pattern for entry in joined], subdivide=way)
+        return float(np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)]))
+
+    return max((Subdivision(logit, revised) for logit in CUT_LOGITS for revised in (False, True)), key=f1)
+
+
+def evaluate(
+    learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, way: Subdivision
+) -> dict[str, Any]:
+    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+
+    ``way``: how edges are subdivided for seams n to m. Writes the predicted and the true specifications into folders of
+    ``out``.
+=======
 def evaluate(
     learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, *, kinds: Sequence[str]
 ) -> dict[str, Any]:
     """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
 
     ``kinds``: kind of each garment. Writes the predicted and the true specifications into folders of ``out``.
+>>>>>>> main
     """
     greedy = []
     for pattern in patterns:
@@ -170,7 +211,7 @@ def evaluate(
     began = time.perf_counter()
     ours = sew(learner.net, patterns)
     seconds = time.perf_counter() - began
-    parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=True)
+    parted = sew(learner.net, [entry.pattern for entry in joined], subdivide=way)
     write(out / "predictions", ours)
     write(out / "truth", patterns)
     write(out / "several" / "predictions", parted)
@@ -191,6 +232,7 @@ def evaluate(
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),
         "several": _table(several),
+        "subdivision": asdict(way),
         "ms_a_pattern": 1e3 * seconds / len(patterns),
     }
 

@@ -12,6 +12,7 @@ from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchLearner,
     StitchNet,
+    Subdivision,
     greedy_by_length,
     mirrored,
     next_on_boundary,
@@ -19,11 +20,13 @@ from benchmarks.reconstruction.models.stitches import (
     scaled,
     sew,
 )
+from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, split, subdivided
+from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
 from gcd_dataset.validate import check_pattern
@@ -171,6 +174,27 @@ def test_a_garment_of_twice_the_size_has_edges_of_twice_the_length() -> None:
     assert torch.allclose(steps, batch.lengths, rtol=1e-2)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_fourth_variant_has_seams_of_many_parts_and_each_joins_two_edges(seed: int) -> None:
+    """Runs of edges: the part after one end of a seam is sewn to the part before the other end."""
+    pattern = t_shirt()
+    found = subdivided(pattern, np.random.default_rng(seed), share=1.0, most=3, free=True)
+    lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
+    assert 20 <= len(found.seams) <= 40
+    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=1e-2) for seam in found.seams)
+    graph = graph_of(found)
+    before = np.argsort(graph.following)
+    runs = [
+        row
+        for row in np.flatnonzero(graph.partners >= 0)
+        if graph.partners[graph.following[row]] == before[graph.partners[row]]
+    ]
+    assert len(runs) >= 20
+    free = sum(len(p.edges) for p in pattern.panels) - 2 * len(pattern.seams)
+    assert (graph.partners < 0).sum() >= 2 * free
+    assert sum(lengths.values()) == pytest.approx(sum(v for p in pattern.panels for v in p.edge_lengths()), rel=1e-3)
+
+
 def test_half_of_the_seams_are_given_the_surest_first() -> None:
     batch = batch_of(t_shirt())
     sure = torch.where(batch.partners >= 0, torch.minimum(batch.partners, torch.arange(32)), 0).float()
@@ -197,6 +221,23 @@ def test_sinkhorn_gives_each_edge_one_partner_in_the_mean() -> None:
     with torch.no_grad():
         choices = net(batch, nothing_known(batch)).log_probabilities(config)[0, :26].exp()
     assert torch.allclose(choices.sum(dim=-1), torch.ones(26), atol=1e-3)
+
+
+@pytest.mark.parametrize("foreign", [0.0, 0.25])
+def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None:
+    """All edges of the square tube's belts are seen whole, unless a quarter of the garments is subdivided."""
+    learner = StitchLearner(replace(SMALL, foreign=foreign))
+    examples = learner.examples([encode(tube())] * 12, device=torch.device("cpu"))
+    assert len(examples.graphs) == 12 * (4 if foreign else 3)
+    counts = {
+        count
+        for seed in range(8)
+        for part in examples.batch(torch.arange(12), torch.Generator().manual_seed(seed)).parts
+        for count in part.valid.sum(dim=1).tolist()
+    }
+    assert (max(counts) > 20) == (foreign > 0)
+    with pytest.raises(ConfigError, match="foreign"):
+        replace(SMALL, foreign=0.5)
 
 
 def test_a_step_of_training_lowers_the_loss_of_the_same_batch() -> None:
@@ -263,6 +304,59 @@ def test_a_cut_moves_to_where_the_lengths_agree() -> None:
     wrong = dict.fromkeys(found.cuts, (0.45,))
     parts = replace(split(found.pattern, wrong), seams=found.parts.seams)
     assert aligned(found.pattern, wrong, parts) == {ref: pytest.approx((0.5,)) for ref in found.cuts}
+
+
+def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
+    left, right, belt = rectangle("left", 20, 60), rectangle("right", 20, 60), rectangle("belt", 20, 5)
+    seams = (Seam(EdgeRef("left", 1), EdgeRef("right", 3)), Seam(EdgeRef("right", 2), EdgeRef("belt", 0)))
+    found = glued(graph_of(Pattern("p", (left, right, belt), seams[:1])), np.random.default_rng(0), share=1.0)
+    assert found.panels.tolist() == [0] * 6 + [1] * 4
+    whole = found.points[:6].reshape(-1, 2)
+    assert np.ptp(whole, axis=0) == pytest.approx([40, 60], abs=1e-3)
+    assert np.abs(whole).max(axis=0) == pytest.approx([20, 30], abs=1e-3)
+    ends = found.points[found.following[:6], 0]
+    assert found.points[:6, -1] == pytest.approx(ends, abs=1e-3)
+    assert sorted(found.lengths[:6].tolist()) == pytest.approx([20, 20, 20, 20, 60, 60])
+    both = graph_of(Pattern("p", (left, right, belt), seams))
+    assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
+    assert len(glued(both, np.random.default_rng(0), share=0.0).lengths) == 12
+    assert (
+        glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners
+    ).all()
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.8])
+def test_a_cut_within_a_seam_of_two_whole_edges_is_not_needed(share: float) -> None:
+    """Whatever the needless subdivision, the cut of the cap, which is sewn to two panels, stays."""
+    found = merged(t_shirt())
+    assert found is not None
+    side, other = EdgeRef("front", SIDE_R), EdgeRef("back", SIDE_L)
+    cuts = {**found.cuts, side: (share,), other: (1 - share,), EdgeRef("front", NECK): (share,)}
+    parts = split(found.pattern, cuts)
+    seams = [
+        *(seam for seam in parts.seams if side.panel not in (seam.left.panel, seam.right.panel)),
+        Seam(EdgeRef("front", 1), EdgeRef("back", 8)),
+        Seam(EdgeRef("front", 2), EdgeRef("back", 7)),
+        Seam(EdgeRef("one", CAP_1), EdgeRef("back", ARMHOLE_L)),
+        Seam(EdgeRef("one", CAP_2), EdgeRef("front", ARMHOLE_R + 1)),
+        Seam(EdgeRef("two", CAP_1), EdgeRef("front", ARMHOLE_L + 2)),
+        Seam(EdgeRef("two", CAP_2), EdgeRef("back", ARMHOLE_R)),
+    ]
+    assert needed(found.pattern, cuts, replace(parts, seams=tuple(seams))) == found.cuts
+    assert needed(found.pattern, found.cuts, split(found.pattern, found.cuts)) == {}
+
+
+@pytest.mark.parametrize("way", [Subdivision(), Subdivision(-9.0), Subdivision(-9.0, revised=True)], ids=str)
+def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
+    """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
+    pattern = replace(t_shirt(), seams=())
+    found = sew(net_of(), [pattern], subdivide=way, rounds=1)[0]
+    count = sum(len(p.edges) for p in found.panels) - sum(len(p.edges) for p in pattern.panels)
+    assert (count > 0) == (way.logit < 0)
+    if way.revised:
+        assert count < sum(
+            len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit), rounds=1)[0].panels
+        ) - sum(len(p.edges) for p in pattern.panels)
 
 
 def test_edges_sewn_to_one_panel_are_not_joined() -> None:
