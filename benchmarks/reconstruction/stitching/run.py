@@ -72,18 +72,14 @@ def run(args: argparse.Namespace) -> None:
     device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
-<<<<<<< HEAD
     split = TASKS["T3"].load(
         args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, args.test)
     )
-=======
-    split = TASKS["T3"].load(args.train, data=data, workers=args.workers, tested=args.test)
     if args.leave_out:
         split = split.without(args.leave_out)
     if args.make_only:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
->>>>>>> main
     learner = StitchLearner(_config(args))
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
@@ -110,11 +106,7 @@ def run(args: argparse.Namespace) -> None:
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "steps": trained.steps,
         "train_s": round(trained.seconds, 1),
-<<<<<<< HEAD
-        **evaluate(best, tests, out, args.workers, calibrated(best, watched)),
-=======
-        **evaluate(best, tests, out, args.workers, kinds=split.test.kinds),
->>>>>>> main
+        **evaluate(best, tests, out, args.workers, calibrated(best, watched), kinds=split.test.kinds),
     }
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
@@ -168,7 +160,6 @@ def _config(args: argparse.Namespace) -> StitchConfig:
 # ----------------------------------------------------------------------------------------------------------- the scores
 
 
-<<<<<<< HEAD
 def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivision:
     """The subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
 
@@ -186,20 +177,18 @@ def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivisi
 
 
 def evaluate(
-    learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, way: Subdivision
+    learner: StitchLearner,
+    patterns: Sequence[Pattern],
+    out: Path,
+    workers: int,
+    way: Subdivision,
+    *,
+    kinds: Sequence[str],
 ) -> dict[str, Any]:
     """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
 
-    ``way``: how edges are subdivided for seams n to m. Writes the predicted and the true specifications into folders of
-    ``out``.
-=======
-def evaluate(
-    learner: StitchLearner, patterns: Sequence[Pattern], out: Path, workers: int, *, kinds: Sequence[str]
-) -> dict[str, Any]:
-    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
-
-    ``kinds``: kind of each garment. Writes the predicted and the true specifications into folders of ``out``.
->>>>>>> main
+    ``way``: how edges are subdivided for seams n to m. ``kinds``: kind of each garment. Writes the predicted
+    and the true specifications into folders of ``out``.
     """
     greedy = []
     for pattern in patterns:
