@@ -12,8 +12,9 @@ from benchmarks.viewing.server import PAUSE, started
 __all__ = ["Pictures", "pictures_of"]
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+LOOK = 2.0  # s between garments: a look
 DRAWN = """(position) => {
-  const frame = document.querySelector("iframe");
+  const frame = document.querySelector("iframe.shown");
   const page = frame.contentDocument;
   const asked = frame.contentWindow.location.search;
   return page && page.body && page.body.dataset.ready && asked.includes(`position=${position}&`);
@@ -27,7 +28,9 @@ class Pictures:
     first: float
     """From the command to the first."""
     following: list[float]
-    """From each click to the next."""
+    """From each click to the next, after a look of ``LOOK``."""
+    hurried: list[float]
+    """The same after ``PAUSE``, when the next garment is still loading."""
 
 
 def pictures_of(folder: Path, index: int, environment: Mapping[str, str], count: int) -> Pictures | None:
@@ -46,13 +49,14 @@ def pictures_of(folder: Path, index: int, environment: Mapping[str, str], count:
             page.goto(address)
             _wait(page, index)
             first = time.perf_counter() - began
-            following = [_next(page, index + step) for step in range(1, count + 1)]
+            following = [_next(page, index + step, LOOK) for step in range(1, count + 1)]
+            hurried = [_next(page, index + count + step, PAUSE) for step in range(1, count + 1)]
         browser.close()
-    return Pictures(first, following)
+    return Pictures(first, following, hurried)
 
 
-def _next(page: Any, position: int) -> float:
-    time.sleep(PAUSE)
+def _next(page: Any, position: int, pause: float) -> float:
+    time.sleep(pause)
     began = time.perf_counter()
     page.evaluate("document.getElementById('next').click()")
     _wait(page, position)

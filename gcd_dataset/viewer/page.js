@@ -463,6 +463,8 @@ async function start() {
   if (view) follow(view);
   quiet = false;
   if (picture) document.body.dataset.ready = "true";
+  window.gcdPage.isReady = true;
+  document.dispatchEvent(new Event("gcd-ready"));
 }
 
 /** Start the 3-D view, if the garment has a mesh. */

@@ -69,13 +69,13 @@ def opened(browser: Any, site: Gallery | Design) -> Iterator[Any]:
 
 def heading(page: Any, frame: int = 0) -> str:
     """The title of the garment in a frame, once it is loaded."""
-    return str(page.frame_locator("iframe").nth(frame).locator("h1").inner_text())
+    return str(page.frame_locator("iframe.shown").nth(frame).locator("h1").inner_text())
 
 
 def frame(page: Any, number: int = 0) -> Any:
     """The frame of a garment, once its 3-D view is drawn."""
-    page.frame_locator("iframe").nth(number).locator("body[data-ready]").wait_for()
-    return page.locator("iframe").nth(number).element_handle().content_frame()
+    page.frame_locator("iframe.shown").nth(number).locator("body[data-ready]").wait_for()
+    return page.locator("iframe.shown").nth(number).element_handle().content_frame()
 
 
 def lit(frame: Any) -> str:
@@ -110,7 +110,7 @@ def test_buttons_keys_filters_and_jumps_move_among_the_garments(browser: Any, ga
         page.wait_for_selector("#kind option[value=dress]", state="attached")
         page.select_option("#kind", "dress")
         expect(status).to_have_text("1 of 2")
-        expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000001")
+        expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("gcd_000000001")
         page.fill("#jump", "3")
         page.press("#jump", "Enter")
         expect(status).to_have_text("2 of 2")
@@ -130,7 +130,7 @@ def test_kind_and_outcome_are_two_menus_that_combine(browser: Any, garments: Pat
         expect(page.locator("#status")).to_have_text("1 of 2")
         page.select_option("#kind", "skirt")
         expect(page.locator("#status")).to_have_text("1 of 1")
-        expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000004")
+        expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("gcd_000000004")
         page.select_option("#outcome", "outcome:slid off")
         expect(page.locator("#status")).to_have_text("1 of 1")
         page.select_option("#kind", "dress")
@@ -158,11 +158,29 @@ def test_hover_lights_both_views_and_the_view_stays_at_the_next_garment(browser:
         view = first.evaluate("structuredClone(gcdPage.state)")
         assert view["yaw"] < -0.5
         page.click("#next")
-        sync_api.expect(page.frame_locator("iframe").locator("h1")).to_have_text("gcd_000000001")
+        sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("gcd_000000001")
         after = frame(page).evaluate("structuredClone(gcdPage.state)")
         assert {name: after[name] for name in VIEW} == {name: view[name] for name in VIEW}
         schemes = [where.evaluate("document.documentElement.dataset.scheme") for where in (page, frame(page))]
         assert schemes == ["dark", "dark"]
+
+
+def test_the_next_garment_is_drawn_before_it_is_asked_for(browser: Any, garments: Path) -> None:
+    spare = "document.querySelector('iframe.spare')"
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"), 1)) as page:
+        for button, shown, ahead in (("#next", 2, 3), ("#next", 3, 4), ("#previous", 2, 1)):
+            frame(page)
+            page.wait_for_function(f"() => {spare}.contentWindow.gcdPage?.isReady")
+            page.evaluate(f"() => {{ {spare}.contentWindow.loadedBefore = {shown}; }}")
+            page.click(button)
+            sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text(f"gcd_{shown:09}")
+            loaded = frame(page).evaluate("window.loadedBefore")
+            assert loaded == (shown if button == "#next" else None)  # the first step back is not foreseen
+            frame(page).evaluate("gcdPage.setStage(1)")
+            name = f"gcd_{ahead:09}"
+            page.wait_for_function(f"() => {spare}.contentDocument.querySelector('h1')?.innerText === '{name}'")
+        assert page.locator("iframe.shown").count() == page.locator("iframe.spare").count() == 1
+        assert frame(page).evaluate("gcdPage.state.stage") == 1.0
 
 
 def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> None:
@@ -175,7 +193,9 @@ def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> Non
         page.wait_for_selector("#kind option[value='random body']", state="attached")
         page.select_option("#kind", "random body")
         expect(page.locator("#status")).to_have_text("1 of 2")
-        expect(page.frame_locator("iframe").locator(".tables")).to_contain_text("missing, so the body is left out")
+        expect(page.frame_locator("iframe.shown").locator(".tables")).to_contain_text(
+            "missing, so the body is left out"
+        )
 
 
 def test_kinds_of_a_remote_data_set_are_read_in_parts(
@@ -208,7 +228,7 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
     with opened(browser, Gallery(spec_album(tmp_path))) as page:
         sync_api.expect(page.locator("#problem")).to_contain_text("a.json")
         page.click("#next")
-        sync_api.expect(page.frame_locator("iframe").locator("h1")).to_have_text("b")
+        sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("b")
         sync_api.expect(page.locator("#problem")).to_be_hidden()
 
 
@@ -255,7 +275,7 @@ def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, 
         yaws = [where.evaluate("gcdPage.state.yaw") for where in (one, other)]
         assert yaws[0] == yaws[1] != 0
         page.click("#next")
-        sync_api.expect(page.frame_locator("iframe").nth(1).locator("h1")).to_have_text("b")
+        sync_api.expect(page.frame_locator("iframe.shown").nth(1).locator("h1")).to_have_text("b")
         assert [frame(page, side).evaluate("gcdPage.state.yaw") for side in (0, 1)] == yaws
 
 
