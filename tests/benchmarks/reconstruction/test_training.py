@@ -1,14 +1,17 @@
 """The training loop on a line: it is found, and a stopped training continues with the same numbers."""
 
 import csv
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from benchmarks.reconstruction import training
 from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, TrainingError, learning_rate, train
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
@@ -82,9 +85,12 @@ def test_curves_hold_losses_and_checks_of_all_runs(tmp_path: Path) -> None:
     assert all(float(row["square"]) == float(row["loss"]) for row in rows)
 
 
-def test_the_time_given_is_used(tmp_path: Path) -> None:
+def test_the_time_given_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = itertools.count()  # a step takes a hundredth of a second
+    monkeypatch.setattr(training, "time", SimpleNamespace(perf_counter=lambda: 0.01 * next(clock)))
     found = trained(config=TrainConfig(minutes=0.005, batch=8, checks=0))
-    assert 0.3 <= found.seconds < 1.0
+    assert found.seconds == pytest.approx(0.3, abs=0.011)
+    assert found.steps == pytest.approx(30, abs=1)
     assert found.curve[-1]["lr"] < 0.1 * TrainConfig(minutes=1).lr
 
 
