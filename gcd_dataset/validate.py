@@ -31,7 +31,7 @@ WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment ar
 LONG = 60.0  # cm: between the median edge of a garment and the median edge of a garment scaled by ten
 HIGH = 400.0  # cm: higher than any panel hangs
 LOW = 25.0  # cm: only shoes, or a garment scaled by a tenth, have their top so low
-TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
+TINY = 10.0  # cm: the largest panel of a garment that is not placed, even of a belt, is larger
 USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
 USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # units per metre
@@ -231,7 +231,7 @@ def _unlikely_size(
         figure = f"it hangs up to {top:.4g} cm high, its largest panel is {largest:.4g} cm"
     elif largest > WIDE and np.median(list(lengths)) > LONG:
         figure = f"its largest panel is {largest:.4g} cm, and half of its edges are over {LONG:.0f} cm"
-    elif largest < TINY or (top is not None and top < LOW):
+    elif largest < TINY if top is None else top < LOW:
         figure = f"its largest panel is {largest:.4g} cm"
     else:
         return
