@@ -3,13 +3,13 @@
 The set holds ``--count`` small garments of five kinds and, in its middle, 32 garments of 14 500 vertices on a body,
 which are shown. Each round starts ``gcd show SET --index`` anew; the cheapest of three rounds counts. ``first_page``:
 from the command to the last byte of the first garment's page. ``first_picture``: to the drawn garment in headless
-Chromium, without its own start (software rendering; left out where Playwright or Chromium is missing). ``next``: the
-median of requests for the following garment, 0.3 s apart. ``next_picture``: in the browser, 2 s apart; it has drawn the
-garment unseen by then; ``hurried``: 0.3 s apart. ``jump``: the median of requests for garments that were not made
-ahead. ``reading``: the same while tags are read in the background, which begins after the first page; a second start
-takes them from the cache. ``filter``: garments of a kind and an outcome. ``load``: processes that want to run, per
-core, during a round, ours included; times grow with it, CPU times hardly. In the browser most of the time is the start
-of the software renderer for each page: the page's own scripts take 0.07 CPU-s.
+Chromium, which runs and has drawn before (software rendering; left out where Playwright or Chromium is missing).
+``next``: the median of requests for the following garment, 0.3 s apart. ``next_picture``: in the browser, 2 s apart; it
+has drawn the garment unseen by then; ``hurried``: 0.3 s apart. ``jump``: the median of requests for garments that were
+not made ahead. ``reading``: the same while tags are read in the background, which begins after the first page; a second
+start takes them from the cache. ``filter``: garments of a kind and an outcome. ``load``: processes that want to run,
+per core, during a round, ours included; times grow with it, CPU times hardly. In the browser most of the time is the
+start of the software renderer for each page: the page's own scripts take 0.07 CPU-s.
 """
 
 import argparse

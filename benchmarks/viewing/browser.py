@@ -12,6 +12,12 @@ from benchmarks.viewing.server import PAUSE, started
 __all__ = ["Pictures", "pictures_of"]
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WARM_UP = """() => {
+  const context = document.createElement("canvas").getContext("webgl2");
+  context.clear(context.COLOR_BUFFER_BIT);
+  context.finish();
+}"""
+"""Starts the renderer of the browser, which serves all pages."""
 LOOK = 2.0  # s between garments: a look
 DRAWN = """(position) => {
   const frame = document.querySelector("iframe.shown");
@@ -45,6 +51,7 @@ def pictures_of(folder: Path, index: int, environment: Mapping[str, str], count:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.evaluate(WARM_UP)
         with started(folder, index, environment) as (address, began, _):
             page.goto(address)
             _wait(page, index)

@@ -46,7 +46,7 @@ Answer = tuple[HTTPStatus, str, bytes]
 
 
 class Gallery:
-    """Answers requests about an album. Pages are kept, and that of the next garment is made ahead.
+    """Answers requests about an album. Pages are kept; those of the first and of the next garment are made ahead.
 
     The album reads its tags in the background, once the first page has been made.
     """
@@ -58,6 +58,7 @@ class Gallery:
         self._makers = ThreadPoolExecutor(2, thread_name_prefix="pages")
         self._tag_reader = ThreadPoolExecutor(1, thread_name_prefix="tags")
         self._reading: Future[None] | None = None
+        self._begin(album.nearest(start))  # while the browser opens
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
         """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist."""

@@ -1,6 +1,7 @@
 """The viewer's server: pages, filters and errors as answers, and requests that it refuses."""
 
 import json
+import queue
 import threading
 from collections.abc import Iterator
 from http.client import HTTPConnection
@@ -13,7 +14,7 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.viewer.album import ShardAlbum
+from gcd_dataset.viewer.album import Album, ShardAlbum
 from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.server import Design, Gallery, serve
 
@@ -50,6 +51,34 @@ class Running:
         self.server.shutdown()
         self.thread.join(30)
         assert not self.thread.is_alive()
+
+
+class Observed(Album):
+    """Three empty pages; it tells which one is made."""
+
+    title = "observed"
+
+    def __init__(self) -> None:
+        self.made: queue.Queue[int] = queue.Queue()
+
+    def __len__(self) -> int:
+        return 3
+
+    def key(self, position: int) -> str:
+        return str(position)
+
+    def page(self, position: int, side: int = 0) -> str:
+        self.made.put(position)
+        return ""
+
+
+def test_the_first_page_and_the_next_are_made_before_a_request() -> None:
+    album = Observed()
+    gallery = Gallery(album, 2)
+    try:
+        assert [album.made.get(timeout=30) for _ in range(2)] == [2, 0]
+    finally:
+        gallery.close()
 
 
 @pytest.fixture(scope="module")
