@@ -25,6 +25,7 @@ __all__ = [
     "derived_arrays",
     "item_fields",
     "panel_class",
+    "picture_views",
 ]
 
 SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
@@ -112,8 +113,13 @@ def _scan(item: Item) -> np.ndarray:
     return np.asarray(scanned["scan"].numpy())
 
 
+def picture_views(device: str) -> Views:
+    """Renders the pictures of items on a device; ``auto`` is a GPU where there is one."""
+    return Views(n=PICTURES, size=PICTURE_SIZE, maps=(), device=device)
+
+
 def _pictures(item: Item) -> np.ndarray:
-    shown = Views(n=PICTURES, size=PICTURE_SIZE, maps=(), device="cpu")(item)
+    shown = item if "views" in item else picture_views("cpu")(item)
     return np.asarray(shown["views"].numpy())
 
 
@@ -127,5 +133,6 @@ DERIVED: Mapping[str, Derived] = {
 }
 """``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
-``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB;
+``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; the item's ``views``, or else
+rendered on a CPU;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

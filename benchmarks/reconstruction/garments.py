@@ -6,17 +6,20 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
+from torch import Tensor
 from torch.utils.data import DataLoader
 
-from benchmarks.reconstruction.derived import CENTRE, derived_arrays, item_fields
+from benchmarks.reconstruction.derived import CENTRE, derived_arrays, item_fields, picture_views
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, open_whole
-from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments
+from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments, Views
 from gcd_dataset.loaders.base import Garments, Item
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.patternhash import PatternHash
@@ -268,37 +271,75 @@ def fresh_garments(
 ) -> Iterator[Encoded]:
     """``encode`` of each garment of a seed from index ``first`` on, a set of one; made and encoded by ``workers``.
 
-    Garments whose drape did not settle are left out.
+    Garments whose drape did not settle are left out. Where there is a GPU, this process renders pictures on it, and
+    encodes garments that have some.
     """
     _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
-    transform = _Encoded(_Packed(points, tuple(extra)), encode)
+    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra)
+    transform = _Encoded(pack, encode) if views is None else None
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)
     fresh = FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1)
-    yield from (cast(Encoded, one) for one in fresh if one is not None)
+    if views is None:
+        yield from (cast(Encoded, one) for one in fresh if one is not None)
+    else:
+        settled = filter(_is_settled, fresh)
+        batches = iter(lambda: list(islice(settled, TOGETHER)), [])
+        yield from (encode(pack(item)) for items in views.batches(batches) for item in items)
 
 
 def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
-    """All garments of a data set that has the fields ``FIELDS``, and ``points``, without those that did not settle."""
-    pack = _Packed(points, tuple(extra))
+    """All garments of a data set that has the fields ``FIELDS``, and ``points``, without those that did not settle.
+
+    Where there is a GPU, this process renders pictures on it.
+    """
+    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra)
     loader = DataLoader(
         garments,
         batch_size=TOGETHER,
         num_workers=workers,
-        collate_fn=_Joined(pack),
+        collate_fn=_Joined(pack) if views is None else _settled_arrays,
         prefetch_factor=4 if workers else None,
     )
+    found = loader if views is None else map(_Joined(pack), views.batches(filter(None, map(_as_items, loader))))
     parts: list[GarmentSet] = []
     read = 0
-    for part in loader:
+    for part in found:
         parts.append(part)
         read += TOGETHER
         if read % LOG_EVERY < TOGETHER:
             print(f"{read} of {len(garments)} garments", file=sys.stderr, flush=True)
-    found = GarmentSet.join(parts)
-    if not len(found):
+    if not any(map(len, parts)):
         raise ConfigError(f"{garments!r}: no garment that settled: give another data set")
-    return found
+    return GarmentSet.join(parts)
+
+
+def _views_on_gpu(extra: Sequence[str]) -> Views | None:
+    """Renders the pictures of a set on this process's GPU; ``None`` without one, or for a set without pictures."""
+    if "pictures" not in extra:
+        return None
+    views = picture_views("auto")
+    return None if views.device == "cpu" else views
+
+
+def _is_settled(item: Item) -> bool:
+    return (item["meta"].get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
+
+
+def _settled_arrays(items: Sequence[Item]) -> list[Item]:
+    """``collate_fn``: settled items with arrays for tensors, each of which would take a file descriptor."""
+    return [
+        {name: value.numpy() if isinstance(value, Tensor) else value for name, value in item.items()}
+        for item in items
+        if _is_settled(item)
+    ]
+
+
+def _as_items(found: Sequence[Item]) -> list[Item]:
+    return [
+        {name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value for name, value in item.items()}
+        for item in found
+    ]
 
 
 @dataclass(frozen=True)
@@ -310,7 +351,6 @@ class _Packed:
 
     def __call__(self, item: Item) -> GarmentSet:
         meta, design = item["meta"], item["design"]
-        settled = (meta.get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
         measures = np.array([item["measures"].get(name, np.nan) for name in MEASURES], dtype=np.float32)
         body = item["body"].numpy()
         arrays = derived_arrays(item, (*PATTERN, *self.extra))
@@ -327,7 +367,7 @@ class _Packed:
             ragged=ragged,
             recipe={},
         )
-        return found if settled else found.select([])
+        return found if _is_settled(item) else found.select([])
 
     def _points(self, scan: np.ndarray | None, item: Item) -> Float[np.ndarray, "n 6"]:
         if not self.points:

@@ -1,13 +1,16 @@
 """The network of task T2: what its batches hold, and that it learns from pictures."""
 
 from dataclasses import replace
+from itertools import islice
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.garments import GarmentSet, Ragged, generated
+from benchmarks.reconstruction import garments
+from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
 from benchmarks.reconstruction.models.picture_set import PictureSet, build
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
@@ -65,6 +68,23 @@ def test_garments_are_seen_in_drawn_pictures() -> None:
     assert pictures.dtype == np.uint8
     assert all(picture.std() > 5 for picture in pictures)
     assert not np.array_equal(pictures[0], pictures[1])
+
+
+def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    # On a GPU this process renders; here with the same code on the CPU, so that the bytes are the same.
+    recipe: dict[str, Any] = {"points": 0, "extra": ("pictures",), "resolution": 8.0, "design": SKIRTS}
+    rendered_by_workers = generated(2, 0, workers=1, **recipe)
+    monkeypatch.setattr(garments, "TOGETHER", 1)
+    monkeypatch.setattr(garments, "_views_on_gpu", lambda extra: picture_views("cpu"))
+    rendered_here = generated(2, 0, workers=1, **recipe)
+    streamed = fresh_garments(_whole, 0, first=0, **recipe)
+    for found in (rendered_here, GarmentSet.join(list(islice(streamed, len(rendered_here))))):
+        assert found.keys == rendered_by_workers.keys
+        assert np.array_equal(found.ragged["pictures"].rows, rendered_by_workers.ragged["pictures"].rows)
+
+
+def _whole(found: GarmentSet) -> GarmentSet:
+    return found
 
 
 @pytest.mark.parametrize("sizes", [{"views": 9}, {"tables": 2}])
