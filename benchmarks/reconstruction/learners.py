@@ -11,14 +11,14 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
     from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "uploaded"]
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "squared_distances", "uploaded"]
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -95,6 +95,20 @@ def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
     if device.type == "cuda" and numbers.device.type == "cpu":
         numbers = numbers.pin_memory()  # from pageable memory the copy would wait for all work of the stream
     return numbers.to(device, non_blocking=True)
+
+
+@torch.no_grad()
+def squared_distances(one: Float[Tensor, "*b n d"], other: Float[Tensor, "*b m d"]) -> Float[Tensor, "*b n m"]:
+    """Squares of the distances between points, in float32, for few dimensions.
+
+    On a GPU ``torch.cdist`` rounds positions to TF32, which exceeds the distances of neighbours, or starts a block of
+    threads for each pair.
+    """
+    found = one.new_zeros(*one.shape[:-1], other.shape[-2], dtype=torch.float32)
+    for first, second in zip(one.float().unbind(-1), other.float().unbind(-1), strict=True):
+        apart = first[..., :, None] - second[..., None, :]
+        found.addcmul_(apart, apart)
+    return found
 
 
 class TensorExamples:

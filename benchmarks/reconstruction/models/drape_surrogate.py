@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
 from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.learners import Learner, squared_distances
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, gathered, mlp, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,
@@ -198,7 +198,7 @@ def nearest_rows(
 ) -> Int[Tensor, " v"]:
     """The row of ``body``, all bodies one after the other, of the nearest point of the wearer."""
     parts = torch.split(positions, surface.counts.tolist())
-    rows = [torch.cdist(part, points[:, :3]).argmin(dim=1) for part, points in zip(parts, body, strict=True)]
+    rows = [squared_distances(part, points[:, :3]).argmin(dim=1) for part, points in zip(parts, body, strict=True)]
     return torch.cat(rows) + surface.garments * body.shape[1]
 
 

@@ -48,6 +48,7 @@ from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
 __all__ = [
     "SMOKE",
+    "TASKS",
     "USUAL",
     "EdgeDecoder",
     "EdgeTokens",
@@ -62,6 +63,7 @@ __all__ = [
     "tokens_of",
 ]
 
+TASKS = ("T0", "T1", "T1-scan")
 LINE = len(PANEL_LABELS)  # kinds below: a new panel, with the row of its label
 CURVE, CLOSING_LINE, CLOSING_CURVE, END, START = range(LINE + 1, LINE + 6)
 KINDS = START  # kinds that are predicted

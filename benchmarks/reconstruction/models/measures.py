@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, TensorExamples
+from benchmarks.reconstruction.learners import Learner, TensorExamples, squared_distances
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
 from benchmarks.reconstruction.wearers import dressed_scans
 from gcd_dataset.errors import ConfigError
@@ -148,7 +148,7 @@ class MeasureNet(Learner[Scans, np.ndarray]):
         """Measures in deviations from the mean."""
         centres = points[:, : self.config.tokens]
         with torch.no_grad():
-            distances = torch.cdist(centres[..., :3], points[..., :3])
+            distances = squared_distances(centres[..., :3], points[..., :3])
             nearest = distances.topk(min(self.config.neighbours, points.shape[1]), largest=False).indices
         region = points[torch.arange(len(points), device=points.device)[:, None, None], nearest]
         offsets = (region[..., :3] - centres[:, :, None, :3]) * REGION_SCALE

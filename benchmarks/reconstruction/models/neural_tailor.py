@@ -37,7 +37,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.derived import PANEL_NAMES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, squared_distances
 from benchmarks.reconstruction.models.panel_set import (
     CHUNK,
     LEAST_EDGES,
@@ -429,9 +429,10 @@ def _nearest(places: Float[Tensor, "b n d"], count: int) -> Int[Tensor, "b n k"]
     """The nearest points of each point, itself among them."""
     with torch.autocast(places.device.type, enabled=False):
         places = places.float()
-        # Of positions without a product, whose rounding on tensor cores would exceed the distances of neighbours.
-        mode = "donot_use_mm_for_euclid_dist" if places.shape[-1] <= 3 else "use_mm_for_euclid_dist"
-        distances = torch.cdist(places, places, compute_mode=mode)
+        if places.shape[-1] <= 3:
+            distances = squared_distances(places, places)
+        else:
+            distances = torch.cdist(places, places, compute_mode="use_mm_for_euclid_dist")
         return distances.topk(min(count, places.shape[1]), largest=False, sorted=False).indices
 
 
@@ -494,7 +495,8 @@ class LoopDecoder(nn.Module):
 
     def forward(self, panels: Float[Tensor, "b q w"], steps: int) -> Float[Tensor, "b q n o"]:
         repeated = panels.flatten(0, 1)[:, None].expand(-1, steps, -1)
-        states, _ = self.lstm(repeated)
+        with torch.autocast(panels.device.type, enabled=False):  # cuDNN would compute in float16, without scaled losses
+            states, _ = self.lstm(repeated.float())
         found: Tensor = self.head(states)
         return found.view(*panels.shape[:2], steps, -1)
 

@@ -25,7 +25,7 @@ from torch.nn import functional
 from benchmarks.reconstruction.assignment import least_cost
 from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, squared_distances
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
@@ -34,6 +34,7 @@ from gcd_dataset.workers import parallel_map
 
 __all__ = [
     "SMOKE",
+    "TASKS",
     "USUAL",
     "DrawnPoints",
     "Edges",
@@ -64,6 +65,7 @@ __all__ = [
 
 Sizes = TypeVar("Sizes", bound="PointConfig")
 
+TASKS = ("T0", "T1", "T1-scan")
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
@@ -624,8 +626,8 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
         likelihood = predicted.edges.log_softmax(dim=-1).clamp(min=-10.0)
         counts = true.edge_counts[:, None].expand(-1, likelihood.shape[1], -1)
         cost = (
-            2.0 * torch.cdist(predicted.centres, true.centres)
-            + 0.5 * torch.cdist(predicted.axes, axes_of(true.rotations))
+            2.0 * squared_distances(predicted.centres, true.centres).sqrt()
+            + 0.5 * squared_distances(predicted.axes, axes_of(true.rotations)).sqrt()
             + 1.0 * torch.cdist(predicted.extents.log(), true.extents.clamp(min=LEAST_EXTENT).log(), p=1.0)
             - 0.1 * likelihood.gather(2, counts)
             - predicted.exists.sigmoid()[..., None]

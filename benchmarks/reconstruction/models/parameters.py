@@ -24,7 +24,7 @@ from torch.nn import functional
 from benchmarks.reconstruction.attention import DecoderLayer
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.models.panel_set import CHUNK, NEVER, NetConfig, PointTokens, mean_of
 from benchmarks.reconstruction.panel_targets import UNIT
 from gcd_dataset.errors import ConfigError, GcdError
@@ -144,7 +144,7 @@ class DrawnDesigns:
             chosen = torch.arange(min(self.points, found.points.shape[1]))
         else:
             chosen = torch.randperm(found.points.shape[1], generator=chance)[: self.points]
-        points = found.points[:, chosen.to(found.device, non_blocking=True)]
+        points = found.points[:, uploaded(chosen, found.device)]
         return Designs(points, found.codes, found.effective, found.measures)
 
 

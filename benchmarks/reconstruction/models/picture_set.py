@@ -61,6 +61,7 @@ class PictureSet(Learner[PictureTargets, Pattern]):
             raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         self.views = views
         self.net = PictureNet(config, views=views, size=PICTURE_SIZE)
+        self.net.shown.requires_grad_(False)  # pictures without labels of their pixels do not train it
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPictures":
         """Pictures and targets of the garments."""

@@ -18,6 +18,7 @@ from benchmarks.reconstruction.models.neural_tailor import (
     _counts,
     _edges_of_loops,
     _finer,
+    _nearest,
     _placed,
     build,
     sparsemax,
@@ -124,6 +125,24 @@ def test_edge_features_are_those_of_the_nearest_points() -> None:
     assert torch.allclose(found[1, 4], alone, atol=1e-6)
     order = torch.randperm(20)
     assert torch.allclose(layer(points[:, order], points[:, order, :3]), found[:, order], atol=1e-6)
+
+
+def test_the_nearest_points_are_found_far_from_the_origin() -> None:
+    torch.manual_seed(0)
+    points = torch.randn(1, 40, 3).double()
+    near, far = (_nearest((points + shift).float(), 5).sort().values for shift in (0.0, 100.0))
+    assert torch.equal(near, far)
+
+
+def test_loops_are_computed_in_float32() -> None:
+    network, panels = learner(), torch.randn(1, 2, 96)
+    with torch.no_grad():
+        exact = network.loops.lstm(panels.flatten(0, 1)[:, None].expand(-1, 3, -1))[0]
+        seen: list[torch.Tensor] = []
+        network.loops.head.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+        with torch.autocast("cpu", torch.bfloat16):
+            network.loops(panels, 3)
+    assert torch.equal(seen[0], exact)
 
 
 def test_empty_rows_and_steps_change_no_loss(six: GarmentSet, targets: NamedPanels) -> None:

@@ -197,3 +197,14 @@ def test_regions_are_a_power_of_two() -> None:
 def test_an_unknown_size_is_refused() -> None:
     with pytest.raises(ConfigError, match="no size depth of panel_set: choose of queries, slots"):
         learner(depth=3)
+
+
+def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
+    # As a product of matrices, which needs more than 25 rows, distances this far from the origin would be rounded.
+    torch.manual_seed(0)
+    targets = learner(queries=30).prepare(six, device=CPU).whole
+    said = as_predicted(targets)
+    said = replace(said, centres=said.centres + 0.01 * torch.randn_like(said.centres), axes=torch.zeros_like(said.axes))
+    said = replace(said, extents=torch.ones_like(said.extents), edges=torch.zeros_like(said.edges))
+    far = replace(said, centres=said.centres + 512.0), replace(targets, centres=targets.centres + 512.0)
+    assert torch.equal(match_panels(*far), match_panels(said, targets))

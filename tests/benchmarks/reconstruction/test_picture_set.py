@@ -91,3 +91,10 @@ def _whole(found: GarmentSet) -> GarmentSet:
 def test_an_unknown_size_is_refused(sizes: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match=r"give 1 to 4|no size tables"):
         learner(**sizes)
+
+
+def test_every_trained_parameter_has_a_gradient(painted: GarmentSet) -> None:
+    network = learner(views=1)
+    parts = network.loss(network.prepare(painted, device=CPU).batch(torch.arange(2)))
+    torch.autograd.backward(torch.stack(list(parts.values())).sum())
+    assert [name for name, p in network.named_parameters() if p.requires_grad and p.grad is None] == []

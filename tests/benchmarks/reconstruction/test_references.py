@@ -3,7 +3,8 @@
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import ceiling, nearest, typical
+from benchmarks.reconstruction.models import ceiling, load_model, nearest, typical
+from benchmarks.reconstruction.tasks import TASKS
 from gcd_dataset.metrics import score_pattern
 
 CPU = torch.device("cpu")
@@ -35,3 +36,9 @@ def test_the_ceiling_is_nearly_the_truth(six: GarmentSet) -> None:
     score = score_pattern(answer, six.pattern(3))
     assert score.iou > 0.99
     assert score.stitch_f1 == 1.0
+
+
+def test_task_t2_has_points_for_the_typical_garment_and_none_for_networks() -> None:
+    assert TASKS["T2"].points >= typical.POINTS
+    for model in ("nearest", "panel_set", "edge_tokens"):
+        assert "T2" not in load_model(model).TASKS
