@@ -206,5 +206,5 @@ def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
     said = as_predicted(targets)
     said = replace(said, centres=said.centres + 0.01 * torch.randn_like(said.centres), axes=torch.zeros_like(said.axes))
     said = replace(said, extents=torch.ones_like(said.extents), edges=torch.zeros_like(said.edges))
-    far = replace(said, centres=said.centres + 512.0), replace(targets, centres=targets.centres + 512.0)
+    far = replace(said, centres=said.centres + 8192.0), replace(targets, centres=targets.centres + 8192.0)
     assert torch.equal(match_panels(*far), match_panels(said, targets))
