@@ -13,8 +13,9 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.models.panel_set import NetConfig, PanelDecoder, encoder
+from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
 from benchmarks.reconstruction.picture_inputs import FIRST_PANEL, SHOWN_CLASSES
+from benchmarks.reconstruction.point_net import encoder
 from gcd_dataset.tensors import PANEL_LABELS
 
 __all__ = ["STRIDE", "PictureNet"]

@@ -27,7 +27,8 @@ from torch import Tensor
 
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.reconstruction.evaluate import UNITS, scores_of
-from benchmarks.reconstruction.models.panel_set import NetConfig, answers_of, set_loss
+from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
+from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet

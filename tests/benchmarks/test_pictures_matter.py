@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.models.panel_set import NetConfig
+from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
     FIRST_PANEL,

@@ -5,7 +5,7 @@ from functools import partial
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.panel_set import NetConfig
+from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import ToTargets, patterns_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map

@@ -26,23 +26,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.panel_set import (
-    FREQUENCIES,
-    LEAST_EDGES,
-    NEVER,
-    TINY,
-    PointConfig,
-    PointLearner,
-    axes_of,
-    best_pairs,
-    common_labels,
-    mean_of,
-    rotation_of,
-    sizes_from,
-    waves,
-)
+from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY, best_pairs, common_labels, mean_of
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
+from benchmarks.reconstruction.panel_net import NEVER, axes_of, rotation_of
 from benchmarks.reconstruction.panel_targets import BENDS, UNIT, PanelTargets, ToTargets
+from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, sizes_from, waves
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 

@@ -38,20 +38,10 @@ from torch.nn import functional
 from benchmarks.reconstruction.derived import PANEL_NAMES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, squared_distances
-from benchmarks.reconstruction.models.panel_set import (
-    CHUNK,
-    LEAST_EDGES,
-    NEVER,
-    TOGETHER,
-    DrawnPoints,
-    Edges,
-    Predicted,
-    best_pairs,
-    edge_numbers,
-    edges_of,
-    mean_of,
-)
+from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, best_pairs, edges_of, mean_of
+from benchmarks.reconstruction.panel_net import NEVER, Edges, Predicted, edge_numbers
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.point_net import CHUNK, TOGETHER, DrawnPoints
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS

@@ -25,8 +25,10 @@ from benchmarks.reconstruction.attention import DecoderLayer
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
-from benchmarks.reconstruction.models.panel_set import CHUNK, NEVER, NetConfig, PointTokens, mean_of
+from benchmarks.reconstruction.models.panel_set import mean_of
+from benchmarks.reconstruction.panel_net import NEVER, NetConfig
 from benchmarks.reconstruction.panel_targets import UNIT
+from benchmarks.reconstruction.point_net import CHUNK, PointTokens
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
 from gcd_dataset.generator.garments.outfit import BACKS

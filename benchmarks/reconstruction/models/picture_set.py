@@ -17,7 +17,8 @@ from torch import Tensor
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
-from benchmarks.reconstruction.models.panel_set import NetConfig, answers_of, set_loss
+from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
+from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_model import PictureNet
 from gcd_dataset.errors import ConfigError

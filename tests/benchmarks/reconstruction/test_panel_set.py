@@ -8,18 +8,10 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.panel_set import (
-    PanelSet,
-    Predicted,
-    _partners,
-    build,
-    edges_of,
-    match_panels,
-    panel_losses,
-    regions_of,
-    rotation_of,
-)
+from benchmarks.reconstruction.models.panel_set import PanelSet, _partners, build, edges_of, match_panels, panel_losses
+from benchmarks.reconstruction.panel_net import Predicted, rotation_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
+from benchmarks.reconstruction.point_net import regions_of
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern

@@ -1,0 +1,227 @@
+"""From surface points of a garment to tokens, and the base of the networks that read them.
+
+A balanced tree divides the points into regions of equal numbers, and each region becomes a token (Point-MAE, Pang et
+al., ECCV 2022; Kd-Networks, Klokov and Lempitsky, ICCV 2017).
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import chain
+from typing import Any, TypeVar, cast
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from benchmarks.reconstruction.attention import EncoderLayer
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
+
+__all__ = [
+    "CHUNK",
+    "FREQUENCIES",
+    "TOGETHER",
+    "DrawnPoints",
+    "PointConfig",
+    "PointLearner",
+    "PointTokens",
+    "encoder",
+    "regions_of",
+    "sizes_from",
+    "waves",
+]
+
+Sizes = TypeVar("Sizes", bound="PointConfig")
+
+FREQUENCIES = 8  # octaves of the positional encoding
+REGION_SCALE = 10.0  # scales offsets within a region to about 1
+OF_EDGES = ("edge_panels", "edge_slots", "edge_kinds", "edge_labels", "partners", "turned")
+CHUNK = 64  # garments that a process encodes at once
+TOGETHER = 8  # garments that a process draws at once
+ROOM = 32  # edges: a batch has room for a multiple of this number
+
+
+@dataclass(frozen=True, slots=True)
+class PointConfig:
+    """Sizes of answers and of the point encoder."""
+
+    queries: int = 40
+    """Most panels of a garment."""
+    slots: int = 40
+    """Most edges of a panel."""
+    edges: int = 320
+    """Most edges of a garment."""
+    tokens: int = 256
+    """Regions of the points; a power of 2."""
+    region_width: int = 128
+    """Features of a point."""
+    width: int = 384
+    heads: int = 6
+    layers: int = 6
+    """Layers of the encoder; of a ``PanelDecoder``, too."""
+
+
+class PointLearner(Learner[PanelTargets, Pattern]):
+    """Base of networks from points and normals to a pattern."""
+
+    def __init__(self, config: PointConfig, *, points: int = 4096, stored_points: int = 8192) -> None:
+        """``points``: points of a garment in a step, drawn from the first ``stored_points``.
+
+        Raises ``ConfigError`` unless the number of tokens is a power of 2, at most ``points``.
+        """
+        super().__init__()
+        self.config = config
+        if not 1 <= config.tokens <= points or config.tokens & (config.tokens - 1):
+            raise ConfigError(f"{config.tokens} tokens of {points} points: give a power of 2, at most the points")
+        self.points, self.stored_points = points, stored_points
+        self.tokens = PointTokens(config)
+
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
+        """Targets of the garments."""
+        bare = replace(garments, points=garments.points[:, :0])
+        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
+        targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
+        edges = (targets.edge_panels >= 0).sum(dim=1)
+        whole = replace(targets, points=self.encoder().scaled(garments.points)).to(device)
+        return DrawnPoints(whole, self.points, edges)
+
+    def drawn_from(self, encoded: TensorExamples) -> "DrawnPoints":
+        return DrawnPoints(cast(PanelTargets, encoded), self.points)
+
+    def encoder(self) -> ToTargets:
+        config = self.config
+        return ToTargets(config.queries, config.slots, config.edges, self.stored_points)
+
+    def predict(self, batch: PanelTargets) -> list[Pattern]:
+        return patterns_from(self._predicted(batch))
+
+    def answers(
+        self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
+    ) -> Iterator[Pattern]:
+        rows = torch.split(torch.arange(count), batch)
+        said = PanelTargets.join([self._predicted(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
+        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+
+    def _predicted(self, batch: PanelTargets) -> PanelTargets:
+        with torch.no_grad():
+            return self.decoded(self.tokens(batch.points[:, : self.points]))
+
+    @abstractmethod
+    def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
+        """The predictions in the form of the targets, from the tokens of the points."""
+
+
+def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tuple[Sizes, dict[str, Any]]:
+    """The configuration of a network, and the arguments of ``PointLearner``. Raises ``ConfigError``."""
+    given = dict(options)
+    own: dict[str, Any] = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
+    names = [field.name for field in fields(kind)]
+    unknown = set(given) - set(names)
+    if unknown:
+        known = ", ".join([*names, "points", "stored_points"])
+        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {known}")
+    return kind(**given), own
+
+
+@dataclass(frozen=True)
+class DrawnPoints:
+    """Targets whose batches have some of the stored points, others in each step."""
+
+    whole: PanelTargets
+    points: int
+    edges: Int[Tensor, " g"] | None = None
+    """Edges of each garment, on the CPU, if they do not change: batches then leave out rows that are empty in all."""
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PanelTargets:
+        found = self.whole.batch(rows)
+        if self.edges is not None and len(rows):
+            room = ROOM * math.ceil(max(1, int(self.edges[rows].max())) / ROOM)
+            found = replace(found, **{name: getattr(found, name)[:, :room] for name in OF_EDGES})
+        return found if chance is None else found.with_points(self.points, chance)
+
+
+# ---------------------------------------------------------------------------------------------------------- the network
+
+
+class PointTokens(nn.Module):
+    """Points and normals to tokens of regions, related to each other."""
+
+    def __init__(self, config: PointConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.features = RegionFeatures(config.region_width, width)
+        self.position = nn.Linear(6 * FREQUENCIES + 6, width)
+        self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
+        self.encoder = encoder(config)
+
+    def forward(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
+        """Tokens of the regions."""
+        with torch.autocast(points.device.type, enabled=False), torch.no_grad():
+            regions = regions_of(points.float(), self.config.tokens)
+            middles = regions.mean(dim=2)
+            offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
+            inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
+            places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
+        tokens: Tensor = self.encoder(self.merge(self.features(inputs) + self.position(places)).float())
+        return tokens
+
+
+class RegionFeatures(nn.Module):
+    """A feature vector of the points in each region."""
+
+    def __init__(self, inner: int, width: int) -> None:
+        """``inner``: features of a point."""
+        super().__init__()
+        self.point = nn.Sequential(nn.Linear(6, inner), nn.GELU(), nn.Linear(inner, inner))
+        self.own, self.shared = nn.Linear(inner, 2 * inner), nn.Linear(inner, 2 * inner, bias=False)
+        self.region = nn.Sequential(nn.GELU(), nn.Linear(2 * inner, 2 * inner))
+        self.form = nn.Linear(2 * inner, width)
+
+    def forward(self, points: Float[Tensor, "b t m 6"]) -> Float[Tensor, "b t w"]:
+        features = self.point(points)
+        features = self.own(features) + self.shared(features.amax(dim=2))[:, :, None]
+        found: Tensor = self.form(self.region(features).amax(dim=2))
+        return found
+
+
+def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
+    """The points in ``count`` regions of equal numbers; some points are left out unless ``count`` divides their number.
+
+    Each region is halved at the median of its longest side until there are enough; ``count`` is a power of 2.
+    """
+    batch, total = len(points), points.shape[1] // count * count
+    places = points[:, :total, :3]
+    order = torch.arange(total, device=points.device).expand(batch, -1)
+    parts = 1
+    while parts < count:
+        places, order = places.reshape(batch * parts, -1, 3), order.reshape(batch * parts, -1)
+        side = (places.amax(dim=1) - places.amin(dim=1)).argmax(dim=1)
+        along = places.gather(2, side[:, None, None].expand(-1, places.shape[1], 1))[..., 0]
+        rank = along.argsort(dim=1)
+        places, order = places.gather(1, rank[..., None].expand(-1, -1, 3)), order.gather(1, rank)
+        parts *= 2
+    order = order.reshape(batch, total, 1).expand(-1, -1, points.shape[2])
+    return points.gather(1, order).view(batch, count, -1, points.shape[2])
+
+
+def encoder(config: PointConfig) -> nn.TransformerEncoder:
+    """Attention among the tokens of an input."""
+    layer = EncoderLayer(config.width, config.heads, 4 * config.width)
+    return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)
+
+
+def waves(numbers: Float[Tensor, "*b n"]) -> Float[Tensor, "*b m"]:
+    """Sines and cosines of numbers in ``FREQUENCIES`` octaves."""
+    octaves = numbers[..., None] * 2.0 ** torch.arange(FREQUENCIES, device=numbers.device)
+    return torch.cat([octaves.sin(), octaves.cos()], dim=-1).flatten(-2)
