@@ -25,11 +25,27 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.edge_sequence import (
+    CENTIMETRE,
+    CLOSING_CURVE,
+    CLOSING_LINE,
+    CURVE,
+    EDGE_KINDS,
+    END,
+    KINDS,
+    LINE,
+    START,
+    Sequence,
+    ToCanonical,
+    Tokens,
+    rows_of,
+    sequence_of,
+    tokens_of,
+)
 from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY, best_pairs, common_labels, mean_of
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
 from benchmarks.reconstruction.panel_net import NEVER, axes_of, rotation_of
-from benchmarks.reconstruction.panel_targets import BENDS, UNIT, PanelTargets, ToTargets
+from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets
 from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, sizes_from, waves
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
@@ -40,25 +56,14 @@ __all__ = [
     "USUAL",
     "EdgeDecoder",
     "EdgeTokens",
-    "Sequence",
     "TokenConfig",
-    "Tokens",
     "build",
-    "canonical",
     "decode",
-    "sequence_of",
     "token_loss",
-    "tokens_of",
 ]
 
 TASKS = ("T0", "T1", "T1-scan")
-LINE = len(PANEL_LABELS)  # kinds below: a new panel, with the row of its label
-CURVE, CLOSING_LINE, CLOSING_CURVE, END, START = range(LINE + 1, LINE + 6)
-KINDS = START  # kinds that are predicted
-EDGE_KINDS = 2  # straight and curved
 NUMBERS = 3 * 2 + 3 * 3 + 1 + 3 + 6  # that describe a token
-CENTIMETRE = 1 / UNIT
-FAR = 500  # cm: places are sorted within ± FAR
 ENDED_EVERY = 16  # tokens between checks whether all garments of a batch have ended
 WEIGHTS = {
     "kinds": 1.0, "firsts": 5.0, "centres": 5.0, "rotations": 1.0, "corners": 5.0, "bends": 5.0, "areas": 0.5,
@@ -124,164 +129,6 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> EdgeTokens:
     """The learner; ``options``: fields of ``TokenConfig``, ``points`` and ``stored_points``."""
     sizes, own = sizes_from("edge_tokens", TokenConfig, {**(SMALL if smoke else {}), **options})
     return EdgeTokens(sizes, **own)
-
-
-# ------------------------------------------------------------------------------------------------------ the order
-
-
-@dataclass(frozen=True)
-class ToCanonical(ToTargets):
-    """From garments to targets in canonical order."""
-
-    def __call__(self, garments: GarmentSet) -> PanelTargets:
-        """See ``ToTargets``."""
-        return canonical(super().__call__(garments))
-
-
-def canonical(true: PanelTargets) -> PanelTargets:
-    """The same garments with panels and edges in an order that does not depend on their order before.
-
-    Panels are sorted by label, the back before the front, then by height and from right to left of the wearer, to the
-    centimetre. Loops start at the corner of least x + 2 y.
-    """
-    queries, slots = true.corners.shape[1:3]
-    counts = true.edge_counts.clamp(min=1)
-    slot = torch.arange(slots, device=counts.device)
-    low = true.corners[..., 0] + 2.0 * true.corners[..., 1]
-    starts = low.masked_fill(slot >= counts[..., None], torch.inf).argmin(dim=-1)
-
-    x, y, z = (true.centres / CENTIMETRE).round().long().clamp(-FAR, FAR).unbind(dim=-1)
-    place = ((true.labels * 2 + (z >= 0)) * 2 * FAR + y) * 2 * FAR + x
-    order = place.masked_fill(~true.exists, torch.iinfo(torch.int64).max).argsort(dim=1, stable=True)
-    columns = ("exists", "corners", "bends", "extents", "centres", "rotations", "edge_counts", "labels", "slimness")
-    panels = {name: _rows(getattr(true, name), order) for name in columns}
-    at = torch.where(slot < counts[..., None], (slot + starts[..., None]) % counts[..., None], slot)
-    at = _rows(at, order)
-    panels |= {name: _of_slots(panels[name], at) for name in ("corners", "bends")}
-
-    is_edge = true.edge_panels >= 0
-    old = true.edge_panels.long().clamp(min=0)
-    new_panels = order.argsort(dim=1).gather(1, old)
-    new_slots = (true.edge_slots.long() - starts.gather(1, old)) % counts.gather(1, old)
-    number = (new_panels * slots + new_slots).masked_fill(~is_edge, queries * slots)
-    edges = number.argsort(dim=1, stable=True)
-    partners = true.partners.long()
-    moved = edges.argsort(dim=1).gather(1, partners.clamp(min=0))
-    table = {
-        "edge_panels": torch.where(is_edge, new_panels, -1),
-        "edge_slots": torch.where(is_edge, new_slots, 0),
-        "partners": torch.where(partners >= 0, moved, -1),
-        **{name: getattr(true, name) for name in ("edge_kinds", "edge_labels", "turned")},
-    }
-    table = {name: _rows(column, edges).to(getattr(true, name).dtype) for name, column in table.items()}
-    return replace(true, **panels, **table)
-
-
-def _rows(values: Float[Tensor, "b n *d"], rows: Int[Tensor, "b m"]) -> Float[Tensor, "b m *d"]:
-    """Rows of each garment."""
-    flat = values.flatten(2) if values.ndim > 2 else values[..., None]
-    return flat.gather(1, rows[..., None].expand(-1, -1, flat.shape[-1])).view(*rows.shape, *values.shape[2:])
-
-
-def _of_slots(values: Float[Tensor, "b q n *d"], slots: Int[Tensor, "b q m"]) -> Float[Tensor, "b q m *d"]:
-    """Slots of each panel."""
-    return _rows(values.flatten(0, 1), slots.flatten(0, 1)).view(*slots.shape, *values.shape[3:])
-
-
-# ------------------------------------------------------------------------------------------------------- the sequence
-
-
-@dataclass(frozen=True)
-class Sequence:
-    """The kinds of the tokens of garments, and where their panels and edges stand; padded to one length."""
-
-    kinds: Int[Tensor, "b t"]
-    """``START``, then rows of ``PANEL_LABELS`` or kinds of edges, then ``END``, which also pads."""
-    panels: Int[Tensor, "b t"]
-    """The panel of a token; 0 for ``START`` and ``END``."""
-    slots: Int[Tensor, "b t"]
-    """0 for a panel, 1 + its number in the loop for an edge."""
-    known: Bool[Tensor, "b t"]
-    """Tokens up to the first ``END``; none of a garment without panels, which teaches nothing."""
-    at_panels: Int[Tensor, "b q"]
-    """Position of each panel; 1 where there is none."""
-    at_edges: Int[Tensor, "b e"]
-    """Position of each edge; 1 where there is none."""
-
-
-def sequence_of(true: PanelTargets) -> Sequence:
-    """The sequence of garments whose panels and edges follow each other in the order of their rows."""
-    device, (batch, queries) = true.exists.device, true.exists.shape
-    edges = true.edge_panels.shape[1]
-    length = 2 + queries + edges
-    is_edge, of_edges = true.edge_panels >= 0, true.edge_panels.long().clamp(min=0)
-    counts = torch.where(true.exists, true.edge_counts, 0)
-    before = torch.arange(1, queries + 1, device=device) + counts.cumsum(dim=1) - counts
-    at_panels = torch.where(true.exists, before, length)  # position ``length`` is cut off
-    at_edges = torch.where(is_edge, torch.arange(2, edges + 2, device=device) + of_edges, length)
-    slots = true.edge_slots.long()
-    closing = slots == counts.gather(1, of_edges) - 1
-    edge_kinds = LINE + true.edge_kinds.long() + EDGE_KINDS * closing
-
-    kinds = torch.full((batch, length + 1), END, device=device)
-    kinds[:, 0] = START
-    kinds = kinds.scatter(1, at_panels, true.labels).scatter(1, at_edges, edge_kinds)
-    zeros = torch.zeros_like(kinds)
-    panels = torch.arange(queries, device=device).expand(batch, -1)
-    ends = true.exists.sum(dim=1) + is_edge.sum(dim=1) + 1
-    ends = torch.where(true.exists.any(dim=1), ends, -1)
-    return Sequence(
-        kinds=kinds[:, :-1],
-        panels=zeros.scatter(1, at_panels, panels).scatter(1, at_edges, of_edges)[:, :-1],
-        slots=zeros.scatter(1, at_edges, slots + 1)[:, :-1],
-        known=torch.arange(length, device=device) <= ends[:, None],
-        at_panels=torch.where(true.exists, at_panels, 1),
-        at_edges=torch.where(is_edge, at_edges, 1),
-    )
-
-
-@dataclass(frozen=True)
-class Tokens:
-    """Tokens as the decoder reads them; lengths in ``UNIT``. ``START`` and ``END`` have zeros for numbers."""
-
-    kinds: Int[Tensor, "b t"]
-    panels: Int[Tensor, "b t"]
-    slots: Int[Tensor, "b t"]
-    start: Float[Tensor, "b t 2"]
-    """Start of an edge; the first corner of a panel."""
-    bends: Float[Tensor, "b t k 2"]
-    end: Float[Tensor, "b t 2"]
-    """End of an edge; the first corner of a panel."""
-    centres: Float[Tensor, "b t 3"]
-    """Of the token's panel."""
-    axes: Float[Tensor, "b t 6"]
-    """First two columns of the rotation of the token's panel."""
-
-
-def tokens_of(shown: PanelTargets, sequence: Sequence) -> Tokens:
-    """The tokens of a sequence, with the numbers of ``shown``."""
-    of_edge = sequence.slots > 0
-    has_numbers = of_edge | (sequence.kinds < LINE)
-    count = _rows(shown.edge_counts, sequence.panels).clamp(min=1)
-    slot = (sequence.slots - 1).clamp(min=0)
-    following = torch.where(of_edge, (slot + 1) % count, 0)
-    slots = shown.corners.shape[2]
-    loops, bends = shown.corners.flatten(1, 2), shown.bends.flatten(1, 2)
-    row = sequence.panels * slots
-
-    def numbers(values: Tensor, chosen: Bool[Tensor, "b t"]) -> Tensor:
-        return values * chosen.view(*chosen.shape, *[1] * (values.ndim - 2))
-
-    return Tokens(
-        kinds=sequence.kinds,
-        panels=sequence.panels,
-        slots=sequence.slots,
-        start=numbers(_rows(loops, row + slot), has_numbers),
-        bends=numbers(_rows(bends, row + slot), of_edge),
-        end=numbers(_rows(loops, row + following), has_numbers),
-        centres=numbers(_rows(shown.centres, sequence.panels), has_numbers),
-        axes=numbers(_rows(axes_of(shown.rotations), sequence.panels), has_numbers),
-    )
 
 
 def _with_noise(true: PanelTargets, deviation: float) -> PanelTargets:
@@ -353,7 +200,7 @@ class EdgeDecoder(nn.Module):
 
     def turned(self, edges: Float[Tensor, "b e w"], partners: Int[Tensor, "b e"]) -> Float[Tensor, "b e"]:
         """Logits of ``Seam.right_wrong`` of the seams of edges and their partners."""
-        others = _rows(edges, partners)
+        others = rows_of(edges, partners)
         return ((self.meeting(edges) * others).sum(dim=-1) + (self.meeting(others) * edges).sum(dim=-1)) / math.sqrt(
             edges.shape[-1]
         )
@@ -452,9 +299,9 @@ def token_loss(
     states = decoder(tokens_of(_with_noise(true, noise) if noise else true, sequence), points)
     with torch.autocast(points.device.type, enabled=False):
         parts = _kind_loss(decoder, states, sequence)
-        parts |= _panel_losses(decoder, _rows(states, sequence.at_panels - 1), true)
-        parts |= _edge_losses(decoder, _rows(states, sequence.at_edges - 1), true)
-        parts |= _seam_losses(decoder, _rows(states, sequence.at_edges), true)
+        parts |= _panel_losses(decoder, rows_of(states, sequence.at_panels - 1), true)
+        parts |= _edge_losses(decoder, rows_of(states, sequence.at_edges - 1), true)
+        parts |= _seam_losses(decoder, rows_of(states, sequence.at_edges), true)
     return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
 
@@ -482,8 +329,8 @@ def _edge_losses(decoder: EdgeDecoder, before: Float[Tensor, "b e w"], true: Pan
     following = (slot + 1) % true.edge_counts.gather(1, panels).clamp(min=1)
     row = panels * true.corners.shape[2]
     ends, bends = decoder.edge(before)
-    ends = ends - _rows(true.corners.flatten(1, 2), row + following)
-    bends = bends - _rows(true.bends.flatten(1, 2), row + slot)
+    ends = ends - rows_of(true.corners.flatten(1, 2), row + following)
+    bends = bends - rows_of(true.bends.flatten(1, 2), row + slot)
     distances = (ends.square().sum(dim=-1) + TINY).sqrt() + (bends.square().sum(dim=-1) + TINY).sqrt().mean(dim=-1)
     losses = {
         "corners": ends.abs().mean(dim=-1),

@@ -9,21 +9,19 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.edge_tokens import (
+from benchmarks.reconstruction.edge_sequence import (
     CLOSING_CURVE,
     CLOSING_LINE,
     CURVE,
     END,
     LINE,
     START,
-    EdgeTokens,
-    build,
     canonical,
-    decode,
     sequence_of,
     tokens_of,
 )
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.models.edge_tokens import EdgeTokens, build, decode
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError

@@ -11,18 +11,15 @@ from benchmarks.reconstruction.derived import PANEL_NAMES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.neural_tailor import (
     Drawn,
-    EdgeConv,
     NamedPanels,
     NeuralTailor,
-    TailorConfig,
     _counts,
     _edges_of_loops,
     _finer,
-    _nearest,
     _placed,
     build,
-    sparsemax,
 )
+from benchmarks.reconstruction.tailor_net import EdgeConv, TailorConfig, nearest, sparsemax
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
@@ -130,7 +127,7 @@ def test_edge_features_are_those_of_the_nearest_points() -> None:
 def test_the_nearest_points_are_found_far_from_the_origin() -> None:
     torch.manual_seed(0)
     points = torch.randn(1, 40, 3).double()
-    near, far = (_nearest((points + shift).float(), 5).sort().values for shift in (0.0, 100.0))
+    near, far = (nearest((points + shift).float(), 5).sort().values for shift in (0.0, 100.0))
     assert torch.equal(near, far)
 
 
