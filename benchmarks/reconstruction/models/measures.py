@@ -6,6 +6,7 @@ token of their own, and from the mean and the largest features of all tokens.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, TensorExamples, squared_distances
+from benchmarks.reconstruction.learners import Learner, TensorExamples, squared_distances, uploaded
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
 from benchmarks.reconstruction.wearers import dressed_scans
 from gcd_dataset.errors import ConfigError
@@ -88,15 +89,15 @@ class _Drawn:
         if chance is None or not self.augmented:
             return Scans(found.points[:, : self.points], found.measures)
         device = found.points.device
-        chosen = torch.randperm(found.points.shape[1], generator=chance)[: self.points].to(device)
-        draws = 2 * torch.rand(len(self), 2, generator=chance)[rows].to(device) - 1
+        chosen = uploaded(torch.randperm(found.points.shape[1], generator=chance)[: self.points], device)
+        draws = 2 * uploaded(torch.rand(len(self), 2, generator=chance)[rows], device) - 1
         yaw, growth = MOST_YAW * draws[:, 0], 1 + MOST_GROWTH * draws[:, 1]
         zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
         columns = [yaw.cos(), zero, yaw.sin(), zero, one, zero, -yaw.sin(), zero, yaw.cos()]
         turn = torch.stack(columns, dim=1).reshape(-1, 3, 3).transpose(1, 2)
         points = found.points[:, chosen]
         # The floor stays at its height: CENTRE is a metre above it.
-        lift = torch.tensor([0.0, 1.0, 0.0], device=device)
+        lift = (torch.arange(3, device=device) == 1).float()  # made there: the device is not waited for
         place = ((points[..., :3] + lift) @ turn) * growth[:, None, None] - lift
         grown = torch.where(_angles(device), found.measures, found.measures * growth[:, None])
         return Scans(torch.cat([place, points[..., 3:6] @ turn, points[..., 6:]], dim=-1), grown)
@@ -177,5 +178,6 @@ def scans_of(garments: GarmentSet, *, workers: int = 0) -> Float[Tensor, "g n 7"
     return torch.from_numpy(found[:, np.random.default_rng(0).permutation(found.shape[1])])
 
 
+@cache
 def _angles(device: torch.device) -> Tensor:
     return torch.tensor([name in ANGLES for name in MEASURES], device=device)

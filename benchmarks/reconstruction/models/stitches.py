@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
-from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.learners import Learner, uploaded
 from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import (
     MAX_CUTS,
@@ -334,7 +334,7 @@ class _Shapes:
         sewn = _one_hot(known.clamp(min=0)) * (known >= 0)[..., None]
         difference = self.log_length[:, :, None] - self.log_length[:, None]
         alike = torch.cdist(self.forward, self.backward)
-        flip = torch.tensor([1.0, -1.0], device=alike.device).repeat(self.forward.shape[-1] // 2)
+        flip = 1.0 - 2.0 * (torch.arange(self.forward.shape[-1], device=alike.device) % 2)
         mirrored_alike = torch.cdist(self.forward, self.backward * flip)
         start, end = self.corners.unbind(-1)
         meet = [start[:, :, None] + end[:, None], end[:, :, None] + start[:, None]]
@@ -371,6 +371,11 @@ def _profile(points: Float[Tensor, "b e n 2"], lengths: Float[Tensor, "b e"]) ->
     across = torch.stack([-along[..., 1], along[..., 0]], dim=-1)
     offsets = (points[:, :, 1::2] - points[:, :, :1]) / lengths[..., None, None]
     return torch.stack([(offsets * along).sum(-1), (offsets * across).sum(-1)], dim=-1).flatten(2)
+
+
+def _mirrored(points: Float[Tensor, "*b d"]) -> Float[Tensor, "*b d"]:
+    """The points with negative x."""
+    return torch.cat([-points[..., :1], points[..., 1:]], dim=-1)
 
 
 def _turn(before: Tensor, after: Tensor) -> Tensor:
@@ -420,8 +425,8 @@ def next_on_boundary(following: Int[Tensor, "b e"], known: Int[Tensor, "b e"]) -
 def mirrored(batch: EdgeBatch, chosen: Bool[Tensor, " b"]) -> EdgeBatch:
     """The chosen garments as their mirror images: points, loops and cuts run the other way."""
     one, two = chosen[:, None], chosen[:, None, None]
-    flipped = batch.points.flip(2) * torch.tensor([-1.0, 1.0], device=batch.points.device)
-    space = batch.placed.flip(2) * torch.tensor([-1.0, 1.0, 1.0], device=batch.points.device)
+    flipped = _mirrored(batch.points.flip(2))
+    space = _mirrored(batch.placed.flip(2))
     turned = torch.where(batch.cuts >= 0, 1 - batch.cuts, batch.cuts)
     return replace(
         batch,
@@ -525,7 +530,7 @@ class StitchExamples:
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> StitchBatch:
         """Garments as drawn; with ``chance`` in a variant, mirrored, in another size, with a part of the seams."""
         device = self.graphs.counts.device
-        at = rows.to(device)
+        at = uploaded(rows, device)
         if chance is None:
             part = self.graphs[self.config.variety * at]
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
@@ -537,8 +542,8 @@ class StitchExamples:
         kind, flip, share = torch.rand(3, len(self), generator=there, device=device)[:, at]
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
-        limits = torch.tensor((*VARIANTS, 1 - self.config.foreign), device=device)
-        kinds = (kind[:, None] > limits).sum(dim=1)
+        limits = (*VARIANTS, 1 - self.config.foreign)
+        kinds = torch.stack([kind > limit for limit in limits]).sum(dim=0)  # a tensor of limits would be uploaded
         variants = self.config.variety * at + kinds
         order = self.graphs.counts[variants].argsort()
         parts, shares, draws = [], [], []
