@@ -324,12 +324,19 @@ def published_content(published: "PublishedGarmentCodeData", position: int) -> C
 
 
 def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
-    """A specification file, or all of a folder. Raises ``ConfigError`` for a folder without any."""
+    """A specification file, or all of a folder.
+
+    Raises ``ConfigError`` for a folder without any, and ``SpecError`` for a single file that is invalid.
+    """
     paths = [source] if source.is_file() else list(_by_key(source).values())
     if not paths:
         raise ConfigError(f"{source}: no specification file (.json): give a data set or a folder of specifications")
     if truth is not None and not truth.is_dir():
         raise ConfigError(f"--truth {truth}: not a folder: give the folder of the true specification files")
+    if truth is not None and not _by_key(truth):
+        raise ConfigError(f"--truth {truth}: no specification file (.json): give the folder of the true ones")
+    if source.is_file():
+        read_pattern(source)
     return SpecAlbum(paths, str(source), truth)
 
 
