@@ -16,6 +16,7 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.spec import read_pattern
+from gcd_dataset.validate import require_valid
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
@@ -244,7 +245,13 @@ class SpecAlbum(Album):
         return _key(self._paths[position])
 
     def page(self, position: int, side: int = 0) -> str:
-        return page_of(content_of(read_pattern(self._path(position, side))))
+        path = self._path(position, side)
+        pattern = read_pattern(path)
+        try:
+            return page_of(content_of(pattern))
+        except Exception:  # predictions are shown unchecked; one that cannot be drawn breaks a rule
+            require_valid(pattern, source=str(path))
+            raise
 
     def links(self, position: int) -> dict[str, Any]:
         """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.

@@ -227,9 +227,29 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
     (tmp_path / "a.json").write_text("{")
     with opened(browser, Gallery(spec_album(tmp_path))) as page:
         sync_api.expect(page.locator("#problem")).to_contain_text("a.json")
-        page.click("#next")
+        shown = page.frame_locator("iframe.shown").locator("body")
+        sync_api.expect(shown).to_have_text("This garment cannot be shown.")
+        shown.click()
+        page.keyboard.press("ArrowRight")
         sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("b")
         sync_api.expect(page.locator("#problem")).to_be_hidden()
+
+
+def test_a_reload_shows_the_same_garment(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"), 2)) as page:
+        page.click("#next")
+        sync_api.expect(page.locator("#status")).to_have_text("4 of 5")
+        page.reload()
+        sync_api.expect(page.locator("#status")).to_have_text("4 of 5")
+        assert heading(page) == "gcd_000000003"
+
+
+def test_a_page_without_its_server_says_how_to_go_on(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        frame(page)
+        page.route("**/find?*", lambda route: route.abort("connectionrefused"))
+        page.click("#next")
+        sync_api.expect(page.locator("#problem")).to_contain_text("start gcd show again")
 
 
 def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, tmp_path: Path) -> None:
