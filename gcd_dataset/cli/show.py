@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,6 +107,9 @@ def _serve(options: argparse.Namespace) -> int:
         site = Gallery(album, _position(options, len(album)))
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
+    if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
+        sys.stdout.flush()
+        os._exit(0)
     return 0
 
 

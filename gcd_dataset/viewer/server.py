@@ -33,7 +33,7 @@ __all__ = ["Answer", "Design", "Gallery", "serve"]
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
-LONGEST_WAIT = 1.0  # s that the reading of tags waits for pages
+LONGEST_WAIT = 1.0  # s that the reading of tags, and the end, wait for pages
 HOST = "127.0.0.1"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
@@ -95,6 +95,18 @@ class Gallery:
         self._album.close()
         for threads in (self._makers, self._tag_reader):
             threads.shutdown(wait=False, cancel_futures=True)
+
+    def has_ended(self) -> bool:
+        """Whether the threads have ended, at the latest ``LONGEST_WAIT`` from now; to be called after ``close``.
+
+        A thread that reads from a server which does not answer ends after minutes.
+        """
+        with self._lock:
+            futures: list[Future[Any]] = list(self._pages.values())
+            if self._reading is not None:
+                futures.append(self._reading)
+        running = [future for future in futures if not future.done()]  # ``wait`` takes cancelled ones for running
+        return not wait(running, timeout=LONGEST_WAIT).not_done
 
     def _facets(self) -> dict[str, Any]:
         album = self._album
@@ -199,6 +211,10 @@ class Design:
 
     def close(self) -> None:
         """Nothing to stop."""
+
+    def has_ended(self) -> bool:
+        """Always: drapes are made by the threads of requests, which the end of the process does not wait for."""
+        return True
 
 
 def serve(

@@ -1,12 +1,16 @@
 """The viewer in headless Chromium: move, filter, jump, hover, predictions beside truth, and a design by hand."""
 
 import argparse
+import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from http.server import ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -250,6 +254,42 @@ def test_a_page_without_its_server_says_how_to_go_on(browser: Any, garments: Pat
         page.route("**/find?*", lambda route: route.abort("connectionrefused"))
         page.click("#next")
         sync_api.expect(page.locator("#problem")).to_contain_text("start gcd show again")
+
+
+def test_ctrl_c_ends_the_viewer_of_a_server_that_does_not_answer(garments: Path) -> None:
+    """The server sends manifest and index, and then nothing."""
+    asked, ended = threading.Event(), threading.Event()
+
+    class Handler(SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args, directory=str(garments))
+
+        def do_GET(self) -> None:
+            if self.path.endswith(".tar"):
+                asked.set()
+                ended.wait(120)
+            else:
+                super().do_GET()
+
+        def log_message(self, *args: Any) -> None:
+            """Requests are not printed."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    command = [sys.executable, "-m", "gcd_dataset", "show", f"http://127.0.0.1:{server.server_port}"]
+    env = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as process:
+        try:
+            assert process.stdout is not None and "Ctrl-C" in process.stdout.readline()
+            assert asked.wait(60)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+            assert process.stderr is not None and process.stderr.read() == ""
+        finally:
+            process.kill()
+            ended.set()
+            server.shutdown()
+            server.server_close()
 
 
 def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, tmp_path: Path) -> None:

@@ -84,6 +84,24 @@ def test_the_first_page_and_the_next_are_made_before_a_request() -> None:
         gallery.close()
 
 
+def test_a_gallery_has_ended_once_its_threads_have() -> None:
+    class Waiting(Observed):
+        def page(self, position: int, side: int = 0) -> str:
+            self.made.put(position)
+            answered.wait(30)
+            return ""
+
+    answered, album = threading.Event(), Waiting()
+    gallery = Gallery(album)
+    assert album.made.get(timeout=30) == 0
+    gallery.get("/find", {"position": "1"})
+    gallery.get("/find", {"position": "2"})  # waits for one of the two threads, and is cancelled
+    gallery.close()
+    assert not gallery.has_ended()
+    answered.set()
+    assert gallery.has_ended()
+
+
 @pytest.fixture(scope="module")
 def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     where = tmp_path_factory.mktemp("shards")
