@@ -1,5 +1,6 @@
 """A benchmark's figures as a Markdown report, with command, commit, hardware and versions."""
 
+import os
 import platform
 import shlex
 import subprocess
@@ -70,4 +71,6 @@ def _versions() -> list[str]:
 
 def _hardware() -> str:
     gpus = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
-    return ", ".join([f"{torch.get_num_threads()} CPU threads ({platform.machine()})", *gpus])
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cpu = f"{cores} CPU cores, {torch.get_num_threads()} threads of torch ({platform.machine()})"
+    return ", ".join([cpu, *gpus])

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import jpeg_file
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.ablation import measure_ablation
 from benchmarks.draping.failures import write_failures
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=0, help="designs to sample instead, for two bodies each")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sampled designs")
     parser.add_argument("--workers", type=int, default=1, help="processes that make their patterns and meshes")
-    parser.add_argument("--sheet", type=Path, help="picture of the first 64 sampled garments")
+    parser.add_argument("--sheet", type=jpeg_file, help="picture of the first 64 sampled garments")
     parser.add_argument("--failures", type=Path, help="folder for pictures of the sampled garments that failed")
     parser.add_argument(
         "--reference-designs", action="store_true", help="draw the sampled designs like GarmentCode's, for --body alone"

@@ -30,11 +30,11 @@ are not resolved. The rigidity of `cotton` is set at 1 cm.
 import argparse
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import jpeg_file
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.drapemeter import drape_coefficient
 from benchmarks.fabric_tests import SPECIMENS, read_targets, results
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--tests", nargs="+", default=list(FABRICS), metavar="NAME", help="fabrics that are tested")
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--sheet", type=Path, help="picture of the skirt in each fabric, side by side")
+    parser.add_argument("--sheet", type=jpeg_file, help="picture of the skirt in each fabric, side by side")
 
 
 def run(options: argparse.Namespace) -> Measured:

@@ -11,11 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
 
+from benchmarks.arguments import jpeg_file
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -65,7 +65,7 @@ class Counts(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=1000, help="accepted designs")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sheet", type=Path, help="JPEG with the first 64 designs, drawn for their random bodies")
+    parser.add_argument("--sheet", type=jpeg_file, help="JPEG with the first 64 designs, drawn for their random bodies")
 
 
 def run(options: argparse.Namespace) -> Measured:

@@ -19,11 +19,11 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from benchmarks.arguments import jpeg_file
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.peers.pyrender_egl import compare_with_pyrender, require_pyrender
 from gcd_dataset.errors import ConfigError
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preparers", type=int, default=2, help="threads that prepare batches (default: 2)")
     parser.add_argument("--profile", action="store_true", help="add host and device times of each stage, and bytes")
     parser.add_argument("--peer", choices=["pyrender"], help="rasterise the --checked garments with it too")
-    parser.add_argument("--sheet", type=Path, metavar="FILE", help="write a JPEG of 64 pictures")
+    parser.add_argument("--sheet", type=jpeg_file, metavar="FILE", help="write a JPEG of 64 pictures")
 
 
 def run(options: argparse.Namespace) -> Measured:

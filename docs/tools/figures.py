@@ -96,6 +96,11 @@ def _clean_and_time(report: Report) -> str:
     return f"{100 * clean:.1f} % without a crossing edge; {seconds:.4f} s each"
 
 
+def _of_grade_clean(report: Report) -> str:
+    clean, count = report.value("drape.grade_clean"), report.value("drape.garments")
+    return f"{100 * clean:.1f} % of {count:.0f} of grade `clean`"
+
+
 def _newton(report: Report) -> str:
     ours = report.value("drape.ours_setup_s_batch_50") + report.value("drape.ours_solve_s_batch_50")
     newton = report.value("drape.newton_setup_s_batch_50") + report.value("drape.newton_solve_s_batch_50")
@@ -144,6 +149,9 @@ FIGURES = (
         "drape_3cm",
         _clean_and_time,
     ),
+    Figure("sampled garments draped on a CPU, at 1 cm", "drape_cpu", _of_grade_clean),
+    Figure("the same, at 2 cm", "drape_cpu_2cm", _of_grade_clean),
+    Figure("the same, at 3 cm", "drape_cpu_3cm", _of_grade_clean),
     Figure(
         "distance between the drapes of a GPU and of a CPU, over garments: mean; median",
         "drape_noise_floor",

@@ -388,7 +388,7 @@ def _numbers_of(tokens: Tokens) -> Float[Tensor, "b t n"]:
     start, end = tokens.start[..., None, :], tokens.end[..., None, :]
     path = torch.cat([start, (1 - share) * start + share * end + tokens.bends, end], dim=-2)
     length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
-    shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
+    shown = path[..., :: (BENDS + 1) // 2, :]
     placed = shown @ rotation_of(tokens.axes)[..., :2].transpose(-1, -2) + tokens.centres[..., None, :]
     return torch.cat([shown.flatten(-2), placed.flatten(-2), length, tokens.centres, tokens.axes], dim=-1)
 

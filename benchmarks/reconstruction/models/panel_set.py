@@ -536,7 +536,7 @@ def edge_numbers(edges: Edges, said: Predicted) -> Float[Tensor, "b e n"]:
     inner = chord + edges.of(said.bends, edges.slots)
     path = torch.cat([start[..., None, :], inner, end[..., None, :]], dim=-2)
     length = path.diff(dim=-2).norm(dim=-1).sum(dim=-1, keepdim=True)
-    shown = path[..., [0, (BENDS + 1) // 2, BENDS + 1], :]
+    shown = path[..., :: (BENDS + 1) // 2, :]
     turns, centres = rotation_of(said.axes[garments, edges.queries]), said.centres[garments, edges.queries]
     placed = shown @ turns[..., :2].transpose(-1, -2) + centres[..., None, :]
     numbers = torch.stack([edges.slots, edges.following], dim=-1) / 10.0
