@@ -239,6 +239,15 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
         sync_api.expect(page.locator("#problem")).to_be_hidden()
 
 
+def test_fast_steps_add_up(browser: Any, garments: Path) -> None:
+    """Three clicks before the first is answered."""
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        sync_api.expect(page.locator("#status")).to_have_text("1 of 5")
+        page.evaluate("for (const name of ['next', 'next', 'next', 'previous']) document.getElementById(name).click()")
+        sync_api.expect(page.locator("#status")).to_have_text("3 of 5")
+        assert heading(page) == "gcd_000000002"
+
+
 def test_a_reload_shows_the_same_garment(browser: Any, garments: Path) -> None:
     with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"), 2)) as page:
         page.click("#next")
