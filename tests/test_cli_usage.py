@@ -111,6 +111,29 @@ def test_exit_codes_are_the_same_for_every_verb(
     assert not (place / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("line", "code", "message"),
+    [
+        ("show shards --index 2", 1, "shards: garment 2 of 2: give one from 0 to 1"),
+        ("show spec.json --index 3", 1, "spec.json: garment 3 of 1: leave --index out"),
+        ("show spec.json --index 3 --svg a.svg", 1, "spec.json: garment 3 of 1: leave --index out"),
+        ("show broken.json", 1, "broken.json: line 1, column 1"),
+        ("show spec.json --truth none", 2, "--truth none: no specification file"),
+        (f"show {'long' * 100} --html a.html", 1, "cannot be read .File name too long."),
+    ],
+)
+def test_the_viewer_opens_only_for_garments_that_can_be_shown(
+    line: str, code: int, message: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("gcd_dataset.viewer.server.serve", lambda site, **options: site.close())
+    monkeypatch.chdir(place)
+    Path("broken.json").write_bytes(b"")
+    Path("none").mkdir(exist_ok=True)
+    assert exit_code(shlex.split(line)) == code
+    assert re.search(message, one_line(capsys.readouterr().err))
+    assert not Path("a.html").exists() and not Path("a.svg").exists()
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_help_of_every_verb_has_examples_that_parse(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     parser, verbs = _parser()

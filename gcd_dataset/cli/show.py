@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,7 +79,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     if published is not None:
         subject: Sample | Pattern = published.sample(_position(options, len(published)))
     else:
-        subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
+        subject = sample_of(options) if not names_a_file(options.what) else _only_pattern(options)
     if options.png is not None:
         picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
@@ -99,9 +100,16 @@ def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
     from gcd_dataset.viewer.server import Gallery, serve
 
-    site = _design(options.design) if options.design is not None else Gallery(_album(options), options.index)
+    if options.design is not None:
+        site: Design | Gallery = _design(options.design)
+    else:
+        album = _album(options)
+        site = Gallery(album, _position(options, len(album)))
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
+    if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
+        sys.stdout.flush()
+        os._exit(0)
     return 0
 
 
@@ -124,21 +132,30 @@ def _album(options: argparse.Namespace) -> "Album":
 
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
     """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
+    from gcd_dataset.shards.access import reading
     from gcd_dataset.shards.manifest import MANIFEST
     from gcd_dataset.shards.published import is_published
 
     folder = Path(options.what)
-    if "://" in options.what or not folder.is_dir() or (folder / MANIFEST).exists() or not is_published(folder):
-        return None
+    with reading(folder):
+        if "://" in options.what or not folder.is_dir() or (folder / MANIFEST).exists() or not is_published(folder):
+            return None
     from gcd_dataset.loaders import PublishedGarmentCodeData
 
     return PublishedGarmentCodeData(folder, split=options.split)
 
 
+def _only_pattern(options: argparse.Namespace) -> "Pattern":
+    """The pattern of a specification file, which is garment 0. Raises ``ShardError`` for another ``--index``."""
+    _position(options, 1)
+    return pattern_of(options)
+
+
 def _position(options: argparse.Namespace, count: int) -> int:
     """``--index``. Raises ``ShardError`` beyond the last garment."""
     if options.index >= count:
-        raise ShardError(f"{options.what}: garment {options.index} of {count}: give one from 0 to {count - 1}")
+        known = f"give one from 0 to {count - 1}" if count > 1 else "leave --index out"
+        raise ShardError(f"{options.what}: garment {options.index} of {count}: {known}")
     return int(options.index)
 
 

@@ -12,6 +12,7 @@ from gcd_dataset.records import BoxMesh, Pattern
 __all__ = ["SKIN", "TILE", "panel_colour", "seam_vertices", "smooth_normals", "texture_coordinates"]
 
 TILE = 10.0  # cm of cloth that a texture covers
+SMALLEST_TILE, LARGEST_TILE = 0.01, 10_000.0  # cm: beyond, texture coordinates lose their digits as f32
 SKIN = (0.80, 0.77, 0.74)
 CURVE_POINTS = 129  # of an edge, to order the vertices of a seam along it
 
@@ -19,11 +20,11 @@ CURVE_POINTS = 129  # of an edge, to order the vertices of a seam along it
 def texture_coordinates(mesh: BoxMesh, tile: float = TILE) -> Float[np.ndarray, "c 2"]:
     """Texture coordinates of the seam-split vertices: 1 is ``tile`` cm of cloth in all panels; v runs along the grain.
 
-    Panels drawn from the inside are mirrored, so that a print reads from the outside. Raises ``ConfigError`` unless
-    ``tile`` is positive.
+    Panels drawn from the inside are mirrored, so that a print reads from the outside. Raises ``ConfigError`` for
+    a ``tile`` under 0.1 mm or over 100 m.
     """
-    if not 0 < tile < np.inf:
-        raise ConfigError(f"a texture tile of {tile:g} cm: give a positive length")
+    if not SMALLEST_TILE <= tile <= LARGEST_TILE:
+        raise ConfigError(f"a texture tile of {tile:g} cm: give one from {SMALLEST_TILE:g} to {LARGEST_TILE:g} cm")
     a, b, c = (mesh.uv[mesh.corners[:, i]] for i in range(3))
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     is_mirrored = np.bincount(mesh.panel_id, doubled, minlength=len(mesh.panel_names)) < 0

@@ -30,6 +30,7 @@ TOLERANCE = 0.001  # cm between a curve and its polyline: areas of the narrowest
 CUT_TOLERANCE = 0.005  # cm, of the cut line
 NEAR = 0.01  # cm: nearer points are one
 LARGEST_ALLOWANCE = 10.0  # cm
+GRID = 1e-6  # cm: a gap and the cut line beside it, which differ by roundings, become one
 MITRE = 2.5  # reach of a mitred corner, in allowances; corners under 47° are bevelled
 SMOOTH = np.radians(25.0)  # a corner with a smaller turn is a point along an edge
 TURN = np.radians(12.0)  # a vertex of a cut line with a larger turn is a corner
@@ -286,7 +287,9 @@ def _cut_line(
         for edge, points in zip(panel.edges, edges, strict=True):
             if edge.label == FOLD:
                 cut = cut.difference(_beyond(points, allowance))
-        cloth = shapely.union_all([cut, cloth, *_narrow_gaps(cut, 0.5 * allowance)])
+        cloth = shapely.union_all([cut, cloth])
+        if gaps := _narrow_gaps(cut, 0.5 * allowance):
+            cloth = shapely.union_all([cloth, *gaps], grid_size=GRID)
     if not isinstance(cloth, shapely.Polygon):
         raise PatternError(f"panel {panel.name}: its cut line falls into parts: change the seam allowance")
     ring = orient(shapely.Polygon(cloth.exterior).simplify(CUT_TOLERANCE if allowance else 0.0)).exterior

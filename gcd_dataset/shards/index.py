@@ -425,8 +425,11 @@ def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
     if sum(entry.size for entry in entries) > LARGEST_SAMPLE:
         raise ShardError(f"sample {key} has more than {LARGEST_SAMPLE} bytes")
     meta = _read_meta(file, entries[0], key, layout)
-    if [entry.name for entry in entries] != [member_name(meta["index"], member) for member in layout.members]:
-        raise ShardError(f"sample {key} does not have the members of schema {layout.schema} for {layout.kind}")
+    names = [entry.name for entry in entries]
+    if names != [member_name(meta["index"], member) for member in layout.members]:
+        missing = [member for member in layout.members if member_name(meta["index"], member) not in names]
+        lack = f" and lacks {', '.join(missing)}" if missing else ""
+        raise ShardError(f"sample {key} does not have the members of schema {layout.schema} for {layout.kind}{lack}")
     crc = [_crc(file, entries[0])] + [meta["crc32"][member] for member in layout.members[1:]]
     return ShardTable(
         sample=np.array([meta["index"]], np.int64),

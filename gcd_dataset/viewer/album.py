@@ -16,6 +16,7 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.spec import read_pattern
+from gcd_dataset.validate import require_valid
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
@@ -244,7 +245,13 @@ class SpecAlbum(Album):
         return _key(self._paths[position])
 
     def page(self, position: int, side: int = 0) -> str:
-        return page_of(content_of(read_pattern(self._path(position, side))))
+        path = self._path(position, side)
+        pattern = read_pattern(path)
+        try:
+            return page_of(content_of(pattern))
+        except Exception:  # predictions are shown unchecked; one that cannot be drawn breaks a rule
+            require_valid(pattern, source=str(path))
+            raise
 
     def links(self, position: int) -> dict[str, Any]:
         """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.
@@ -324,12 +331,19 @@ def published_content(published: "PublishedGarmentCodeData", position: int) -> C
 
 
 def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
-    """A specification file, or all of a folder. Raises ``ConfigError`` for a folder without any."""
+    """A specification file, or all of a folder.
+
+    Raises ``ConfigError`` for a folder without any, and ``SpecError`` for a single file that is invalid.
+    """
     paths = [source] if source.is_file() else list(_by_key(source).values())
     if not paths:
         raise ConfigError(f"{source}: no specification file (.json): give a data set or a folder of specifications")
     if truth is not None and not truth.is_dir():
         raise ConfigError(f"--truth {truth}: not a folder: give the folder of the true specification files")
+    if truth is not None and not _by_key(truth):
+        raise ConfigError(f"--truth {truth}: no specification file (.json): give the folder of the true ones")
+    if source.is_file():
+        read_pattern(source)
     return SpecAlbum(paths, str(source), truth)
 
 

@@ -37,6 +37,9 @@ class Content(Record):
     crossed: Int[np.ndarray, " n"] | None = None
     """Ends of the mesh edges that cross the cloth or the body; ``None`` without a drape."""
     caption: str = ""
+    """A line for each level of detail."""
+    views: tuple[bytes, ...] = ()
+    """Stored pictures, JPEG."""
     tags: tuple[str, ...] = ()
     outcome: Outcome | None = None
     grade: Grade | None = None
@@ -80,6 +83,7 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
         stretch=_stretch(mesh, drape) if is_finite else None,
         crossed=_crossed(mesh, drape, body) if is_finite else None,
         caption=sample.caption or "",
+        views=tuple(view.picture for view in sample.views if view.picture),
         tags=sample.tags,
         outcome=None if drape is None else drape.outcome,
         grade=sample.grade,

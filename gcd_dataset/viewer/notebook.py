@@ -27,6 +27,7 @@ __all__ = ["batch_html", "bodies_html", "dataset_html", "fresh_html", "item_html
 SHOWN = 6  # garments of a data set or a batch
 BODY_HEIGHT = 300  # pixels: twice the height of display, for sharp screens
 PICTURES = ("front", "back")
+VIEWS = {"views", "sketch"}  # fields of ``Views`` and ``Sketch``
 BOX = "display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start;margin:6px 0"
 SHEET = "display:block;height:320px;width:400px;max-width:100%;background:#fafaf8;border-radius:8px"
 LARGE = "height:320px;max-width:100%;border-radius:8px"
@@ -49,10 +50,15 @@ def sample_html(sample: Sample) -> str:
         for side, encoded in zip(PICTURES, (sample.front, sample.back), strict=True)
         if encoded
     ]
+    views = [
+        picture(view.picture, f"{sample.key}, view {number}", SMALL)
+        for number, view in enumerate(sample.views[:SHOWN])
+        if view.picture
+    ]
     return (
         f"<div>{_heading(sample.key, ' · '.join([counts, *filter(None, facts)]))}"
         f"{_paragraph(sample.caption)}{_paragraph(', '.join(sample.tags))}"
-        f'<div style="{BOX}">{"".join(pictures)}{_sheet(sample.pattern, SHEET)}</div></div>'
+        f'<div style="{BOX}">{"".join(pictures)}{_sheet(sample.pattern, SHEET)}</div>{_row(views)}</div>'
     )
 
 
@@ -61,7 +67,9 @@ def item_html(item: Mapping[str, Any]) -> str:
     key = _entry(item.get("meta"), "key") or item.get("name") or "garment"
     pictures = [picture(_encoded(item[side]), f"{key}, {side}", LARGE) for side in PICTURES if _is_picture(item, side)]
     sheet = _sheet_of_spec(item.get("spec"), str(key), SHEET)
-    return f'<div>{_heading(str(key), "")}<div style="{BOX}">{"".join(pictures)}{sheet}</div>{_fields(item)}</div>'
+    views = [picture(jpeg_bytes(pixels), f"{key}, {name}", SMALL) for name, pixels in _views_of(item)]
+    shown = f'<div style="{BOX}">{"".join(pictures)}{sheet}</div>{_row(views)}'
+    return f"<div>{_heading(str(key), '')}{shown}{_fields(item)}</div>"
 
 
 def batch_html(batch: Mapping[str, Any]) -> str:
@@ -132,6 +140,8 @@ def _of_batch(batch: Mapping[str, Any], size: int) -> Iterator[str]:
     for number, key in enumerate(keys):
         if "front" in batch:
             yield _captioned(picture(_encoded(batch["front"][number]), key, SMALL), key)
+        elif drawn := [pixels for _, pixels in _views_of({name: batch[name][number] for name in VIEWS & batch.keys()})]:
+            yield _captioned(picture(jpeg_bytes(drawn[0]), key, SMALL), key)
         elif "spec" in batch:
             yield _captioned(_sheet_of_spec(batch["spec"][number], key, SMALL_SHEET), key)
 
@@ -158,7 +168,7 @@ def _heading(name: str, facts: str) -> str:
 
 
 def _paragraph(text: str | None) -> str:
-    return f'<div style="opacity:0.85">{escape(text)}</div>' if text else ""
+    return f'<div style="opacity:0.85;white-space:pre-line">{escape(text)}</div>' if text else ""
 
 
 def _captioned(element: str, text: str) -> str:
@@ -201,6 +211,20 @@ def _form(value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return f"{type(value).__name__} of {len(value)}"
     return str(value) if isinstance(value, (int, float)) else type(value).__name__
+
+
+def _views_of(item: Mapping[str, Any]) -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"]]]:
+    """Names and pixels of the first pictures that ``Views`` or ``Sketch`` drew."""
+    for name in sorted(VIEWS & item.keys()):
+        stack = np.asarray(item[name].cpu() if hasattr(item[name], "cpu") else item[name])
+        if stack.dtype != np.uint8 or stack.ndim not in (3, 4):
+            continue  # of another origin
+        for number, pixels in enumerate(stack[:SHOWN]):
+            yield f"{name} {number}", pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+
+def _row(elements: Sequence[str]) -> str:
+    return f'<div style="{BOX}">{"".join(elements)}</div>' if elements else ""
 
 
 def _is_picture(item: Mapping[str, Any], side: str) -> bool:

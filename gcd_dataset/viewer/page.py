@@ -21,7 +21,7 @@ from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
 from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
-from gcd_dataset.viewer.markup import asset, inline_svg, script_data, table
+from gcd_dataset.viewer.markup import asset, inline_svg, picture, script_data, table
 
 __all__ = ["page_of"]
 
@@ -52,6 +52,7 @@ def page_of(content: Content) -> str:
         "parts": _part_options(content.pattern),
         "pattern": inline_svg(content.pattern, 'role="group" aria-label="Panels"', plan),
         "view": "" if mesh is None else _view(content),
+        "pictures": _pictures(content),
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
         "footer": FOOTER,
         "style": asset("page.css"),
@@ -113,6 +114,15 @@ def _view(content: Content) -> str:
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
     }
     return _filled(asset("view.html"), parts)
+
+
+def _pictures(content: Content) -> str:
+    """The stored views; empty without any."""
+    if not content.views:
+        return ""
+    images = "".join(picture(view, f"view {number}") for number, view in enumerate(content.views))
+    head = '<div class="strip"><h2>Pictures</h2></div>'
+    return f'<section class="card pictures" aria-label="Pictures">{head}<div>{images}</div></section>\n'
 
 
 def _crossings_legend(content: Content) -> str:

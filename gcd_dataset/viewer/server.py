@@ -33,7 +33,7 @@ __all__ = ["Answer", "Design", "Gallery", "serve"]
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
-LONGEST_WAIT = 1.0  # s that the reading of tags waits for pages
+LONGEST_WAIT = 1.0  # s that the reading of tags, and the end, wait for pages
 HOST = "127.0.0.1"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
@@ -61,10 +61,13 @@ class Gallery:
         self._begin(album.nearest(start))  # while the browser opens
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
-        """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist."""
+        """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist.
+
+        A garment that cannot be shown is answered by a page with the message.
+        """
         if path == "/":
             given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
-            return _html(asset("browse.html"), self._album.title, given)
+            return _html("browse.html", self._album.title, given)
         if path == "/facets":
             return _json(self._facets())
         if path == "/find":
@@ -72,7 +75,12 @@ class Gallery:
         if path == "/links":
             return _json(self._album.links(self._valid(_number(query, "position"))))
         if path == "/garment":
-            return HTTPStatus.OK, HTML, self._page(_number(query, "position"), _number(query, "side")).encode()
+            try:
+                page = self._page(_number(query, "position"), _number(query, "side"))
+            except Exception as error:  # noqa: BLE001 -- the bar of the viewer shows it
+                status, text = _fault(error)
+                return _html("fault.html", self._album.title, {"error": text}, status)
+            return HTTPStatus.OK, HTML, page.encode()
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
@@ -87,6 +95,18 @@ class Gallery:
         self._album.close()
         for threads in (self._makers, self._tag_reader):
             threads.shutdown(wait=False, cancel_futures=True)
+
+    def has_ended(self) -> bool:
+        """Whether the threads have ended, at the latest ``LONGEST_WAIT`` from now; to be called after ``close``.
+
+        A thread that reads from a server which does not answer ends after minutes.
+        """
+        with self._lock:
+            futures: list[Future[Any]] = list(self._pages.values())
+            if self._reading is not None:
+                futures.append(self._reading)
+        running = [future for future in futures if not future.done()]  # ``wait`` takes cancelled ones for running
+        return not wait(running, timeout=LONGEST_WAIT).not_done
 
     def _facets(self) -> dict[str, Any]:
         album = self._album
@@ -167,7 +187,7 @@ class Design:
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
-            return _html(asset("design.html"), "Design", {"parameters": shown, "measures": measures})
+            return _html("design.html", "Design", {"parameters": shown, "measures": measures})
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
@@ -192,6 +212,10 @@ class Design:
     def close(self) -> None:
         """Nothing to stop."""
 
+    def has_ended(self) -> bool:
+        """Always: drapes are made by the threads of requests, which the end of the process does not wait for."""
+        return True
+
 
 def serve(
     site: Gallery | Design,
@@ -207,10 +231,10 @@ def serve(
     called with the server, to shut it down from another thread.
     """
     try:
-        server = ThreadingHTTPServer((host, port), _handler(site, host))
+        server = _Server((host, port), _handler(site, host))
     except OSError as error:
+        site.close()
         raise ConfigError(f"--port {port}: {error.strerror}: give another port, or none") from error
-    server.daemon_threads = True
     (show or _announce)(f"http://{host}:{server.server_port}/")
     if started is not None:
         started(server)
@@ -233,6 +257,15 @@ def has_display() -> bool:
 
 
 # ------------------------------------------------------------------------------------------------------------- requests
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error of a request, but for a page that was closed before its answer."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
 
 def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
@@ -272,20 +305,15 @@ def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
             else:
                 try:
                     status, kind, content = made()
-                except GcdError as error:
-                    status, kind, content = _failed(HTTPStatus.NOT_FOUND, str(error))
                 except Exception as error:  # noqa: BLE001  the page shows it, the server goes on
-                    status, kind, content = _failed(HTTPStatus.INTERNAL_SERVER_ERROR, repr(error))
+                    status, kind, content = _failed(*_fault(error))
             self.send_response(status)
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
             self.send_header("X-Content-Type-Options", "nosniff")
             self.end_headers()
-            try:
-                self.wfile.write(content)
-            except ConnectionError:
-                self.close_connection = True  # the page has moved on
+            self.wfile.write(content)
 
     return Handler
 
@@ -296,17 +324,24 @@ def _is_own(header: str, host: str) -> bool:
 
 
 def _failed(status: HTTPStatus, text: str) -> Answer:
-    return status, JSON, json.dumps({"error": " ".join(text.split())}).encode()
+    return status, JSON, json.dumps({"error": text}).encode()
+
+
+def _fault(error: Exception) -> tuple[HTTPStatus, str]:
+    """Status and one line of text of an error."""
+    is_known = isinstance(error, GcdError)
+    text = str(error) if is_known else repr(error)
+    return HTTPStatus.NOT_FOUND if is_known else HTTPStatus.INTERNAL_SERVER_ERROR, " ".join(text.split())
 
 
 def _json(value: Mapping[str, Any]) -> Answer:
     return HTTPStatus.OK, JSON, json.dumps(value).encode()
 
 
-def _html(template: str, title: str, given: Mapping[str, Any]) -> Answer:
-    styled = template.replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
+def _html(name: str, title: str, given: Mapping[str, Any], status: HTTPStatus = HTTPStatus.OK) -> Answer:
+    styled = asset(name).replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
     head, _, tail = styled.partition("{{data}}")
-    return HTTPStatus.OK, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
+    return status, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 
 
 def _number(query: Mapping[str, str], name: str) -> int:

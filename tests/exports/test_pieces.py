@@ -98,6 +98,16 @@ def test_a_slit_is_not_left_as_a_crack() -> None:
     assert polygon_area(piece.cut) == pytest.approx(42.0 * 32.0)
 
 
+@pytest.mark.parametrize("degrees", [52, 130, 232])
+def test_a_crack_is_closed_in_a_turned_panel(degrees: int) -> None:
+    """The borders of crack and cut line differ by roundings there."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    corners = np.array([(0, 0), (18.8, 0), (20, 15), (21.2, 0), (40, 0), (40, 30), (0, 30)]) @ turn
+    (piece,) = cut_pieces(Pattern("slit", (panel_of("slit", [(float(x), float(y)) for x, y in corners]),), ()))
+    assert polygon_area(piece.cut) == pytest.approx(42.0 * 32.0)
+
+
 def test_notches_of_a_seam_meet() -> None:
     """The first of two notches is double; sewn together, those of both edges lie on each other."""
     one, two = cut_pieces(squares(), seam_allowance=1.0)

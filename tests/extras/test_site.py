@@ -41,26 +41,26 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_page_is_built(site: Path) -> None:
     for path in (ROOT / "docs").rglob("*.md"):
         name = path.relative_to(ROOT / "docs").with_suffix("")
-        page = site / (name.parent if name.name == "index" else name) / "index.html"
+        page = site / name.with_suffix(".html")
         assert page.exists(), f"{name}.md has no page"
 
 
 def test_files_outside_the_documents_are_pages(site: Path) -> None:
-    assert 'id="words"' in (site / "project" / "architecture" / "index.html").read_text()
+    assert 'id="words"' in (site / "project" / "architecture.html").read_text()
     assert (site / "reports" / "drapes.jpg").stat().st_size > 100_000
-    assert 'href="../reports/scale/#limits-by-data-set-size"' in (site / "limits" / "index.html").read_text()
+    assert 'href="reports/scale.html#limits-by-data-set-size"' in (site / "limits.html").read_text()
 
 
 def test_the_reference_documents_every_public_name_of_the_loaders(site: Path) -> None:
     import gcd_dataset.loaders
 
-    page = (site / "api" / "loaders" / "index.html").read_text()
+    page = (site / "api" / "loaders.html").read_text()
     missing = [name for name in gcd_dataset.loaders.__all__ if f'id="gcd_dataset.loaders.{name}"' not in page]
     assert missing == []
 
 
 def test_doctests_are_shown_as_code(site: Path) -> None:
-    for page in (site / "api").rglob("index.html"):
+    for page in (site / "api").rglob("*.html"):
         assert "<blockquote>" not in page.read_text(), f"{page} shows a doctest as a quotation"
 
 
@@ -68,6 +68,15 @@ def test_pages_need_no_other_server(site: Path) -> None:
     loaded = re.compile(r'<(?:script|img|link)[^>]*(?:src|href)="(https?://[^"]+)"')
     found = {url for page in site.rglob("*.html") for url in loaded.findall(page.read_text())}
     assert found == set()
+
+
+def test_the_built_pages_work_without_a_server(site: Path) -> None:
+    """Opened from disk, a link to a folder shows its list of files: links lead to files."""
+    link = re.compile(r'<a[^>]* href="([^"#?:]+)(?:#[^"]*)?"')
+    for page in site.rglob("*.html"):
+        if page.name != "404.html":  # its links begin at the root of a server
+            broken = [target for target in set(link.findall(page.read_text())) if not (page.parent / target).is_file()]
+            assert broken == [], page
 
 
 def test_a_broken_link_and_a_missing_anchor_stop_the_build(tmp_path: Path) -> None:
@@ -90,7 +99,7 @@ def test_a_broken_link_and_a_missing_anchor_stop_the_build(tmp_path: Path) -> No
     for word in ("../pyproject.toml", "no-such-heading", "nowhere.md", "no-such-word", "forgotten.md"):
         assert word in told
     assert "added.md" not in told
-    assert "An added page" in (tmp_path / "site" / "guides" / "train" / "index.html").read_text()
+    assert "An added page" in (tmp_path / "site" / "guides" / "train.html").read_text()
 
 
 def test_examples_in_the_tools() -> None:

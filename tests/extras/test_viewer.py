@@ -1,12 +1,16 @@
 """The viewer in headless Chromium: move, filter, jump, hover, predictions beside truth, and a design by hand."""
 
 import argparse
+import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from http.server import ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -227,9 +231,74 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
     (tmp_path / "a.json").write_text("{")
     with opened(browser, Gallery(spec_album(tmp_path))) as page:
         sync_api.expect(page.locator("#problem")).to_contain_text("a.json")
-        page.click("#next")
+        shown = page.frame_locator("iframe.shown").locator("body")
+        sync_api.expect(shown).to_have_text("This garment cannot be shown.")
+        shown.click()
+        page.keyboard.press("ArrowRight")
         sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("b")
         sync_api.expect(page.locator("#problem")).to_be_hidden()
+
+
+def test_fast_steps_add_up(browser: Any, garments: Path) -> None:
+    """Three clicks before the first is answered."""
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        sync_api.expect(page.locator("#status")).to_have_text("1 of 5")
+        page.evaluate("for (const name of ['next', 'next', 'next', 'previous']) document.getElementById(name).click()")
+        sync_api.expect(page.locator("#status")).to_have_text("3 of 5")
+        assert heading(page) == "gcd_000000002"
+
+
+def test_a_reload_shows_the_same_garment(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"), 2)) as page:
+        page.click("#next")
+        sync_api.expect(page.locator("#status")).to_have_text("4 of 5")
+        page.reload()
+        sync_api.expect(page.locator("#status")).to_have_text("4 of 5")
+        assert heading(page) == "gcd_000000003"
+
+
+def test_a_page_without_its_server_says_how_to_go_on(browser: Any, garments: Path) -> None:
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        frame(page)
+        page.route("**/find?*", lambda route: route.abort("connectionrefused"))
+        page.click("#next")
+        sync_api.expect(page.locator("#problem")).to_contain_text("start gcd show again")
+
+
+def test_ctrl_c_ends_the_viewer_of_a_server_that_does_not_answer(garments: Path) -> None:
+    """The server sends manifest and index, and then nothing."""
+    asked, ended = threading.Event(), threading.Event()
+
+    class Handler(SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args, directory=str(garments))
+
+        def do_GET(self) -> None:
+            if self.path.endswith(".tar"):
+                asked.set()
+                ended.wait(120)
+            else:
+                super().do_GET()
+
+        def log_message(self, *args: Any) -> None:
+            """Requests are not printed."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    command = [sys.executable, "-m", "gcd_dataset", "show", f"http://127.0.0.1:{server.server_port}"]
+    env = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as process:
+        try:
+            assert process.stdout is not None and "Ctrl-C" in process.stdout.readline()
+            assert asked.wait(60)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+            assert process.stderr is not None and process.stderr.read() == ""
+        finally:
+            process.kill()
+            ended.set()
+            server.shutdown()
+            server.server_close()
 
 
 def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, tmp_path: Path) -> None:

@@ -3,11 +3,13 @@
 import errno
 import fcntl
 import hashlib
+import io
 import json
 import os
 import random
 import re
 import signal
+import tarfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -382,6 +384,20 @@ def test_the_index_is_rebuilt_from_the_shards(whole: Path) -> None:
     assert not path.exists()
     assert rebuild_index(whole) == index
     assert path.read_bytes() == kept
+
+
+def test_a_missing_member_is_named(whole: Path) -> None:
+    with tarfile.open(whole / "train-00000.tar") as old:
+        entries = [(entry, old.extractfile(entry)) for entry in old]
+        kept = [(entry, file.read()) for entry, file in entries if file is not None]
+    with tarfile.open(whole / "train-00000.tar", "w", format=tarfile.USTAR_FORMAT) as new:
+        for entry, content in kept:
+            if entry.name != "gcd_000000001.faces.npy":
+                new.addfile(entry, io.BytesIO(content))
+    for name in ("manifest.json", "index-train.npz"):
+        (whole / name).unlink()
+    with pytest.raises(ShardError, match=r"sample gcd_000000001 .* lacks faces\.npy"):
+        read_index(whole)
 
 
 @pytest.mark.parametrize("made", [rebuild_index, read_index])

@@ -1,5 +1,6 @@
 """Albums of the viewer: order, filters, jumps, damaged garments, predictions beside truth."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -109,6 +110,16 @@ def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> 
     assert album.page(0, 0) != album.page(0, 1)
     with pytest.raises(GcdError, match="no file of this name"):
         album.page(1, 1)
+
+
+def test_a_specification_that_cannot_be_drawn_is_an_error_with_file_and_edge(tmp_path: Path) -> None:
+    write_pattern(fake_sample(0, 1).pattern, tmp_path / "a.json")
+    spec = json.loads((tmp_path / "a.json").read_text())
+    name, panel = next(iter(spec["pattern"]["panels"].items()))
+    panel["edges"][1]["endpoints"] = [1, 9999]
+    (tmp_path / "a.json").write_text(json.dumps(spec))
+    with pytest.raises(GcdError, match=rf"a\.json: panel {name}, edge 1.*vertex 9999"):
+        spec_album(tmp_path).page(0)
 
 
 def test_a_folder_without_specifications_is_refused(tmp_path: Path) -> None:

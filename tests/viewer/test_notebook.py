@@ -21,8 +21,9 @@ from gcd_dataset.loaders import (
     collate_padded,
 )
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Panel, Pattern, Sample
+from gcd_dataset.records import Panel, Pattern, Sample, View
 from gcd_dataset.shards import BodyWriter
+from gcd_dataset.viewer.notebook import item_html
 from tests.shards.folders import fill
 from tests.viewer.elements import Elements
 
@@ -101,6 +102,20 @@ def test_a_batch_without_pictures_displays_patterns() -> None:
     elements = displayed(collate_packed([garments[0], garments[1]]))
     assert (elements.count("img"), elements.count("svg")) == (0, 2)
     assert displayed(collate_packed([{"verts": torch.zeros(3, 3)}])).count("svg") == 0
+
+
+def test_drawn_pictures_are_displayed(sample: Sample) -> None:
+    garments = FakeGarments(2, fields=["spec"])
+    views, sketches = torch.zeros(3, 8, 8, 3, dtype=torch.uint8), torch.zeros(2, 8, 8, dtype=torch.uint8)
+    items = [{**garments[i], "views": views, "sketch": sketches} for i in range(2)]
+    assert item_html(items[0]).count("<img") == 5
+    batch = displayed(collate_packed(items))
+    assert (batch.count("img"), batch.count("svg")) == (2, 0)  # one of each garment
+    assert item_html({**garments[0], "views": torch.zeros(3)}).count("<img") == 0  # of another origin
+    assert sample.front
+    stored = replace(sample, views=(View(sample.front),) * 2, caption="short\nlong")
+    assert displayed(stored).count("img") == 4
+    assert "pre-line" in stored._repr_html_()
 
 
 def test_a_data_set_displays_its_first_garments(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from gcd_dataset.generator.lay_plan import lay_out
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam
+from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam, View
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
 from tests.helpers import far_ball
@@ -123,6 +123,13 @@ def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
     assert not any(name.startswith("on") for _, own in elements.found for name in own)
     assert elements.texts.count(HOSTILE) >= 5  # title, heading, caption, tag, panel, design
     assert data_of(page)["panels"][0]["text"].startswith(HOSTILE)
+
+
+def test_stored_views_are_pictures_of_the_page(sample: Sample, content: Content) -> None:
+    assert sample.front
+    views = content_of(replace(sample, views=(View(sample.front), View(sample.front)))).views
+    assert Elements(page_of(replace(content, views=views))).count("img") == 2
+    assert Elements(page_of(content)).count("img") == 0
 
 
 def test_a_pattern_without_mesh_has_a_page_without_the_view(sample: Sample) -> None:

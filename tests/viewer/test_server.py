@@ -2,6 +2,9 @@
 
 import json
 import queue
+import re
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from http.client import HTTPConnection
@@ -81,6 +84,24 @@ def test_the_first_page_and_the_next_are_made_before_a_request() -> None:
         gallery.close()
 
 
+def test_a_gallery_has_ended_once_its_threads_have() -> None:
+    class Waiting(Observed):
+        def page(self, position: int, side: int = 0) -> str:
+            self.made.put(position)
+            answered.wait(30)
+            return ""
+
+    answered, album = threading.Event(), Waiting()
+    gallery = Gallery(album)
+    assert album.made.get(timeout=30) == 0
+    gallery.get("/find", {"position": "1"})
+    gallery.get("/find", {"position": "2"})  # waits for one of the two threads, and is cancelled
+    gallery.close()
+    assert not gallery.has_ended()
+    answered.set()
+    assert gallery.has_ended()
+
+
 @pytest.fixture(scope="module")
 def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     where = tmp_path_factory.mktemp("shards")
@@ -116,13 +137,33 @@ def test_garments_are_found_by_rank_and_by_index(gallery: Running) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["/nowhere", "/garment?position=3", "/garment?position=x", "/find?text=77", "/find?rank=" + "9" * 50]
+    "path", ["/nowhere", "/links?position=3", "/find?position=x", "/find?text=77", "/find?rank=" + "9" * 50]
 )
 def test_what_does_not_exist_is_an_error_in_one_line(path: str, gallery: Running) -> None:
     status, kind, text = gallery.ask("GET", path)
     assert (status, kind) == (404, "application/json")
     error = json.loads(text)["error"]
     assert error and "\n" not in error
+
+
+@pytest.mark.parametrize("query", ["position=3", "position=x", "position=0&side=1", "position=x</script>"])
+def test_a_garment_that_cannot_be_shown_is_a_page_with_the_message(query: str, gallery: Running) -> None:
+    status, kind, text = gallery.ask("GET", f"/garment?{query}")
+    assert (status, kind) == (404, "text/html")
+    data = text.partition('id="fault">')[2].partition("</script>")[0]
+    assert re.search("no garment|whole number|no side", json.loads(data)["error"])
+
+
+def test_a_page_that_is_closed_early_leaves_no_message(gallery: Running, capsys: pytest.CaptureFixture[str]) -> None:
+    request = b"POST /more HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n{"
+    with socket.create_connection(("127.0.0.1", gallery.port)) as connection:
+        connection.send(request)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset when closed
+    assert gallery.ask("GET", "/facets")[0] == 200  # the request before has its thread by now
+    for thread in threading.enumerate():
+        if "process_request" in thread.name:
+            thread.join(30)
+    assert not capsys.readouterr().err
 
 
 def test_another_host_name_is_refused(gallery: Running) -> None:
