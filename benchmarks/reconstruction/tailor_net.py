@@ -126,8 +126,9 @@ class SlotEncodings(nn.Module):
             hidden = layer(hidden)
         with torch.autocast(features.device.type, enabled=False):
             shares = sparsemax(hidden.float())
-            mass = shares.sum(dim=1)[..., None]
-            pooled = shares.transpose(1, 2) @ features.float() / mass.clamp(min=1e-6)
+            # Of less than one point a mean and a root would have gradients without bound.
+            mass = shares.sum(dim=1)[..., None].clamp(min=1.0)
+            pooled = shares.transpose(1, 2) @ features.float() / mass
             pooled = torch.cat([pooled, (mass / features.shape[1]).sqrt()], dim=-1)
         context = whole[:, None].expand(-1, pooled.shape[1], -1)
         encodings = self.encode(torch.cat([pooled.to(context.dtype), context], dim=-1))

@@ -19,7 +19,7 @@ from benchmarks.reconstruction.models.neural_tailor import (
     _placed,
     build,
 )
-from benchmarks.reconstruction.tailor_net import EdgeConv, TailorConfig, nearest, sparsemax
+from benchmarks.reconstruction.tailor_net import EdgeConv, SlotEncodings, TailorConfig, nearest, sparsemax
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
@@ -58,6 +58,19 @@ def as_drawn(true: NamedPanels, **changes: Any) -> Drawn:
         "centres": true.centres, "labels": torch.zeros(*shape[:2], len(PANEL_LABELS)),
     }  # fmt: skip
     return Drawn(**{**values, **changes})
+
+
+def test_a_slot_at_the_border_of_its_share_has_a_finite_gradient() -> None:
+    torch.manual_seed(0)
+    net = SlotEncodings(TailorConfig())
+    scores = net.scores[-1]
+    with torch.no_grad():
+        scores.weight.zero_()
+        scores.bias.fill_(-1.0)
+        scores.bias[:2] = torch.tensor([1.0, 0.0])  # sparsemax shares (1, 0): the second is 0 without being cut off
+    encodings, exists = net(torch.randn(2, 16, 6 + 2 * TailorConfig().width))
+    torch.autograd.backward(encodings.sum() + exists.sum())
+    assert all(weight.grad is None or bool(weight.grad.isfinite().all()) for weight in net.parameters())
 
 
 def test_slots_are_the_names_of_the_panels(six: GarmentSet, targets: NamedPanels) -> None:
