@@ -64,6 +64,7 @@ def test_a_slot_at_the_border_of_its_share_has_a_finite_gradient() -> None:
     torch.manual_seed(0)
     net = SlotEncodings(TailorConfig())
     scores = net.scores[-1]
+    assert isinstance(scores, torch.nn.Linear)
     with torch.no_grad():
         scores.weight.zero_()
         scores.bias.fill_(-1.0)
