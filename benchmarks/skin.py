@@ -7,10 +7,10 @@ import warp as wp
 from jaxtyping import Int
 
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.drape.device import resolve_device
 from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings, find_roots
 from gcd_dataset.generator.drape.kernels.world import Cloth
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body
 
 __all__ = ["skin_crossings"]
@@ -51,4 +51,4 @@ def _skin() -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
     model = body_model()
     folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
     faces = model.faces[~folded[model.faces].any(axis=1)]
-    return faces, unique_edges(faces)[0]
+    return faces, mesh_edges(faces).ends

@@ -14,6 +14,7 @@ from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, BodyShape
 
 __all__ = ["SMPLX_VERTICES", "SMPL_VERTICES", "coarser", "like_smpl", "like_smplx"]
@@ -87,8 +88,7 @@ def coarser(vertices: np.ndarray, faces: np.ndarray, count: int) -> _Mesh:
 
 def _shortest_around(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Collapsible edges that are shorter than all others near their ends, shortest first."""
-    sides = np.sort(np.concatenate([faces[:, :2], faces[:, 1:], faces[:, ::2]]), axis=1)
-    edges = np.unique(sides, axis=0)
+    edges = mesh_edges(faces).ends
     size = len(vertices)
     graph = csr_matrix((np.ones(len(edges)), edges.T), shape=(size, size))
     graph = graph + graph.T

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.workers import parallel_map
 
 __all__ = [
@@ -128,9 +129,8 @@ def _edges(
     faces: Int[np.ndarray, "f 3"],
 ) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, " e"], Int[np.ndarray, " c"]]:
     """The edges of the faces, whether each is of one face only, and the edge after each corner of each face."""
-    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    pairs, rows, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    return pairs, counts == 1, rows.ravel()
+    edges = mesh_edges(faces)
+    return edges.ends, edges.counts == 1, edges.of_faces.ravel()
 
 
 def _shape(

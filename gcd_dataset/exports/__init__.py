@@ -8,8 +8,9 @@ specification file. Each writes its file whole or not at all.
 >>> pdf(read_pattern("shirt_specification.json"), "shirt.pdf", seam_allowance=1.5)  # doctest: +SKIP
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gcd_dataset.exports.dxf_file import dxf
@@ -19,22 +20,11 @@ if TYPE_CHECKING:
 
 __all__ = ["dxf", "glb", "obj", "pdf", "ply", "usd"]
 
-_HOME = {
-    "dxf": "dxf_file",
-    "glb": "mesh_files",
-    "obj": "mesh_files",
-    "pdf": "pdf_file",
-    "ply": "mesh_files",
-    "usd": "usd_file",
+_NAMES_OF_MODULE = {
+    "dxf_file": ("dxf",),
+    "mesh_files": ("glb", "obj", "ply"),
+    "pdf_file": ("pdf",),
+    "usd_file": ("usd",),
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Import the module of a format on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

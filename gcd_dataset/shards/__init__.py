@@ -3,14 +3,19 @@
 The same tars are read by ``webdataset`` and by ``datasets.load_dataset("webdataset", …)``.
 """
 
-from gcd_dataset.shards.body_set import BodyWriter
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
 from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.contents import read_index, rebuild_index
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA, Layout
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.shards.writer import ShardWriter
+
+if TYPE_CHECKING:
+    from gcd_dataset.shards.body_set import BodyWriter
+    from gcd_dataset.shards.writer import ShardWriter
 
 __all__ = [
     "BODIES",
@@ -33,3 +38,7 @@ __all__ = [
     "read_manifest",
     "rebuild_index",
 ]
+
+_NAMES_OF_MODULE = {"body_set": ("BodyWriter",), "writer": ("ShardWriter",)}
+
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

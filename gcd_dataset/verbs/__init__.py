@@ -7,8 +7,9 @@ Each but ``doctor``, which only reads, reports its progress to a callback and re
 1000
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gcd_dataset.verbs.array_jobs import JobPart
@@ -36,28 +37,16 @@ __all__ = [
     "publish",
 ]
 
-_HOME = {
-    "convert": "converting",
-    "doctor": "examining",
-    "export": "exporting",
-    "generate": "making",
-    "generate_people": "body_set",
-    "generate_recipe": "making",
-    "merge": "merging",
-    "JobPart": "array_jobs",
-    "Progress": "progress",
-    "ProgressCallback": "progress",
-    "Published": "publishing",
-    "publish": "publishing",
+_NAMES_OF_MODULE = {
+    "converting": ("convert",),
+    "examining": ("doctor",),
+    "exporting": ("export",),
+    "making": ("generate", "generate_recipe"),
+    "body_set": ("generate_people",),
+    "merging": ("merge",),
+    "array_jobs": ("JobPart",),
+    "progress": ("Progress", "ProgressCallback"),
+    "publishing": ("Published", "publish"),
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Import a verb's module on first use: publishing needs no simulator."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

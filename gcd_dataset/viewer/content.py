@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError, GcdError
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
 
 __all__ = ["Content", "Rows", "content_of", "crossing_vertices"]
@@ -60,7 +61,7 @@ def crossing_vertices(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], body: Body | None = None
 ) -> Int[np.ndarray, " n"]:
     """Ends of the mesh edges that cross another face of the cloth, or a face of the body; each vertex once."""
-    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    edges = mesh_edges(faces).ends
     hit = _crossing_edges(vertices, edges, vertices, faces, sharing=True)
     if body is not None:
         hit |= _crossing_edges(vertices, edges, body.vertices, body.faces, sharing=False)

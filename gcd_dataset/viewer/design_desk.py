@@ -148,8 +148,7 @@ class Desk:
         own = measure_controls(self.size)
         if all(abs(float(measures.get(one.path, one.value)) - one.value) < 0.05 for one in own):
             return self._apart if legs_apart else self._body
-        from gcd_dataset.generator.body import build_body
-        from gcd_dataset.generator.body.fit_shape import fit_shape
+        from gcd_dataset.generator.body import build_body, fit_shape
 
         try:
             shape = fit_shape(self._size(measures)).shape

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
 from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.markup import asset, inline_svg, picture, script_data, table
@@ -214,9 +215,8 @@ def _segments(
 
     Edges without a seam have the number of seams.
     """
-    sides = np.sort(mesh.corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs, counts = np.unique(sides, axis=0, return_counts=True)
-    pairs = pairs[counts == 1]
+    edges = mesh_edges(mesh.corners)
+    pairs = edges.ends[edges.counts == 1]
     free = 1 + max((seam for piece in plan.panels for seam in piece.seams if seam is not None), default=-1)
     seams = np.full(len(pairs), free)
     middles = mesh.uv[pairs].mean(axis=1)

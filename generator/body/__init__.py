@@ -1,18 +1,23 @@
 """Bodies, drawn from the body model or read from mesh files, and their measures."""
 
+from typing import TYPE_CHECKING
+
 from gcd_dataset.bodyfiles import read_measurements, write_measurements
-from gcd_dataset.generator.body.by_name import named_body
-from gcd_dataset.generator.body.fit_shape import FittedShape, fit_shape
-from gcd_dataset.generator.body.measuring import measure
-from gcd_dataset.generator.body.mesh_bodies import read_body
-from gcd_dataset.generator.body.shape import (
-    build_body,
-    draw_shape,
-    female_shape,
-    male_shape,
-    named_shape,
-    neutral_shape,
-)
+from gcd_dataset.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.body.by_name import named_body
+    from gcd_dataset.generator.body.measuring import measure
+    from gcd_dataset.generator.body.mesh_bodies import read_body
+    from gcd_dataset.generator.body.shape import (
+        build_body,
+        draw_shape,
+        female_shape,
+        male_shape,
+        named_shape,
+        neutral_shape,
+    )
+    from gcd_dataset.generator.body.shape_fit import FittedShape, fit_shape
 
 __all__ = [
     "FittedShape",
@@ -29,3 +34,13 @@ __all__ = [
     "read_measurements",
     "write_measurements",
 ]
+
+_NAMES_OF_MODULE = {
+    "by_name": ("named_body",),
+    "shape_fit": ("FittedShape", "fit_shape"),
+    "measuring": ("measure",),
+    "mesh_bodies": ("read_body",),
+    "shape": ("build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"),
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.section import section_points
-from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart
 
 __all__ = ["arm_clearance"]
@@ -33,4 +33,4 @@ def _hull(body: Body, part: BodyPart, level: float) -> shapely.Geometry:
 def _edges_of(part: BodyPart) -> Int[np.ndarray, "e 2"]:
     """Edges of the faces that lie in a part with all corners."""
     model = body_model()
-    return unique_edges(model.faces[(model.parts == part.value)[model.faces].all(axis=1)])[0]
+    return mesh_edges(model.faces[(model.parts == part.value)[model.faces].all(axis=1)]).ends

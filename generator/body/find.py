@@ -11,8 +11,8 @@ from gcd_dataset.generator.body.landmarks import Landmarks, levels_of, model_lan
 from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import contour_length, girth, section, section_points
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart
 
 __all__ = ["find_landmarks", "find_parts"]
@@ -69,7 +69,7 @@ def narrowest_ring(
     middle = ring.mean(axis=0)
     across, along, normal = np.linalg.svd(ring - middle)[2]
     turned = (vertices - middle) @ np.stack([across, normal, along], axis=1)
-    points, level = section_points(turned, unique_edges(faces)[0], 1, offsets)
+    points, level = section_points(turned, mesh_edges(faces).ends, 1, offsets)
     if len(np.unique(level)) < len(offsets):
         raise BodyError("no skin is found round the right wrist: correct the mesh there")
     if any(contour_length(section(turned, faces[patched], 1, offset)) > MAX_BRIDGED for offset in offsets):

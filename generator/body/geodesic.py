@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Record
 
 __all__ = ["GeodesicGraph", "graph_between"]
@@ -46,7 +46,7 @@ class GeodesicGraph(Record):
     def over(cls, faces: Int[np.ndarray, "f 3"], start: int, end: int, *, points_per_edge: int) -> Self:
         """The graph over ``faces`` for paths from vertex ``start`` to vertex ``end``."""
         corners = np.unique(faces)
-        edges, face_edges = unique_edges(faces)
+        edges, face_edges, _ = mesh_edges(faces)
         on_edge = len(corners) + np.arange(len(edges) * points_per_edge).reshape(-1, points_per_edge)
         turned = (faces != edges[face_edges, 0])[:, :, None]
         on_sides = np.where(turned, on_edge[face_edges][:, :, ::-1], on_edge[face_edges])

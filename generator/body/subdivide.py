@@ -4,7 +4,9 @@ import numpy as np
 from jaxtyping import Bool, Int
 from scipy.sparse import csr_matrix
 
-__all__ = ["refine", "unique_edges"]
+from gcd_dataset.meshedges import mesh_edges
+
+__all__ = ["refine"]
 
 
 def refine(
@@ -15,7 +17,7 @@ def refine(
     Old vertices keep their numbers. Weights after C. Loop, Smooth Subdivision Surfaces Based on Triangles (1987); on
     the boundary of the marked part vertices stay and edges are halved, so that a closed mesh stays closed.
     """
-    edges, face_edges = unique_edges(faces)
+    edges, face_edges, _ = mesh_edges(faces)
     marks = np.bincount(face_edges[marked].ravel(), minlength=len(edges))
     added = np.full(len(edges), -1)
     added[marks > 0] = n_vertices + np.arange((marks > 0).sum())
@@ -27,13 +29,6 @@ def refine(
     rows, columns, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
     shape = (n_vertices + (marks > 0).sum(), n_vertices)
     return csr_matrix((weights, (rows, columns)), shape=shape), _split(faces, added[face_edges])
-
-
-def unique_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    """Every undirected edge once, and the edge number of each face from corner i to corner i + 1."""
-    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    edges, inverse = np.unique(sides, axis=0, return_inverse=True)
-    return edges, inverse.reshape(-1, 3)
 
 
 _Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns, weights

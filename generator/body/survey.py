@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.population import FEMALE_SHARE, SEXES
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
-from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["HANGING", "Survey", "body_weight", "shoulder_breadths", "shoulders_of", "survey_measures", "survey_of"]
@@ -154,7 +154,7 @@ def _sites() -> _Sites:
     trunk = model.faces[~np.isin(model.parts, arms)[model.faces].any(axis=1)]
     leg = model.faces[(model.parts == BodyPart.RIGHT_LEG.value)[model.faces].all(axis=1)]
     middle = (np.abs(model.mean[trunk, X]) < SPINE).all(axis=1) & (model.mean[trunk, Z] < SPINE).all(axis=1)
-    return _Sites(*(unique_edges(faces)[0] for faces in (trunk, leg, trunk[middle])))
+    return _Sites(*(mesh_edges(faces).ends for faces in (trunk, leg, trunk[middle])))
 
 
 def _calf(vertices: np.ndarray, leg: np.ndarray, height: float) -> float:

@@ -20,8 +20,8 @@ from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.geodesic import GeodesicGraph
 from gcd_dataset.generator.body.landmarks import Landmarks, model_landmarks
 from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.measurements import MEASURE
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, Measurements, Record
 
 __all__ = [
@@ -249,7 +249,7 @@ def sites_of(
     level = {name: marks.levels[name] for name in GIRTHS}
     bands = {name: between(at - 7.0 * scale, at + 7.0 * scale) for name, at in level.items()}
     return Sites(
-        rings={name: unique_edges(band)[0] for name, band in bands.items()},
+        rings={name: mesh_edges(band).ends for name, band in bands.items()},
         bands=bands,
         thighs=between(leg - 18.0 * scale, leg + 8.0 * scale),
         breast=torso[(x.max(axis=1) < -2.0) & (x.min(axis=1) > -22.0)],

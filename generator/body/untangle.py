@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix, diags_array
 
-from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Record
 
 __all__ = ["ROUNDS", "SkinMesh", "Smoothed"]
@@ -49,7 +49,7 @@ class SkinMesh(Record):
     @classmethod
     def of(cls, reference: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Self:
         """The skin ``faces`` of a reference body without folds."""
-        edges, face_edges = unique_edges(faces)
+        edges, face_edges, _ = mesh_edges(faces)
         ends = np.concatenate([edges, edges[:, ::-1]]).T
         adjacency = csr_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(len(reference), len(reference)))
         count = np.asarray(adjacency.sum(axis=1)).ravel()
@@ -151,7 +151,7 @@ def _adjacent_faces(face_edges: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"
 
 def _intersect(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Whether each face crosses an edge of another, or has an edge crossed; tests all pairs of few faces."""
-    edges, face_edges = unique_edges(faces)
+    edges, face_edges, _ = mesh_edges(faces)
     apart = ~(edges[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3))
     edge, face = np.nonzero(apart)
     start, along = vertices[edges[edge, 0]], vertices[edges[edge, 1]] - vertices[edges[edge, 0]]

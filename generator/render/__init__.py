@@ -21,8 +21,9 @@ Records (``scene``, ``appearance``, ``lights``, ``environment``, ``cameras``, ``
 imported on first use: Warp is loaded by the functions that render.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.appearance import (
@@ -149,16 +150,5 @@ _NAMES_OF_MODULE = {
     "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),
     "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
 }
-_MODULE_OF_NAME = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name}")
-    value = getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

@@ -19,8 +19,8 @@ from gcd_dataset.generator.body import (
     read_measurements,
 )
 from gcd_dataset.generator.body.section import clipped, contour_length, girth, section, tape
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.tailor import model_sites, take_measures
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
@@ -52,7 +52,7 @@ def test_sites_hold_all_faces_that_sections_cut() -> None:
         drawn = draw_shape(rng(5, index, Stage.BODY), group="pooled")
         body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
         trunk = body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
-        edges = dict.fromkeys(narrow.rings, unique_edges(trunk)[0])
+        edges = dict.fromkeys(narrow.rings, mesh_edges(trunk).ends)
         whole = replace(narrow, rings=edges, thighs=trunk, spine=_middle(body, trunk))
         assert values(take_measures(body.vertices, narrow)) == pytest.approx(
             values(take_measures(body.vertices, whole))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.fit_shape import fit_shape
+from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, neutral_shape
 from gcd_dataset.records import ANGLES, MEASURES, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -72,6 +71,6 @@ def test_impossible_measures_are_errors_with_a_remedy(size: Measurements, messag
 
 def test_a_body_too_far_from_the_mean_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """``REACH`` is lowered, so that few iterations exceed it."""
-    monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.fit_shape"], "REACH", 1.0)
+    monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.shape_fit"], "REACH", 1.0)
     with pytest.raises(BodyError, match=r"no adult has these.*standard deviations.*in cm, all of one person"):
         fit_shape(Measurements(height=215.0))
