@@ -182,8 +182,11 @@ class BottomGarment(Garment[D]):
     """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
-    rings_of: Callable[[Measurements, D, float], Iterable[Ring]] = field(default=lambda size, design, rise: ())
-    """The rings below the hips that may be narrower than the legs, for a rise; empty for a wide skirt."""
+    rings_of: Callable[[Measurements, D, float, float], Iterable[Ring]] = field(default=lambda size, design, *drawn: ())
+    """The rings below the hips that may be narrower than the legs; empty for a wide skirt.
+
+    For a rise, and a length from the top to the hem [cm].
+    """
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
     remedies: tuple[str, ...] = ()
@@ -212,7 +215,7 @@ class BottomGarment(Garment[D]):
 
     def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
         """The rings of the garment in an outfit's design, its top at ``rise``: see ``rings_of``."""
-        return self.rings_of(size, self.section_design(design), rise)
+        return self.rings_of(size, self.section_design(design), rise, self.length(size, design, rise))
 
     def parts(self, design: "OutfitDesign") -> "tuple[BottomGarment[Any], ...]":
         """The parts of a combined bottom, from the top down; empty for a simple bottom."""
@@ -288,6 +291,10 @@ class DesignedBottom(Generic[D]):
         """The part without gathers at its top."""
         return DesignedBottom(self.garment, self.garment.ungathered(self.design))
 
+    def rings(self, size: Measurements, rise: float, length: float) -> Iterable[Ring]:
+        """The rings of the component of ``cut``, with a length from the top to the hem [cm]."""
+        return self.garment.rings_of(size, self.garment.without_slits(self.design), rise, length)
+
     @property
     def hem_tilt(self) -> float:
         """Tilt of its hem [degrees]."""
@@ -308,6 +315,8 @@ class CombinedBottom(BottomGarment[D]):
     """Length from the top, at a rise, to the hem [cm]."""
     description_of: Callable[[Setting, D, tuple[DesignedBottom[Any], ...]], Description]
     """The garment in words, as drawn."""
+    rings_of_parts: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], Iterable[Ring]]
+    """In place of ``rings_of``: the rings below the hips that may be narrower than the legs, for a rise."""
     drawn_length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float] | None = None
     """``length_of`` as drawn, if a part has a least length [cm]."""
     inherits_length: bool = False
@@ -321,6 +330,9 @@ class CombinedBottom(BottomGarment[D]):
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
+
+    def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
+        return self.rings_of_parts(size, self.section_design(design), self._designed_parts(design), rise)
 
     def drawn_length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
         length_of = self.drawn_length_of or self.length_of

@@ -1,9 +1,10 @@
 """The gathered skirt (GarmentCode's ``Skirt2``): two trapezoids. Panels ``skirt_front`` and ``skirt_back``."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
-from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
+from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
@@ -65,6 +66,14 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
     return design.bottom_cut * max(length, 0.0)
 
 
+def _rings(size: Measurements, design: GatheredSkirtDesign, rise: float, length: float) -> Iterator[Ring]:
+    """The skirt's cloth at the hips, if it covers them: with few gathers it is no wider than the waist."""
+    above = rise * size.hips_line
+    if length > above:
+        cloth = design.ruffle * girth_at_rise(size, rise) + 4 * design.flare * above / length
+        yield Ring("a skirt", cloth, size.hips, "raise skirt.ruffle or skirt.flare")
+
+
 def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
     """Gathered if the seam at its top gathers it: on a wide hem or band the same skirt hangs straight."""
     details, tags = [], []
@@ -97,6 +106,7 @@ GATHERED_SKIRT = SimpleBottom(
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
     gather_parameter="ruffle",
-    remedies=("bottom_cut", "length+", "flare-"),
+    rings_of=_rings,
+    remedies=("bottom_cut", "length+", "flare-", "flare+"),
     always_sewable=lambda design: design.bottom_cut == 0,
 )

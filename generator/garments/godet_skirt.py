@@ -1,17 +1,26 @@
 """The godet skirt: a base skirt with triangular inserts (godets) in its hem."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
+from gcd_dataset.generator.garments.garment import (
+    CombinedBottom,
+    Cutting,
+    DesignedBottom,
+    GarmentChoice,
+    Ring,
+    SimpleBottom,
+)
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
-from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
 from gcd_dataset.generator.garments.tags import Tag
+from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
 from gcd_dataset.records import Measurements
 
@@ -20,6 +29,7 @@ __all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
 LEAST_HEM = 0.01  # share of the remaining hem: a smaller gap before a cut is dropped, GarmentCode
 NARROWEST, SHALLOWEST = 1.0, 1.0  # cm: least width and depth of a cut, GarmentCode
 CLOSED = 1e-6  # cm: shorter pieces of hem are left out
+DEEPEST_SLIT = 0.9  # share of a pencil skirt's length, its parameter's limit
 STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode
 
 
@@ -149,6 +159,25 @@ def _combined(
     return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
 
 
+def _rings(
+    size: Measurements, design: GodetSkirtDesign, parts: tuple[DesignedBottom[Any], ...], rise: float
+) -> Iterator[Ring]:
+    """The rings of the base above its cuts, and the hem: godets narrower than their cuts draw it in."""
+    (base,) = parts
+    length, count = base.length(size, rise), design.num_inserts // 2
+    panels = base.cut(size, Cutting(rise, length, ALL_MENDS)).pieces
+    hems = [piece.outline.length("bottom") for piece in panels]
+    cuts = [_cut(hem, count, design) for hem in hems]
+    shown = base.garment.without_slits(base.design)
+    if base.garment is PENCIL_SKIRT:
+        opened = max(cut.depth for cut in cuts) / (length - rise * size.hips_line)
+        shown = replace(shown, front_slit=min(opened, DEEPEST_SLIT))
+    yield from base.garment.rings_of(size, shown, rise, length)
+    cloth = sum(hem + count * (design.insert_w - cut.width) for hem, cut in zip(hems, cuts, strict=True))
+    body = girth_below_waist(size, length + (1 - rise) * size.hips_line)
+    yield Ring("a hem with godets", cloth, body, "raise godet-skirt.insert_w, or godet-skirt.num_inserts")
+
+
 def _describe(setting: Setting, design: GodetSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
     base = parts[0].describe(setting)
     count = number_word(design.num_inserts)
@@ -165,7 +194,8 @@ GODET_SKIRT = CombinedBottom(
     rise_of=lambda design, parts: parts[0].rise,
     length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
     description_of=_describe,
+    rings_of_parts=_rings,
     inherits_length=True,
-    remedies=("insert_depth-", "cuts_distance-"),
+    remedies=("insert_depth-", "cuts_distance-", "insert_w+"),
     statistics_length_section="skirt",
 )

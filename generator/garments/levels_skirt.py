@@ -1,6 +1,6 @@
 """The levels skirt: skirts sewn one under the other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
@@ -8,7 +8,14 @@ from typing import Any, TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word, with_article
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
+from gcd_dataset.generator.garments.garment import (
+    CombinedBottom,
+    Cutting,
+    DesignedBottom,
+    GarmentChoice,
+    Ring,
+    SimpleBottom,
+)
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -133,6 +140,14 @@ def _drawn_length(size: Measurements, design: LevelsSkirtDesign, rise: float) ->
     return max(base, SHORTEST) + design.num_levels * max(level, SHORTEST)
 
 
+def _rings(
+    size: Measurements, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...], rise: float
+) -> Iterable[Ring]:
+    """The rings of the base; the levels are at least as wide as its hem."""
+    base_length, _ = _lengths(size, design, rise=rise, mends=ALL_MENDS)
+    return parts[0].rings(size, rise, base_length)
+
+
 def _describe(setting: Setting, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
     base, level = parts[0].describe(setting), parts[1]
     is_flared = level.garment is not GATHERED_SKIRT and level.design.suns >= FLARED_LEVEL
@@ -162,4 +177,5 @@ LEVELS_SKIRT = CombinedBottom(
     length_of=lambda size, design, parts, rise: _length(size, design, rise),
     drawn_length_of=lambda size, design, parts, rise: _drawn_length(size, design, rise),
     description_of=_describe,
+    rings_of_parts=_rings,
 )

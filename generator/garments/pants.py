@@ -284,7 +284,7 @@ PANTS = SimpleBottom(
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
     legs=True,
-    rings_of=_rings,
+    rings_of=lambda size, design, rise, length: _rings(size, design, rise),
     cuffs=cuff_and_leg_girth,
     remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),
     always_sewable=lambda design: design.cuff.type is None,

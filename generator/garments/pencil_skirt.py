@@ -224,9 +224,9 @@ def _with_darts_sewn(skirt: Component, shapes: Sequence[_Shape]) -> Component:
     return skirt
 
 
-def _rings(size: Measurements, design: PencilSkirtDesign, rise: float) -> Iterator[Ring]:
+def _rings(size: Measurements, design: PencilSkirtDesign, rise: float, length: float) -> Iterator[Ring]:
     """The skirt's cloth below the hips, above its highest slit, the hem's tilt left out."""
-    below = design.length * size.leg_length
+    below = length - rise * size.hips_line
     slit = max(design.front_slit, design.back_slit, design.left_slit, design.right_slit)
     shapes = (_front(size, rise, ""), _back(size, rise, ""))
     hems = [(-_hem_width(size, shape, design), -below) for shape in shapes]

@@ -46,6 +46,7 @@ __all__ = [
     "garment_length",
     "has_firm_band",
     "has_snug_band",
+    "has_tight_bottom",
     "has_tight_cuffs",
     "is_flared",
     "is_gathered",
@@ -382,6 +383,17 @@ def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
     """Whether a ring of cloth round the trunk is too tight."""
     try:
         return any(ring.stretch > CLOTH_GIVES for ring in trunk_rings(size, design))
+    except PatternError:  # drawing the outfit reports it
+        return False
+
+
+def has_tight_bottom(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether a ring of the bottom is too tight for the legs; ``is_too_tight`` is about the rings above it."""
+    if design.meta.bottom is None:
+        return False
+    try:
+        rings = design.meta.bottom.garment.rings(size, design, bottom_rise(design))
+        return any(ring.stretch > CLOTH_GIVES for ring in rings)
     except PatternError:  # drawing the outfit reports it
         return False
 

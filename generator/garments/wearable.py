@@ -23,6 +23,7 @@ from gcd_dataset.generator.garments.rules import (
     garment_length,
     has_firm_band,
     has_snug_band,
+    has_tight_bottom,
     has_tight_cuffs,
     is_flared,
     is_gathered,
@@ -252,6 +253,8 @@ class _Fitting:
     def _bottom_fault(self, design: OutfitDesign) -> Fault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
             return Fault("tight_cuff", "cuff")
+        if any(has_tight_bottom(size, design) for size in self.sizes):
+            return Fault("too_tight", "ring")
         return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
 
     def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
