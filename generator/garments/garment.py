@@ -194,6 +194,8 @@ class BottomGarment(Garment[D]):
 
     A path that ends in ``-`` (``+``) is drawn below (above) the value at fault.
     """
+    widened_by: str = ""
+    """The parameter of its section to raise if one of its rings is too tight; empty without one."""
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 

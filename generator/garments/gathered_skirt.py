@@ -107,6 +107,7 @@ GATHERED_SKIRT = SimpleBottom(
     ungathered=lambda design: replace(design, ruffle=1.0),
     gather_parameter="ruffle",
     rings_of=_rings,
-    remedies=("bottom_cut", "length+", "flare-", "flare+"),
+    remedies=("bottom_cut", "length+", "flare-"),
+    widened_by="flare",
     always_sewable=lambda design: design.bottom_cut == 0,
 )

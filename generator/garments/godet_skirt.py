@@ -196,6 +196,7 @@ GODET_SKIRT = CombinedBottom(
     description_of=_describe,
     rings_of_parts=_rings,
     inherits_length=True,
-    remedies=("insert_depth-", "cuts_distance-", "insert_w+"),
+    remedies=("insert_depth-", "cuts_distance-"),
+    widened_by="insert_w",
     statistics_length_section="skirt",
 )

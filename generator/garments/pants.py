@@ -286,6 +286,7 @@ PANTS = SimpleBottom(
     legs=True,
     rings_of=lambda size, design, rise, length: _rings(size, design, rise),
     cuffs=cuff_and_leg_girth,
+    widened_by="flare",
     remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),
     always_sewable=lambda design: design.cuff.type is None,
 )

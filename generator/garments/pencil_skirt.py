@@ -286,5 +286,6 @@ PENCIL_SKIRT = SimpleBottom(
     rings_of=_rings,
     without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
     hem_tilt=lambda design: design.low_angle,
+    widened_by="flare",
     remedies=("low_angle", "flare", "left_slit-", "right_slit-"),
 )

@@ -316,12 +316,15 @@ def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
 
 
 def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
-    """Redraws of the parameters named in the records of the bottom and its parts, then of their whole sections."""
+    """Redraws of the parameters named for the fault by the bottom and its parts, then of their whole sections."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
     parts = (garment, *garment.parts(design))
     sections = tuple(dict.fromkeys(part.section for part in parts))
-    named = dict.fromkeys(f"{part.section}.{path}" for part in parts for path in part.remedies)
+    if fault.rule == "too_tight":
+        named = dict.fromkeys(f"{part.section}.{part.widened_by}+" for part in parts if part.widened_by)
+    else:
+        named = dict.fromkeys(f"{part.section}.{path}" for part in parts for path in part.remedies)
     return (*_remedies(*named), Remedy(sections))
 
 
