@@ -155,7 +155,7 @@ def _room_under_cloth(
     near = ((highest > low) & (lowest < high)).all(axis=1)
     if not near.any():
         return np.full(len(points), np.inf)
-    # Queries are few: a tree of split boxes is built in a third of a balanced one's time.
+    # Queries are few: cells that are split at their middle make the tree in a third of a balanced one's time.
     tree = KDTree(_spread(a[near], b[near], c[near]), balanced_tree=False, compact_nodes=False)
     distance, _ = tree.query(points, distance_upper_bound=reach)
     # Between the points the shell is flat: no corner of a face rises above the room of another.
