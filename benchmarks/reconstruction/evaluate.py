@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--by-kind", action="store_true", help="also every score for each kind of garment")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores of all garments")
-    parser.add_argument("--workers", type=_natural, default=1, metavar="K", help="processes that score (1)")
+    parser.add_argument("--workers", type=_natural, default=1, metavar="K", help="processes that score and mesh (1)")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser
 
@@ -208,7 +208,13 @@ def _draped(
     from benchmarks.reconstruction.scoring.draping import with_drapes
 
     return with_drapes(
-        garments, wearers, inputs=inputs, partial=options.partial, spacing=options.resolution, device=options.device
+        garments,
+        wearers,
+        inputs=inputs,
+        partial=options.partial,
+        spacing=options.resolution,
+        device=options.device,
+        workers=options.workers,
     )
 
 

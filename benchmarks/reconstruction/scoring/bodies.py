@@ -49,6 +49,10 @@ class Wearers:
             return _read(path, legs_apart)
         return _named(self.name if self.folder is None else self.table[garment], legs_apart)
 
+    def body_of(self, garment: str) -> str:
+        """File or name of a garment's body. Raises ``BodyError`` if there is neither."""
+        return str(self._file(garment) or (self.name if self.folder is None else self.table[garment]))
+
     def _file(self, garment: str) -> Path | None:
         """The file of a garment's body; ``None`` for a named body. Raises ``BodyError`` if there is neither."""
         if self.folder is None:

@@ -7,6 +7,7 @@ only in these, or by the rounding of a file, drapes to the same bytes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, drape_all
 from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.generator.quality import grade_of
 from gcd_dataset.metrics import PanelPair, match_panels, matched_edges
 from gcd_dataset.records import (
@@ -33,6 +36,7 @@ from gcd_dataset.records import (
     Seam,
 )
 from gcd_dataset.spec import euler_angles
+from gcd_dataset.workers import parallel_map
 
 __all__ = ["DRAPED", "WITHIN", "arranged", "with_drapes"]
 
@@ -52,6 +56,8 @@ class _Job:
     predicted: bool
     job: DrapeJob | None
     reason: str = ""
+    worn_by: tuple[str, bool] = ("", False)
+    """File or name of the body, and whether its legs are apart: the same for the same body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,25 +75,29 @@ def with_drapes(
     partial: bool = False,
     spacing: float,
     device: str,
+    workers: int = 1,
 ) -> Iterator[Scored]:
     """The garments with the scores ``DRAPED``, in order.
 
     ``inputs``: the surfaces from which garments were predicted; without them, the true patterns are draped, too.
     ``partial``: inputs are parts of their garments, so only distances from the input to the drape count.
-    ``spacing``: edge length of the meshes [cm]. Raises ``BodyError`` for a body that cannot be read, ``ConfigError``
-    for a missing device.
+    ``spacing``: edge length of the meshes [cm]. ``workers``: processes that dress and mesh. Raises ``BodyError`` for a
+    body that cannot be read, ``ConfigError`` for a missing device.
     """
     waiting: list[_Job] = []
     draped: dict[tuple[int, bool], _Draped] = {}
-    jobs = _jobs(garments, wearers, spacing, with_true=inputs is None)
+    worn: dict[tuple[str, bool], tuple[Body, Measurements]] = {}
+    prepare = _Preparation(wearers, spacing, with_true=inputs is None)
 
     def to_drape() -> Iterator[DrapeJob]:
-        for job in jobs:
+        for job in chain.from_iterable(parallel_map(prepare, enumerate(garments), workers)):
             if job.job is None:
                 draped[job.row, job.predicted] = _Draped(None, False, job.reason)
-            else:
-                waiting.append(job)
-                yield job.job
+                continue
+            body, size = worn.setdefault(job.worn_by, (job.job.body, job.job.measurements))
+            shared = replace(job.job, body=body, measurements=size)
+            waiting.append(replace(job, job=shared))
+            yield shared
 
     done, row = drape_all(to_drape(), device=device), 0
     needed = (True,) if inputs is not None else (False, True)
@@ -104,39 +114,49 @@ def with_drapes(
         row += 1
 
 
-def _jobs(garments: Sequence[Scored], wearers: Wearers, spacing: float, *, with_true: bool) -> Iterator[_Job]:
-    for row, garment in enumerate(garments):
-        wearer = _wearer(garment, wearers)
-        if with_true:
-            yield _job(row, False, garment.true, wearer, spacing)
+@dataclass(frozen=True)
+class _Preparation:
+    """Dresses and meshes the patterns of a garment."""
+
+    wearers: Wearers
+    spacing: float
+    with_true: bool
+    """Whether the true pattern is draped, too."""
+
+    def __call__(self, numbered: tuple[int, Scored]) -> list[_Job]:
+        row, garment = numbered
+        legs_apart = self._has_legs(garment)
+        jobs = [self._job(row, False, garment.true, garment.name, legs_apart)] if self.with_true else []
         if garment.predicted is None:
-            yield _Job(row, True, None, garment.failure)
+            jobs.append(_Job(row, True, None, garment.failure))
         elif not garment.values["valid"]:
-            yield _Job(row, True, None, "not valid")
+            jobs.append(_Job(row, True, None, "not valid"))
         else:
-            yield _job(row, True, arranged(garment.predicted, garment.true), wearer, spacing)
+            jobs.append(self._job(row, True, arranged(garment.predicted, garment.true), garment.name, legs_apart))
+        return jobs
 
+    def _has_legs(self, garment: Scored) -> bool:
+        """Whether the true garment has legs, so that its wearer stands with the legs apart."""
+        if has_legs(garment.true):
+            return True
+        wearer = self.wearers.wearer(garment.name, legs_apart=False)
+        try:
+            return has_legs(dress(garment.true, *wearer).pattern)  # openings show legs once the panels are placed
+        except GcdError:
+            return False
 
-def _wearer(garment: Scored, wearers: Wearers) -> tuple[Body, Measurements]:
-    """The body of a garment and its measures; with the legs apart if the true garment has legs."""
-    if has_legs(garment.true):
-        return wearers.wearer(garment.name, legs_apart=True)
-    straight = wearers.wearer(garment.name, legs_apart=False)
-    try:
-        legs = has_legs(dress(garment.true, *straight).pattern)  # openings show legs once the panels are placed
-    except GcdError:
-        return straight
-    return wearers.wearer(garment.name, legs_apart=True) if legs else straight
-
-
-def _job(row: int, predicted: bool, pattern: Pattern, wearer: tuple[Body, Measurements], spacing: float) -> _Job:
-    try:
-        mesh = mesh_of(dress(pattern, *wearer).pattern, spacing)
-        if not len(mesh.faces):
-            return _Job(row, predicted, None, "its mesh has no faces")
-    except GcdError as error:
-        return _Job(row, predicted, None, str(error))
-    return _Job(row, predicted, DrapeJob(mesh, *wearer))
+    def _job(self, row: int, predicted: bool, pattern: Pattern, name: str, legs_apart: bool) -> _Job:
+        body, size = self.wearers.wearer(name, legs_apart=legs_apart)
+        try:
+            mesh = mesh_of(dress(pattern, body, size).pattern, self.spacing)
+            if not len(mesh.faces):
+                return _Job(row, predicted, None, "its mesh has no faces")
+            coarse = coarse_start(mesh)
+            start = sewing_start(coarse.mesh if coarse else mesh, body)
+        except GcdError as error:
+            return _Job(row, predicted, None, str(error))
+        job = DrapeJob(mesh, body, size, coarse=coarse, start=start)
+        return _Job(row, predicted, job, worn_by=(self.wearers.body_of(name), legs_apart))
 
 
 def _judged(drape: Drape, mesh: BoxMesh) -> _Draped:
