@@ -1,7 +1,7 @@
 """From surface points of a garment to tokens, and the base of the networks that read them.
 
 A balanced tree divides the points into regions of equal numbers, and each region becomes a token (Point-MAE, Pang et
-al., ECCV 2022; Kd-Networks, Klokov and Lempitsky, ICCV 2017).
+al., ECCV 2022; Kd-Networks, Klokov and Lempitsky, ICCV 2017). A training step sees some of the regions.
 """
 
 import math
@@ -34,6 +34,7 @@ __all__ = [
     "encoder",
     "regions_of",
     "sizes_from",
+    "some_of",
     "waves",
 ]
 
@@ -59,6 +60,8 @@ class PointConfig:
     """Most edges of a garment."""
     tokens: int = 256
     """Regions of the points; a power of 2."""
+    seen: int = 128
+    """Regions of a garment in a training step, others in each step; 0: all, as in an answer."""
     region_width: int = 128
     """Features of a point."""
     width: int = 384
@@ -169,6 +172,8 @@ class PointTokens(nn.Module):
         """Tokens of the regions."""
         with torch.autocast(points.device.type, enabled=False), torch.no_grad():
             regions = regions_of(points.float(), self.config.tokens)
+            if self.training and self.config.seen:
+                regions = some_of(regions, self.config.seen)
             middles = regions.mean(dim=2)
             offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
             inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
@@ -213,6 +218,16 @@ def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t
         parts *= 2
     order = order.reshape(batch, total, 1).expand(-1, -1, points.shape[2])
     return points.gather(1, order).view(batch, count, -1, points.shape[2])
+
+
+def some_of(regions: Float[Tensor, "b t m 6"], count: int) -> Float[Tensor, "b c m 6"]:
+    """``count`` regions of each garment, drawn from torch's generator of the device; all if there are not as many.
+
+    Half of the regions cost half of the time, and few garments are not learned by heart as easily (PatchDropout, Liu et
+    al., WACV 2023).
+    """
+    rows = torch.rand(regions.shape[:2], device=regions.device).argsort(dim=1)[:, :count]
+    return regions.gather(1, rows[..., None, None].expand(-1, -1, *regions.shape[2:]))
 
 
 def encoder(config: PointConfig) -> nn.TransformerEncoder:

@@ -79,6 +79,8 @@ class ParametersConfig:
 
     tokens: int = 256
     """Regions of the points; a power of 2."""
+    seen: int = 128
+    """Regions of a garment in a training step; 0: all."""
     region_width: int = 128
     """Features of a point."""
     width: int = 384
@@ -177,7 +179,9 @@ class ParameterNet(Learner[Designs, Pattern]):
         if not 1 <= config.tokens <= config.points or config.tokens & (config.tokens - 1):
             given = f"{config.tokens} tokens of {config.points} points"
             raise ConfigError(f"{given}: give a power of 2, at most the points")
-        shared = {name: getattr(config, name) for name in ("tokens", "region_width", "width", "heads", "layers")}
+        shared = {
+            name: getattr(config, name) for name in ("tokens", "seen", "region_width", "width", "heads", "layers")
+        }
         self.tokens = PointTokens(NetConfig(**shared))
         queries, width, options = len(PARAMETERS) + len(MEASURES), config.width, int(_TABLE.options.max())
         self.queries = nn.Parameter(torch.randn(queries, width))
