@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.bodies import Wearers
     from benchmarks.reconstruction.scoring.distances import Shape
 
-__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "figures_of", "main", "row_of", "scores_of"]
+__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "evaluator", "figures_of", "main", "row_of", "scores_of"]
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Exits 2 for wrong usage.
     """
-    parser = _parser()
+    parser = evaluator()
     options = parser.parse_args(arguments)
     if not options.drape and (given := [name for name in ("bodies", "inputs") if getattr(options, name) is not None]):
         parser.error(f"--{given[0]} has an effect with --drape only: add --drape")
@@ -118,7 +118,8 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
         yield from (f"evaluate.{preset}.{name} {value:.4g} as published" for name, value in scores.items())
 
 
-def _parser() -> argparse.ArgumentParser:
+def evaluator() -> argparse.ArgumentParser:
+    """The arguments of the command."""
     title, _, rest = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(
         prog="benchmarks.reconstruction.evaluate",

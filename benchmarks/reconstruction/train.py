@@ -7,7 +7,8 @@
 ``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too
 (answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
 with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
-truth; and the checkpoint, from which a repeated call continues.
+truth; and the checkpoint, from which a repeated call continues. ``--drape`` also drapes the answers, as ``evaluate
+--drape`` does, beside the points that they were told from (T1) or the draped true patterns: ``evaluation.json``.
 """
 
 import argparse
@@ -26,11 +27,13 @@ from typing import Any, cast
 import torch
 import torch.distributed as dist
 
+from benchmarks.reconstruction.evaluate import evaluate, evaluator
 from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
 from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
+from benchmarks.reconstruction.scoring.table import DRAPED
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, one_of_several_ranks, train
 from gcd_dataset.errors import ConfigError, GcdError
@@ -41,6 +44,7 @@ from gcd_dataset.generator.drawing import png_bytes
 __all__ = ["UNFINISHED", "Result", "add_arguments", "main", "options_from", "run"]
 
 MINUTES, TRAINED = 8.0, 4000
+EVALUATION = "evaluation.json"
 UNFINISHED = 3
 """Exit code of a call that ``--limit-minutes`` ended."""
 SMOKE: Mapping[str, Any] = {
@@ -79,6 +83,8 @@ class Options:
     """Make the garments, nothing else."""
     limit_minutes: float = 0.0
     """Time of this call; 0: no limit."""
+    drape: bool = False
+    """Whether answers are draped and scored."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +123,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--device", "auto", "auto, cpu or cuda")
     parser.add_argument("--compile", action="store_true", help="compile the network")
     parser.add_argument("--make-only", action="store_true", help="make the garments of --data, then stop")
+    parser.add_argument("--drape", action="store_true", help="also score drapes of the answers")
     parser.add_argument("--smoke", action="store_true", help="few coarse garments and a tiny network, for two cores")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="sizes of the network")
 
@@ -154,6 +161,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         smoke=args.smoke,
         make_only=args.make_only,
         limit_minutes=args.limit_minutes,
+        drape=args.drape,
     )
 
 
@@ -197,7 +205,10 @@ def run(options: Options) -> Result | None:
     shown = f"{steps:.0f} s of steps so far; this call: {loaded - begun:.0f} s to load, {checked:.0f} s of checks, "
     print(f"{shown}{tested - trained_at:.0f} s to answer and score, {tested - begun:.0f} s in all", file=sys.stderr)
     report = _report(options, split, scores, trained, {**times, "fresh": received})
-    _write(out, judge, split.test, answers, scores, report)
+    _write(out, judge, split.test, answers, scores)
+    if options.drape:
+        report = _with_drapes(report, options)
+    write_whole(out / "report.json", json.dumps(report, indent=1).encode())
     return Result(scores, report, trained)
 
 
@@ -207,6 +218,8 @@ def _require_model_of_task(options: Options) -> None:
     answered = getattr(load_model(options.model), "TASKS", patterns)
     if options.task.name not in answered:
         raise ConfigError(f"{options.model} does not answer {options.task.name}: give --task {', '.join(answered)}")
+    if options.drape and not (options.task.answers_patterns and "pose" in options.task.extra):
+        raise ConfigError(f"{options.task.name} has no patterns or no bodies to drape: leave out --drape")
 
 
 def _loaded(options: Options) -> Split:
@@ -324,7 +337,6 @@ def _write(
     test: GarmentSet,
     answers: Sequence[Any],
     scores: Sequence[Any],
-    report: Mapping[str, Any],
 ) -> None:
     judge.write(answers, test, out)
     with drafted(out / "scores.csv") as draft, draft.open("w", newline="") as file:
@@ -334,7 +346,26 @@ def _write(
             writer.writerow({"key": key, "kind": kind, **asdict(score)})
     picture = judge.picture(answers, test)
     write_whole(make_folder(out / "pictures") / "test.png", png_bytes(picture))
-    write_whole(out / "report.json", json.dumps(report, indent=1).encode())
+
+
+def _with_drapes(report: Mapping[str, Any], options: Options) -> dict[str, Any]:
+    """The report with the scores of the draped answers, which ``evaluation.json`` holds for each garment."""
+    out, device, scan = options.out, options.device, options.task.name == "T1-scan"
+    spacing = (options.recipe or {}).get("resolution", options.task.options["resolution"])
+    given = [str(out / "predictions"), str(out / "truth"), "--drape", "--bodies", str(out / "bodies"), "--quiet"]
+    given += ["--resolution", f"{spacing:g}", "--device", "auto" if device == "cuda" else device]
+    given += ["--workers", str(max(1, options.workers)), "--json", str(out / EVALUATION)]
+    if options.task.name in ("T1", "T1-scan"):
+        given += ["--inputs", str(out / "inputs"), *(["--partial"] if scan else [])]
+    for _ in evaluate(evaluator().parse_args(given)):
+        pass
+    found = json.loads((out / EVALUATION).read_bytes())
+    kinds = {
+        kind: {**means, **{name: found["by_kind"][kind][name]["mean"] for name in DRAPED}}
+        for kind, means in report["scores_of_kinds"].items()
+    }
+    figures = {name: [found["figures"][name][part] for part in ("mean", "low", "high")] for name in DRAPED}
+    return {**report, "scores": {**report["scores"], **figures}, "scores_of_kinds": kinds}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -38,13 +38,11 @@ from gcd_dataset.records import (
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["DRAPED", "WITHIN", "arranged", "with_drapes"]
+__all__ = ["WITHIN", "arranged", "with_drapes"]
 
 WITHIN = 1.0  # cm: the largest distance to the input of a right reconstruction
 ROUNDING = 1e-3  # cm: a panel drawn and placed this close to the true one is the true one
 TURN = 1e-5  # rad: likewise
-DRAPED = ("sim_ok", "redrape_cd_cm", "within_1cm")
-"""Names of the scores of drapes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +75,7 @@ def with_drapes(
     device: str,
     workers: int = 1,
 ) -> Iterator[Scored]:
-    """The garments with the scores ``DRAPED``, in order.
+    """The garments with the scores ``table.DRAPED``, in order.
 
     ``inputs``: the surfaces from which garments were predicted; without them, the true patterns are draped, too.
     ``partial``: inputs are parts of their garments, so only distances from the input to the drape count.

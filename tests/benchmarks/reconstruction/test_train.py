@@ -40,6 +40,18 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
 
 
+def test_answers_are_draped(tmp_path: Path) -> None:
+    """The truth, draped again, is the drape that the points are of."""
+    out = tmp_path / "out"
+    assert main(["ceiling", "--task", "T1", *SMALL, "--drape", "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    evaluation = json.loads((out / "evaluation.json").read_text())
+    assert [garment["name"] for garment in evaluation["garments"]] == [f"1_{k:09d}" for k in range(3)]
+    assert report["scores"]["within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
+    assert 0 < report["scores"]["redrape_cd_cm"][0] < 0.7
+    assert report["scores_of_kinds"]["skirt"]["redrape_cd_cm"] == pytest.approx(report["scores"]["redrape_cd_cm"][0])
+
+
 def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
     flags = ["panel_set", *SMALL, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
     assert main([*flags, "--make-only"]) == 0
@@ -74,6 +86,7 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
     [
         (["--task", "T9"], "no task 'T9'"),
         (["--task", "T4"], "panel_set does not answer T4: give --task T0, T1"),
+        (["--task", "T3", "--drape"], "panel_set does not answer T3"),
         (["--set", "width"], "--set width: give NAME=NUMBER"),
         (["--steps", "3", "--minutes", "1"], "give one of them"),
     ],
