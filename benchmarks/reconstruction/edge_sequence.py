@@ -126,7 +126,7 @@ class Sequence:
 
 
 def sequence_of(true: PanelTargets) -> Sequence:
-    """The sequence of garments whose panels and edges follow each other in the order of their rows."""
+    """Write the panels and edges of garments as tokens, in the order of their rows."""
     device, (batch, queries) = true.exists.device, true.exists.shape
     edges = true.edge_panels.shape[1]
     length = 2 + queries + edges

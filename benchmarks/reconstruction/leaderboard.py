@@ -51,7 +51,7 @@ LOWER = ("error_cm", "error_degrees", "ms")
 PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
     "answers with similar ones that they draw. `neural_tailor` follows the paper, with extensions that its docstring "
-    "lists."
+    "lists. `ceiling` is no model: the truth in the output format of `panel_set`."
 )
 NOTES: Mapping[str, str] = {
     **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),

@@ -17,10 +17,21 @@ from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 from gcd_dataset.tensors import require_closed
 
-__all__ = ["MAX_CUTS", "SAMPLES", "EdgeBatch", "EdgeGraph", "PackedGraphs", "edge_refs", "graph_of", "with_seams"]
+__all__ = [
+    "CUT_BINS",
+    "MAX_CUTS",
+    "SAMPLES",
+    "EdgeBatch",
+    "EdgeGraph",
+    "PackedGraphs",
+    "edge_refs",
+    "graph_of",
+    "with_seams",
+]
 
 SAMPLES = 17  # points of an edge, both ends included
 MAX_CUTS = 6  # most subdivision points of an edge
+CUT_BINS = 24  # an edge has at most one in each
 NO_CUT = -1.0
 LEAST_AREA = 1e-3  # cm²: the centroid of a smaller panel is the mean of its points
 ALIGNMENT = 8  # rows of a batch are a multiple: attention on a GPU needs aligned biases
@@ -69,6 +80,10 @@ class EdgeBatch:
 
     def to(self, device: torch.device) -> "EdgeBatch":
         return EdgeBatch(*(getattr(self, field.name).to(device) for field in fields(self)))
+
+    def select(self, rows: Int[Tensor, " r"]) -> "EdgeBatch":
+        """Some of the graphs."""
+        return EdgeBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def permuted(self, order: Int[Tensor, "b e"]) -> "EdgeBatch":
         """The rows in another order: new row k is the old row ``order[k]``."""

@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, Subdivision, greedy_by_length, sew
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
+from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED

@@ -12,18 +12,16 @@ from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchLearner,
     StitchNet,
-    Subdivision,
-    greedy_by_length,
     mirrored,
-    next_on_boundary,
     revealed,
     scaled,
-    sew,
 )
+from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
+from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.errors import ConfigError

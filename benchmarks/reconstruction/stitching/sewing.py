@@ -1,0 +1,207 @@
+"""The seams of patterns, as a ``StitchNet`` predicts them in rounds, and the points at which it subdivides edges."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import networkx
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import nn
+
+from benchmarks.reconstruction.stitching.graphs import (
+    CUT_BINS,
+    MAX_CUTS,
+    EdgeBatch,
+    PackedGraphs,
+    edge_refs,
+    graph_of,
+    with_seams,
+)
+from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, split
+from gcd_dataset.records import EdgeRef, Pattern
+
+if TYPE_CHECKING:
+    from benchmarks.reconstruction.models.stitches import StitchNet
+
+__all__ = ["Subdivision", "greedy_by_length", "predict_cuts", "predict_stitches", "sew"]
+
+LEAST = 1e-3  # probability of a seam that may be predicted
+REVISIONS = 3  # most times that needless points of subdivision are taken back
+ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
+
+
+@dataclass(frozen=True, slots=True)
+class Subdivision:
+    """How the points are chosen at which edges are subdivided."""
+
+    logit: float = 0.0
+    """Points of a greater log-odds are taken."""
+    revised: bool = False
+    """Whether points that separate no two seams are taken back, after which all seams are predicted again."""
+
+
+@torch.no_grad()
+def sew(
+    net: "StitchNet",
+    patterns: Sequence[Pattern],
+    *,
+    subdivide: Subdivision | None = None,
+    rounds: int = 0,
+    batch: int = 64,
+    seed: int = 0,
+) -> list[Pattern]:
+    """The patterns with predicted seams instead of their own.
+
+    ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: how edges are subdivided, for seams that
+    join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
+    the edges in a loop, cannot help; it breaks ties between equally likely seams.
+    """
+    bare = [replace(pattern, seams=()) for pattern in patterns]
+    if subdivide is None:
+        return _sewn(net, bare, rounds, batch, seed)
+    cuts: list[dict[EdgeRef, tuple[float, ...]]] = []
+    for first in range(0, len(bare), batch):
+        some = bare[first : first + batch]
+        found = predict_cuts(
+            net,
+            PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))],
+            logit=subdivide.logit,
+        )
+        cuts += [
+            {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
+            for pattern, own in zip(some, found, strict=True)
+        ]
+    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], rounds, batch, seed)
+    for _ in range(REVISIONS if subdivide.revised else 0):
+        fewer = [needed(*three) for three in zip(bare, cuts, parts, strict=True)]
+        changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
+        if not changed:
+            break
+        again = _sewn(net, [split(bare[k], fewer[k]) for k in changed], rounds, batch, seed)
+        cuts = fewer
+        for k, pattern in zip(changed, again, strict=True):
+            parts[k] = pattern
+    return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
+
+
+def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
+    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do."""
+    better = {
+        ref: tuple(new if abs(new - old) < ALIGNED else old for new, old in zip(own, cuts[ref], strict=True))
+        for ref, own in aligned(pattern, cuts, parts).items()
+    }
+    return replace(split(pattern, better), seams=parts.seams)
+
+
+def _sewn(net: "StitchNet", patterns: Sequence[Pattern], rounds: int, batch: int, seed: int) -> list[Pattern]:
+    graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
+    chance = torch.Generator().manual_seed(seed)
+    found: dict[int, Pattern] = {}
+    for rows in torch.split(graphs.counts.argsort(), batch):
+        part = graphs[rows]
+        order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(rows.device)
+        stitches = predict_stitches(net, part.permuted(order), rounds)
+        for row, own, places in zip(rows.tolist(), stitches, order.tolist(), strict=True):
+            found[row] = with_seams(patterns[row], [(places[left], places[right], w) for left, right, w in own])
+    return [found[row] for row in range(len(patterns))]
+
+
+def _device(net: nn.Module) -> torch.device:
+    return next(net.parameters()).device
+
+
+@torch.no_grad()
+def predict_stitches(net: "StitchNet", batch: EdgeBatch, rounds: int = 0) -> list[list[tuple[int, int, bool]]]:
+    """Rows of the edges of each stitch, and whether it is ``right_wrong``."""
+    config, rounds = net.config, rounds or net.config.rounds
+    known = torch.full_like(batch.partners, -1)
+    wrong = torch.zeros_like(batch.right_wrong)
+    open_rows = np.arange(len(batch))
+    for number in range(rounds):
+        rows = torch.from_numpy(open_rows).to(known.device)
+        part = batch if len(rows) == len(batch) else batch.select(rows)
+        scores = net(part, known[rows])
+        choices = scores.log_probabilities(config).cpu().double().numpy()
+        turned = (scores.right_wrong > 0).cpu().numpy()
+        partners, flags, still = known[rows].cpu().numpy(), wrong[rows].cpu().numpy(), []
+        for at, row in enumerate(open_rows.tolist()):
+            is_last = number == rounds - 1
+            pairs = _best_matching(choices[at]) if is_last else _fixed(choices[at], config.confident)
+            if pairs and not is_last:
+                still.append(row)
+            for left, right in pairs:
+                partners[at, [left, right]] = right, left
+                flags[at, [left, right]] = turned[at, left, right]
+        known[rows] = torch.from_numpy(partners).to(known)
+        wrong[rows] = torch.from_numpy(flags).to(wrong)
+        open_rows = np.array(still, int)
+        if not still:
+            break
+    return [
+        [(left, right, flags[left]) for left, right in enumerate(row) if right > left]
+        for row, flags in zip(known.tolist(), wrong.tolist(), strict=True)
+    ]
+
+
+def _fixed(logs: Float[np.ndarray, "e e+1"], confident: float) -> list[tuple[int, int]]:
+    """The pairs of the best matching that a round fixes: the confident ones, else the likeliest one."""
+    pairs = _best_matching(logs)
+    chance = {(left, right): 0.5 * (logs[left, right] + logs[right, left]) for left, right in pairs}
+    sure = [pair for pair in pairs if chance[pair] > math.log(confident)]
+    return sure or sorted(pairs, key=lambda pair: -chance[pair])[:1]
+
+
+def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:
+    """The pairs of greatest total log-odds against staying free; each edge at most once."""
+    free = logs[:, -1]
+    mutual = 0.5 * (logs[:, :-1] + logs[:, :-1].T)
+    gain = mutual - 0.5 * (free[:, None] + free)
+    graph = networkx.Graph()
+    for left, right in zip(*np.nonzero(np.triu((gain > 0) & (mutual > math.log(LEAST)), 1)), strict=True):
+        graph.add_edge(int(left), int(right), weight=float(gain[left, right]))
+    return sorted((min(pair), max(pair)) for pair in networkx.max_weight_matching(graph))
+
+
+def predict_cuts(net: "StitchNet", batch: EdgeBatch, *, logit: float = 0.0) -> list[dict[int, list[float]]]:
+    """Shares of the length at which edges are subdivided, by row, for each garment: those above a log-odds."""
+    scores = net(batch, torch.full_like(batch.partners, -1))
+    logits, offsets = (scores.cuts - logit).cpu().numpy(), scores.cut_offsets.cpu().numpy()
+    valid = batch.valid.cpu().numpy()
+    found: list[dict[int, list[float]]] = []
+    for garment in range(len(batch)):
+        cuts: dict[int, list[float]] = {}
+        for row in np.flatnonzero(valid[garment] & (logits[garment].max(axis=1) > 0)).tolist():
+            peaks = _peaks(logits[garment, row])
+            cuts[row] = [(peak + float(offsets[garment, row, peak])) / CUT_BINS for peak in peaks]
+        found.append(cuts)
+    return found
+
+
+def _peaks(logits: Float[np.ndarray, " bins"]) -> list[int]:
+    """Bins that contain a cut; of two neighbours the likelier."""
+    around = np.pad(logits, 1, constant_values=-np.inf)
+    peak = (logits > 0) & (logits > around[:-2]) & (logits >= around[2:])
+    strongest = sorted(np.flatnonzero(peak).tolist(), key=lambda at: -logits[at])[:MAX_CUTS]
+    return sorted(strongest)
+
+
+def greedy_by_length(batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
+    """The baseline without learning: the two free edges closest in length are sewn, until they differ by over 10 %."""
+    found = []
+    for lengths, valid in zip(batch.lengths.cpu().double().numpy(), batch.valid.cpu().numpy(), strict=True):
+        logs = np.log(lengths[valid].clip(1e-6))
+        left, right = np.triu_indices(len(logs), 1)
+        difference = np.abs(logs[left] - logs[right])
+        used, stitches = set[int](), []
+        for at in np.argsort(difference, kind="stable").tolist():
+            one, other = int(left[at]), int(right[at])
+            if difference[at] > math.log(1.1):
+                break
+            if not used & {one, other}:
+                used |= {one, other}
+                stitches.append((one, other, False))
+        found.append(stitches)
+    return found
