@@ -9,13 +9,11 @@ steps and the same draws.
 
 import argparse
 import csv
-import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,12 +24,13 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reconstruction.evaluate import UNITS, scores_of
+from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
+from benchmarks.reconstruction.picture_results import TESTS, Result, figures_of, log, read_result, rows_of, write_result
 from benchmarks.reconstruction.training import TrainConfig, learning_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -41,21 +40,18 @@ from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render
-from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
+from gcd_dataset.metrics import mean_scores
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.verbs import Progress, generate
 from gcd_dataset.workers import parallel_map_chunks
 
-__all__ = ["Pool", "Result", "add_arguments", "gaps", "run", "train"]
+__all__ = ["Pool", "add_arguments", "run", "train"]
 
 Curve: TypeAlias = Callable[[Mapping[str, Any]], None]
 """Writes a row of the curves."""
 
 INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the slowest decides the number of steps
-TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
-METRICS = ("panel_count_acc", "edge_count_acc", "iou")
-"""The metrics whose gaps are stated in points."""
 USUAL = TrainConfig(steps=1)
 ON_GPU: Mapping[str, Any] = {
     "resolution": 2.0, "pool": 65_536, "batch": 128, "fresh": 32, "width": 256, "heads": 8, "layers": 4, "lr": 5e-4,
@@ -112,7 +108,7 @@ def run(args: argparse.Namespace) -> Measured:
     out.mkdir(parents=True, exist_ok=True)
     folder = garments_folder(args, out)
     data = load(folder, args)
-    _log(f"{len(data.known)} garments to train on, {len(data.unseen)} to test on, {_seconds_since(begun):.0f} s")
+    log(f"{len(data.known)} garments to train on, {len(data.unseen)} to test on, {_seconds_since(begun):.0f} s")
     tests = pictures_to_test(data, args)
     write_whole(out / "inputs.jpg", jpeg_bytes(sheet(tests)))
     results: dict[Input, Result] = {}
@@ -298,16 +294,6 @@ def pool_of(what: Input, data: Data, args: argparse.Namespace) -> Iterator[Pool]
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-@dataclass
-class Result:
-    """Scores of a network that was trained on one input."""
-
-    what: Input
-    figures: dict[str, float]
-    scores: dict[Input, list[PatternScore]]
-    """By the input that it was tested on, in the order of the test garments."""
-
-
 def trained_and_tested(
     what: Input,
     data: Data,
@@ -325,7 +311,7 @@ def trained_and_tested(
         steps = args.steps or planned_steps(
             pool, targets, what, args, seconds - _overhead(data, args) - _seconds_since(begun)
         )
-        _log(f"{what}: {steps} steps, {pool.added} readings rendered in {_seconds_since(begun):.0f} s")
+        log(f"{what}: {steps} steps, {pool.added} readings rendered in {_seconds_since(begun):.0f} s")
         start, received, waited = time.perf_counter(), pool.added, pool.waited
         with curve_file(out) as curve:
             net, losses = train(pool, targets, what, steps, args, watch=Watch(what, data, tests, args, curve))
@@ -346,7 +332,7 @@ def trained_and_tested(
     scores = scores_of(answers, truth * len(tests), workers=args.workers)
     of_tests = {test: scores[k * len(truth) : (k + 1) * len(truth)] for k, test in enumerate(tests)}
     shown = ", ".join(f"{test} {mean_scores(found).iou:.3f}" for test, found in of_tests.items())
-    _log(f"{what}: trained for {trained:.0f} s, IoU on {shown}")
+    log(f"{what}: trained for {trained:.0f} s, IoU on {shown}")
     return Result(what, figures, of_tests)
 
 
@@ -454,7 +440,7 @@ class Watch:
         self._curve({**row, "readings": pool.added, **checked})
         if checked:
             shown = ", ".join(f"{name} {value:.3f}" for name, value in checked.items())
-            _log(f"{self._what}: step {step} of {steps}, loss {loss:.3f}; {shown}")
+            log(f"{self._what}: step {step} of {steps}, loss {loss:.3f}; {shown}")
 
     def _checked(self, net: PictureNet) -> dict[str, float]:
         net.eval()
@@ -499,94 +485,6 @@ def _table(figures: Sequence[Figure]) -> bytes:
     return "\n".join([*lines, ""]).encode()
 
 
-def write_result(out: Path, result: Result, args: argparse.Namespace) -> None:
-    """Write the scores of every test garment, with the options that they depend on."""
-    scores = {test: [astuple(score) for score in found] for test, found in result.scores.items()}
-    steps = {"steps": int(result.figures["steps"])}
-    text = {"options": {**_options(args), **steps}, "figures": result.figures, "scores": scores}
-    write_whole(out / f"{result.what}.json", json.dumps(text).encode())
-
-
-def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | None:
-    """The result of an earlier call with the same options; ``None`` without one."""
-    path = out / f"{what}.json"
-    if not path.exists():
-        return None
-    text = json.loads(path.read_text())
-    options = _options(args)
-    if not args.steps:
-        options["steps"] = text["options"]["steps"]
-    if text["options"] != options:
-        raise ConfigError(f"{path} has results of other options: give another --out")
-    _log(f"{what}: read from {path}")
-    if any(len(row) != len(fields(PatternScore)) for rows in text["scores"].values() for row in rows):
-        raise ConfigError(f"{path} has the scores of another version: give another --out")
-    scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
-    return Result(what, text["figures"], scores)
-
-
-def _options(args: argparse.Namespace) -> dict[str, Any]:
-    """The options that decide the result, besides the number of renderers."""
-    without = ("out", "inputs", "minutes", "workers", "report", "keep", "case")
-    return {name: value for name, value in vars(args).items() if name not in without}
-
-
-# ---------------------------------------------------------------------------------------------------------- the figures
-
-
-def figures_of(results: Mapping[Input, Result]) -> list[Figure]:
-    """Course of each training, mean scores of each network on each test, gaps of the drawn input to the others."""
-    units = {"train_minutes": "min", "waiting": "of the time"}
-    figures = [
-        Figure(f"{what}_{name}", value, units.get(name, ""))
-        for what, result in results.items()
-        for name, value in result.figures.items()
-    ]
-    for what, result in results.items():
-        for test, scores in result.scores.items():
-            means = mean_scores(scores)
-            figures += [Figure(f"{what}_on_{test}_{name}", getattr(means, name), "share") for name in METRICS]
-    if Input.DRAWN in results:
-        for other in (what for what in results if what is not Input.DRAWN):
-            for test in TESTS:
-                found = gaps(results[Input.DRAWN].scores[test], results[other].scores[test])
-                figures += [
-                    Figure(f"gap_to_{other}_on_{test}_{name}", found[0][name], f"points, {low:.1f} to {high:.1f}")
-                    for name in METRICS
-                    for low, high in [(found[1][name], found[2][name])]
-                ]
-    return figures
-
-
-def gaps(
-    scores: Sequence[PatternScore], others: Sequence[PatternScore]
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Mean differences in points by metric, and the ends of their 95 % intervals, paired by garment."""
-    apart = [
-        PatternScore(*(100.0 * (np.array(astuple(one)) - astuple(other))).tolist())
-        for one, other in zip(scores, others, strict=True)
-    ]
-    ends = bootstrap_interval(apart, np.random.default_rng(0))
-    mean, low, high = ({name: float(getattr(one, name)) for name in METRICS} for one in (mean_scores(apart), *ends))
-    return mean, low, high
-
-
-def rows_of(results: Mapping[Input, Result]) -> list[dict[str, str]]:
-    """A table row for each network and test: mean scores with 95 % intervals."""
-    rows = []
-    for test in TESTS:
-        for what, result in results.items():
-            scores = result.scores[test]
-            means, (low, high) = mean_scores(scores), bootstrap_interval(scores, np.random.default_rng(0))
-            cells = {
-                name: f"{getattr(means, name):.3g} ({getattr(low, name):.3g} to {getattr(high, name):.3g})"
-                for name in PatternScore.__dataclass_fields__
-            }
-            named = {f"{name} [{UNITS[name]}]" if name in UNITS else name: cell for name, cell in cells.items()}
-            rows.append({"tested on": str(test), "trained on": str(what), **named})
-    return rows
-
-
 def _about(data: Data, args: argparse.Namespace) -> list[Figure]:
     counts = Counter(len(data.patterns[k].panels) for k in data.known)
     commonest = counts.most_common(1)[0][0]
@@ -602,12 +500,8 @@ def _about(data: Data, args: argparse.Namespace) -> list[Figure]:
 
 def _log_progress(progress: Progress) -> None:
     if progress.made % 100 == 0:
-        _log(f"{progress.existing + progress.made} of {progress.count} garments")
+        log(f"{progress.existing + progress.made} of {progress.count} garments")
 
 
 def _seconds_since(begun: float) -> float:
     return time.perf_counter() - begun
-
-
-def _log(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -28,7 +28,8 @@ from benchmarks.reconstruction.picture_inputs import (
     views_of,
 )
 from benchmarks.reconstruction.picture_model import PictureNet
-from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, gaps, load, pool_of, run, train
+from benchmarks.reconstruction.picture_results import gaps
+from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, load, pool_of, run, train
 from benchmarks.run import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make

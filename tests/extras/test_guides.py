@@ -91,7 +91,7 @@ def test_the_guide_runs(name: str, tmp_path: Path) -> None:
 def test_untitled_python_is_python(name: str) -> None:
     for block in blocks_of(DOCS / f"{name}.md"):
         if block.language == "python":
-            ast.parse(textwrap.dedent(block.text))
+            assert ast.parse(textwrap.dedent(block.text)).body
 
 
 def test_every_document_with_commands_is_a_guide() -> None:

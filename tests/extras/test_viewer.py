@@ -237,6 +237,7 @@ def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, 
         page.keyboard.press("ArrowRight")
         sync_api.expect(page.frame_locator("iframe.shown").locator("h1")).to_have_text("b")
         sync_api.expect(page.locator("#problem")).to_be_hidden()
+        assert heading(page) == "b"
 
 
 def test_fast_steps_add_up(browser: Any, garments: Path) -> None:

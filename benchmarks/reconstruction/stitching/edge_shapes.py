@@ -64,10 +64,8 @@ class EdgeShapes:
         count = self._of_panel(torch.ones_like(batch.lengths))
         middle, chord = batch.points[:, :, SAMPLES // 2], batch.points[:, :, -1] - batch.points[:, :, 0]
         size = area.sqrt()
-        around = (self.log_length, self.bend)
-        neighbours = [
-            rows_at(torch.stack(around, -1), rows) for rows in (batch.following, edges_before(batch.following))
-        ]
+        around = torch.stack([self.log_length, self.bend], dim=-1)
+        neighbours = [rows_at(around, rows) for rows in (batch.following, edges_before(batch.following))]
         waves = self.log_length[..., None] * 2.0 ** torch.arange(WAVES, device=x.device)
         inputs = [
             torch.stack([self.log_length, self.bend, (size / USUAL_LENGTH).log(), (perimeter / USUAL_LENGTH).log(),

@@ -11,7 +11,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import PanelSet, _partners, build, edges_of, match_panels, panel_losses
 from benchmarks.reconstruction.panel_net import Predicted, rotation_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
-from benchmarks.reconstruction.point_net import regions_of
+from benchmarks.reconstruction.point_net import PointConfig, PointTokens, regions_of, some_of
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
@@ -101,6 +101,23 @@ def test_regions_hold_equal_numbers_of_near_points() -> None:
     assert (regions[..., :3].amax(dim=2) - regions[..., :3].amin(dim=2)).mean() < 0.6  # halves of a unit cube
     one_row = regions[0, :, :, 0].flatten()
     assert not torch.equal(one_row, points[0, :512, 0])
+
+
+def test_a_training_step_sees_some_of_the_regions_and_an_answer_all() -> None:
+    tokens = PointTokens(PointConfig(tokens=16, seen=5, region_width=8, width=12, heads=2, layers=1))
+    points = torch.rand(2, 64, 6)
+    assert tokens.train()(points).shape == (2, 5, 12)
+    assert not torch.equal(tokens(points), tokens(points))
+    assert tokens.eval()(points).shape == (2, 16, 12)
+    assert torch.equal(tokens(points), tokens(points))
+
+
+def test_regions_that_are_seen_are_regions_each_at_most_once() -> None:
+    regions = torch.arange(2 * 16, dtype=torch.float32).view(2, 16, 1, 1).expand(2, 16, 3, 6)
+    for garment, seen in enumerate(some_of(regions, 9)[:, :, 0, 0].long().tolist()):
+        assert len(set(seen)) == 9
+        assert {number // 16 for number in seen} == {garment}
+    assert some_of(regions, 99).shape == regions.shape
 
 
 def test_rows_that_are_empty_in_all_garments_change_no_loss(six: GarmentSet) -> None:
