@@ -28,6 +28,7 @@ __all__ = [
     "FREQUENCIES",
     "TOGETHER",
     "DrawnPoints",
+    "EncoderConfig",
     "PointConfig",
     "PointLearner",
     "PointTokens",
@@ -49,15 +50,9 @@ ROOM = 32  # edges: a batch has room for a multiple of this number
 
 
 @dataclass(frozen=True, slots=True)
-class PointConfig:
-    """Sizes of answers and of the point encoder."""
+class EncoderConfig:
+    """Sizes of the point encoder."""
 
-    queries: int = 40
-    """Most panels of a garment."""
-    slots: int = 40
-    """Most edges of a panel."""
-    edges: int = 320
-    """Most edges of a garment."""
     tokens: int = 256
     """Regions of the points; a power of 2."""
     seen: int = 128
@@ -68,6 +63,18 @@ class PointConfig:
     heads: int = 6
     layers: int = 6
     """Layers of the encoder; of a ``PanelDecoder``, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class PointConfig(EncoderConfig):
+    """Sizes of the point encoder and of answers that are sets of panels."""
+
+    queries: int = 40
+    """Most panels of a garment."""
+    slots: int = 40
+    """Most edges of a panel."""
+    edges: int = 320
+    """Most edges of a garment."""
 
 
 class PointLearner(Learner[PanelTargets, Pattern]):
@@ -159,7 +166,7 @@ class DrawnPoints:
 class PointTokens(nn.Module):
     """Points and normals to tokens of regions, related to each other."""
 
-    def __init__(self, config: PointConfig) -> None:
+    def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.config = config
         width = config.width
@@ -230,7 +237,7 @@ def some_of(regions: Float[Tensor, "b t m 6"], count: int) -> Float[Tensor, "b c
     return regions.gather(1, rows[..., None, None].expand(-1, -1, *regions.shape[2:]))
 
 
-def encoder(config: PointConfig) -> nn.TransformerEncoder:
+def encoder(config: EncoderConfig) -> nn.TransformerEncoder:
     """Attention among the tokens of an input."""
     layer = EncoderLayer(config.width, config.heads, 4 * config.width)
     return nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(config.width), enable_nested_tensor=False)

@@ -26,9 +26,9 @@ from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, en
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.models.panel_set import mean_of
-from benchmarks.reconstruction.panel_net import NEVER, NetConfig
+from benchmarks.reconstruction.panel_net import NEVER
 from benchmarks.reconstruction.panel_targets import UNIT
-from benchmarks.reconstruction.point_net import CHUNK, PointTokens
+from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
 from gcd_dataset.generator.garments.outfit import BACKS
@@ -74,19 +74,9 @@ META = tuple(LEAVES.index(path) for path in ("meta.upper", "meta.wb", "meta.bott
 
 
 @dataclass(frozen=True, slots=True)
-class ParametersConfig:
-    """Sizes of a network."""
+class ParametersConfig(EncoderConfig):
+    """Sizes of a network; half as many layers as the encoder's, rounded up, relate the queries to its tokens."""
 
-    tokens: int = 256
-    """Regions of the points; a power of 2."""
-    seen: int = 128
-    """Regions of a garment in a training step; 0: all."""
-    region_width: int = 128
-    """Features of a point."""
-    width: int = 384
-    heads: int = 6
-    layers: int = 6
-    """Layers of the encoder; half as many, rounded up, relate the queries to it."""
     points: int = 4096
     """Points of a garment in a step."""
     stored_points: int = 8192
@@ -179,10 +169,7 @@ class ParameterNet(Learner[Designs, Pattern]):
         if not 1 <= config.tokens <= config.points or config.tokens & (config.tokens - 1):
             given = f"{config.tokens} tokens of {config.points} points"
             raise ConfigError(f"{given}: give a power of 2, at most the points")
-        shared = {
-            name: getattr(config, name) for name in ("tokens", "seen", "region_width", "width", "heads", "layers")
-        }
-        self.tokens = PointTokens(NetConfig(**shared))
+        self.tokens = PointTokens(config)
         queries, width, options = len(PARAMETERS) + len(MEASURES), config.width, int(_TABLE.options.max())
         self.queries = nn.Parameter(torch.randn(queries, width))
         self.layers = nn.ModuleList(

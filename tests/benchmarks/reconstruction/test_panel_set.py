@@ -204,7 +204,7 @@ def test_regions_are_a_power_of_two() -> None:
 
 
 def test_an_unknown_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of panel_set: choose of queries, slots"):
+    with pytest.raises(ConfigError, match="no size depth of panel_set: choose of tokens, seen"):
         learner(depth=3)
 
 
