@@ -3,7 +3,7 @@
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice
@@ -224,7 +224,9 @@ def generated(
     """
     names, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
-    whole = GeneratedGarments(count, seed, **options)
+    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
+    ahead = workers > 0 and options.get("drape") == "warp"
+    whole = GeneratedGarments(count, seed, transform=stream.transform(_itself) if ahead else None, **options)
     told = whole.recipe(0)
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
     recipe |= {"points": points, "fields": sorted(names)}
@@ -234,7 +236,10 @@ def generated(
     portion = count if path is None else PORTION
     while kept is None or made < count:
         following = whole.select(range(made, made := min(count, made + portion)))
-        rest = read_garments(following, points=points, extra=extra, workers=workers)
+        if ahead:
+            rest = _joined(stream.encoded(following, _itself), following)
+        else:
+            rest = read_garments(following, points=points, extra=extra, workers=workers)
         kept = rest if kept is None else GarmentSet.join([kept, rest])
         kept = replace(kept, recipe={**recipe, "made": made})
         if path is not None:
@@ -276,16 +281,32 @@ def fresh_garments(
     """
     _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
-    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra)
-    transform = _Encoded(pack, encode) if views is None else None
-    endless = GeneratedGarments(first + MOST_FRESH, seed, transform=transform, **options)
-    fresh = FreshGarments(endless.select(range(first, first + MOST_FRESH)), workers=workers, room=1)
-    if views is None:
-        yield from (cast(Encoded, one) for one in fresh if one is not None)
-    else:
-        settled = filter(_is_settled, fresh)
-        batches = iter(lambda: list(islice(settled, TOGETHER)), [])
-        yield from (encode(pack(item)) for items in views.batches(batches) for item in items)
+    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
+    endless = GeneratedGarments(first + MOST_FRESH, seed, transform=stream.transform(encode), **options)
+    yield from stream.encoded(endless.select(range(first, first + MOST_FRESH)), encode)
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """Garments made ahead by ``workers``, which also pack and encode those without pictures."""
+
+    pack: "_Packed"
+    views: Views | None
+    workers: int
+
+    def transform(self, encode: Callable[[GarmentSet], Encoded]) -> "_Encoded[Encoded] | None":
+        """The transform of the data set that is streamed."""
+        return _Encoded(self.pack, encode) if self.views is None else None
+
+    def encoded(self, garments: Garments, encode: Callable[[GarmentSet], Encoded]) -> Iterator[Encoded]:
+        """``encode`` of each garment that settled, a set of one; the data set has the transform above."""
+        fresh = FreshGarments(garments, workers=self.workers, room=1)
+        if self.views is None:
+            yield from (cast(Encoded, one) for one in fresh if one is not None)
+        else:
+            settled = filter(_is_settled, fresh)
+            batches = iter(lambda: list(islice(settled, TOGETHER)), [])
+            yield from (encode(self.pack(item)) for items in self.views.batches(batches) for item in items)
 
 
 def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
@@ -302,16 +323,25 @@ def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (),
         prefetch_factor=4 if workers else None,
     )
     found = loader if views is None else map(_Joined(pack), views.batches(filter(None, map(_as_items, loader))))
+    return _joined(found, garments)
+
+
+def _joined(found: Iterable[GarmentSet], garments: Garments) -> GarmentSet:
+    """The sets as one; prints the progress. Raises ``ConfigError`` if no garment of the data set settled."""
     parts: list[GarmentSet] = []
     read = 0
     for part in found:
         parts.append(part)
-        read += TOGETHER
-        if read % LOG_EVERY < TOGETHER:
+        read += len(part)
+        if read % LOG_EVERY < len(part):
             print(f"{read} of {len(garments)} garments", file=sys.stderr, flush=True)
-    if not any(map(len, parts)):
+    if not read:
         raise ConfigError(f"{garments!r}: no garment that settled: give another data set")
     return GarmentSet.join(parts)
+
+
+def _itself(garments: GarmentSet) -> GarmentSet:
+    return garments
 
 
 def _views_on_gpu(extra: Sequence[str]) -> Views | None:

@@ -19,12 +19,11 @@ TRAIN_SEED, TEST_SEED, CHECK_SEED, FRESH_SEED = 0, 1, 2, 1000
 CHECKED = 32  # garments that watch a training
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
-DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 1.0}
+DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 POSE = ("pose",)
 """Of T0, T1 and T2: the bodies on which answers can be draped."""
 NAMED = (*POSE, "panel_names", "design")
 """Of T0 and T1: also the names of panels and the design parameters, targets of some models."""
-SURFACE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
     "labels", "panel_classes", "pose",
@@ -101,15 +100,15 @@ TASKS = {
         ),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(
-            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", SURFACE,
+            "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
         Task(
-            "T5", "points of garment and visible body", "measures", "error_cm", SURFACE,
+            "T5", "points of garment and visible body", "measures", "error_cm", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
         Task(
-            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", SURFACE,
+            "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
         Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),

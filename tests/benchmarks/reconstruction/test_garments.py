@@ -99,6 +99,15 @@ def test_workers_make_the_same_set() -> None:
     assert same(generated(3, 0, workers=2, **PATTERNS), generated(3, 0, **PATTERNS))
 
 
+def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
+    # Each garment is draped alone, one after the other, or ahead of the reader by two workers.
+    options: dict[str, Any] = {"points": 64, "drape": "warp", "resolution": 8.0, "design": Overlay.from_dict(SKIRTS)}
+    options |= {"device": "cpu", "extra": ("pose", "verts")}
+    ahead, alone = generated(3, 0, workers=2, **options), generated(3, 0, **options)
+    assert same(ahead, alone)
+    assert all(np.array_equal(ahead.ragged["verts"][k], alone.ragged["verts"][k]) for k in range(len(alone)))
+
+
 def test_hashes_depend_on_the_patterns_and_their_order(six: GarmentSet) -> None:
     assert six.select([0, 1]).patterns_hash != six.select([1, 0]).patterns_hash
     assert six.select([0, 1]).ids_hash != six.select([1, 0]).ids_hash
