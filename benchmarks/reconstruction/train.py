@@ -116,6 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--steps", 0, "optimiser steps")
     option("--batch", 0, "garments of a step; 0: the model's own")
     option("--lr", 0.0, "highest learning rate; 0: the model's own")
+    option("--checks", 0, "scores and pictures on the way; 0: the model's own, mostly 4")
     option("--seed", 0, "seed of weights and order")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
     option("--resolution", 0.0, "edge length of the meshes [cm]; 0: the task's own")
@@ -133,7 +134,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
     module, out = load_model(model), Path(args.out)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
     usual = getattr(module, "SMOKE" if args.smoke else "USUAL", {})
-    given = {name: value for name in ("batch", "lr", "steps", "minutes") if (value := getattr(args, name))}
+    given = {name: value for name in ("batch", "lr", "steps", "minutes", "checks") if (value := getattr(args, name))}
     chosen = {**usual, **given}
     if "minutes" in given and "steps" not in given:
         chosen.pop("steps", None)
