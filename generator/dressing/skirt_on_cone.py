@@ -83,14 +83,19 @@ class Skirt:
         """Set the skirt's rows of ``placed`` to positions on a cone round the trunk [cm].
 
         The distance of a vertex from the top, along the cloth, becomes its distance down the cone. Its position between
-        the side seams becomes its angle round the cone. A skirt without side seams on both sides stays flat.
+        the side seams becomes its angle round the cone. A skirt without side seams on both sides stays flat, and so
+        does one that ends at its top, or of which nearly all has no path to the top.
         """
         if not ((self._aside > 0.0).any() and (self._aside < 0.0).any()):
             return
         rows = self.cloth.vertices
-        down, turn = self.cloth.distance_from(self.top)[rows], self._turns()[rows]
+        down = self.cloth.distance_from(self.top)[rows]
+        length = float(np.percentile(down, 95))
+        if length <= 0.0:
+            return
+        turn = self._turns()[rows]
         trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
-        sine = self._sine(float(np.percentile(down, 95)))
+        sine = self._sine(length)
         out = CLEARANCE + sine * down + WAVE * np.sin(WAVES * turn) * np.minimum(down / HIPS, 1.0)
         placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
         placed[rows, 1] = self._level - np.sqrt(1.0 - sine**2) * down

@@ -71,7 +71,7 @@ class _Tube:
 
     @staticmethod
     def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
-        """The tube of the marked faces; ``None`` without a root, an open end or a direction."""
+        """The tube of the marked faces; ``None`` without a root, cloth near the root, an open end or a direction."""
         cloth = FlatCloth.of(mesh, own)
         root = np.intersect1d(cloth.vertices, mesh.faces[~own])
         end = np.setdiff1d(cloth.border, root)
@@ -83,10 +83,10 @@ class _Tube:
         points = np.array(mesh.vertices[rows], float)
         along = mesh.vertices[end, :2].mean(axis=0) - mesh.vertices[root, :2].mean(axis=0)
         length = float(np.linalg.norm(along))
-        if length < 1e-6:
+        section = SECTION * float(np.median(cloth.edges[1]))
+        if length < 1e-6 or distance.min() >= section:
             return None
         x, y = along / length
-        section = SECTION * float(np.median(cloth.edges[1]))
         piece = _pieces(mesh.faces[own], mesh.panel_id[own], rows, distance)
         return _Tube(rows, points, distance, piece, section, np.array([[-y, x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]]))
 

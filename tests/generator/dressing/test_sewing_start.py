@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import leg_of, limbs_of
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
+from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.garments import OutfitDesign, outfit
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
@@ -75,6 +76,16 @@ def test_a_vertex_lies_as_far_down_the_cone_as_along_the_cloth() -> None:
         flat = np.linalg.norm(np.diff(mesh.uv[mesh.corners[faces][:, [k, (k + 1) % 3]]], axis=1)[:, 0], axis=1)
         length = np.linalg.norm(start[ends[:, 0]] - start[ends[:, 1]], axis=1)
         assert (length < 1.25 * flat + 0.5).mean() > 0.98
+
+
+def test_a_skirt_without_a_path_down_from_its_top_starts_flat() -> None:
+    # Of a predicted pattern, only a ring of a few vertices may be sewn to the waist; the rest hangs on nothing.
+    mesh, body = mesh_of(CIRCLE), neutral()[0]
+    skirt = Skirt.of(mesh, np.array([label == PanelRole.LEG for label in mesh.panel_labels]))
+    assert skirt is not None
+    placed = np.array(mesh.vertices, float)
+    replace(skirt, top=skirt.cloth.vertices).place_on_cone(limbs_of(body)[BodyPart.TRUNK], placed)
+    assert np.array_equal(placed, mesh.vertices)
 
 
 def test_a_narrow_skirt_starts_flat() -> None:
