@@ -88,6 +88,8 @@ class Entry:
     """Kind of garment that is tested on and not trained on."""
     fresh: int = 0
     """Garments made during the training, besides ``train``."""
+    remark: str = ""
+    """What the scores do not tell."""
 
     @property
     def trained_on(self) -> str:
@@ -109,12 +111,16 @@ def read_entries(folder: Path) -> list[Entry]:
     return sorted(found, key=lambda entry: (entry.task, -_rank(entry), entry.model, entry.train, entry.left_out))
 
 
-def add(path: Path, folder: Path, *, command: str, commit: str, date: str) -> Path:
-    """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another kind of file."""
+def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remark: str = "") -> Path:
+    """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another kind of file.
+
+    It replaces the result of the same model, task and garments, trained for as many minutes.
+    """
     entry = _read(path)
-    entry = {**entry, "command": command, "commit": commit, "date": date}
+    entry = {**entry, "command": command, "commit": commit, "date": date, "remark": remark}
     kind = _of(entry, path)
     variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
+    variant += f"_{kind.minutes:.0f}min" if kind.minutes else ""
     name = f"{kind.task}_{kind.model}_{kind.train}{variant}.json".lower().replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / name, (json.dumps(entry, indent=1) + "\n").encode())
@@ -164,6 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--add", type=Path, help="report.json to add")
     parser.add_argument("--command", default="", help="the command that made it")
     parser.add_argument("--commit", default="", help="the commit that it ran from; default: the present one")
+    parser.add_argument("--remark", default="", help="a sentence of the report on this result")
     args = parser.parse_args(arguments)
     folder = args.reports / RESULTS
     try:
@@ -171,7 +178,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not args.command:
                 raise ConfigError("--add: also give the --command that made the results")
             date = datetime.now(UTC).strftime("%Y-%m-%d")
-            add(args.add, folder, command=args.command, commit=args.commit or commit_here(), date=date)
+            told = {"command": args.command, "commit": args.commit or commit_here(), "remark": args.remark}
+            add(args.add, folder, date=date, **told)
         written = write_pages(args.reports)
     except ConfigError as error:
         print(f"leaderboard: {error}", file=sys.stderr)
@@ -203,6 +211,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _of(found: Mapping[str, Any], path: Path) -> Entry:
     shared = ("parameters", "steps", "command", "commit", "date")
     facts = {name: found[name] for name in shared if name in found} | {"hardware": found.get("device", "unknown")}
+    remark = str(found.get("remark", ""))
     try:
         facts |= {f"{name} set": _data(part) for name, part in found["data"].items()}
         if "one_to_one" in found:
@@ -214,13 +223,14 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             left_out = arguments.get("leave_out", "")
             tables |= _tables_of(kinds)
             minutes = found["train_s"] / 60
-            return Entry("T3", name, int(arguments["train"]), minutes, scores, facts, tables, kinds, left_out)
+            train = int(arguments["train"])
+            return Entry("T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark)
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
         train = int(options.get("train") or found["data"]["train"]["count"])
         model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
         return Entry(
             found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            options.get("leave_out", ""), int(found.get("fresh", 0)),
+            options.get("leave_out", ""), int(found.get("fresh", 0)), remark,
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path}: {error!r} is missing: train again with this version") from error
@@ -263,7 +273,9 @@ def _page(task: str, entries: Sequence[Entry]) -> str:
     parts = [f"# {task}", _about(task), _table(head, rows), *_over_size(task, whole), *_left_out(task, entries)]
     for entry in entries:
         without = f", without {entry.left_out}" if entry.left_out else ""
-        parts.append(f"## {entry.model}, {entry.trained_on} garments{without}")
+        spent = f", {entry.minutes:.0f} minutes" if entry.minutes else ""
+        parts.append(f"## {entry.model}, {entry.trained_on} garments{without}{spent}")
+        parts += [entry.remark] if entry.remark else []
         shown = {title: table for title, table in entry.tables.items() if table}
         columns = list(dict.fromkeys(name for table in shown.values() for name in table))
         if shown:
@@ -291,6 +303,7 @@ def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
     names, rows = _first_scores(task, entries), []
     for entry in sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out)):
         peers = [e for e in entries if (e.model, e.train, e.fresh, e.left_out) == (entry.model, entry.train, 0, "")]
+        peers.sort(key=lambda e: abs(e.minutes - entry.minutes))
         known = peers[0].kinds.get(entry.left_out, {}) if peers else {}
         cells = [
             cell for name in names for cell in (_shown([known[name]] if name in known else None), entry.score(name))
@@ -327,11 +340,19 @@ def _has_curve(entries: Sequence[Entry]) -> bool:
 
 
 def _by_model(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """The entries of each model, the best first, by the number of garments."""
+    """The entries of each model, the best first, by the number of garments.
+
+    A model that was trained for different times has a row for each.
+    """
+    times: dict[str, set[int]] = {}
+    for entry in entries:
+        times.setdefault(entry.model, set()).add(round(entry.minutes))
     found: dict[str, list[Entry]] = {}
     for entry in entries:
-        found.setdefault(entry.model, []).append(entry)
-    return {model: sorted(own, key=lambda e: e.train + e.fresh) for model, own in found.items()}
+        several = len(times[entry.model]) > 1
+        name = f"{entry.model}, {entry.minutes:.0f} minutes" if several else entry.model
+        found.setdefault(name, []).append(entry)
+    return {name: sorted(own, key=lambda e: e.train + e.fresh) for name, own in found.items()}
 
 
 def _curve_file(task: str) -> str:

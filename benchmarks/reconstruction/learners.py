@@ -11,14 +11,14 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
     from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "squared_distances", "uploaded"]
+__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "mean_of", "squared_distances", "uploaded"]
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -95,6 +95,11 @@ def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
     if device.type == "cuda" and numbers.device.type == "cpu":
         numbers = numbers.pin_memory()  # from pageable memory the copy would wait for all work of the stream
     return numbers.to(device, non_blocking=True)
+
+
+def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
+    """Mean of the chosen values; 0 if there are none."""
+    return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
 @torch.no_grad()

@@ -8,17 +8,25 @@ Besides, each token says what the pixels of its cell show, and where one panel b
 network in front of which everything changes at each reading predicts the same panels for every picture.
 """
 
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
+from benchmarks.reconstruction.derived import PICTURES
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import uploaded
 from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
 from benchmarks.reconstruction.picture_inputs import FIRST_PANEL, SHOWN_CLASSES
-from benchmarks.reconstruction.point_net import encoder
+from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS
 
-__all__ = ["STRIDE", "PictureNet"]
+__all__ = ["STRIDE", "DrawnPictures", "PictureNet", "PictureTokens", "pictures_of", "require_views"]
 
 STRIDE = 8  # pixels along each side of a token's cell
 PARTS = 2  # parts of a cell along each side, about which its token says something
@@ -26,13 +34,14 @@ SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
 """Weights of the losses of what pixels show and of borders, relative to the losses of panels."""
 
 
-class PictureNet(nn.Module):
-    """Pictures to tokens, and a decoder of tokens."""
+class PictureTokens(nn.Module):
+    """Pictures to tokens of their cells, related to each other."""
 
-    def __init__(self, config: NetConfig, *, views: int, size: int) -> None:
+    def __init__(self, config: EncoderConfig, *, views: int, size: int, seen: int = 0) -> None:
+        """``seen``: cells of a garment in a training step, others in each step; 0: all, as in an answer."""
         super().__init__()
-        self.config = config
         width, side = config.width, size // STRIDE
+        self.seen = seen
         self.cells = nn.Sequential(
             *_halved(3, width // 4),
             *_halved(width // 4, width // 2),
@@ -42,13 +51,30 @@ class PictureNet(nn.Module):
         self.place = nn.Parameter(0.02 * torch.randn(side, side, width))
         self.view = nn.Parameter(0.02 * torch.randn(views, width))
         self.encoder = encoder(config)
-        self.decoder = PanelDecoder(config)
-        self.shown = nn.Linear(width, PARTS * PARTS * (SHOWN_CLASSES + 1))
 
     def forward(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
-        """Tokens of all cells, related to each other."""
-        tokens: Tensor = self.encoder(self._tokens(pictures))
+        """Tokens of the cells, related to each other."""
+        cells = self._cells(pictures)
+        if self.training and self.seen:
+            cells = some_of(cells, self.seen)
+        tokens: Tensor = self.encoder(cells)
         return tokens
+
+    def _cells(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
+        """A token for each cell of each picture."""
+        pixels = pictures.flatten(0, 1).permute(0, 3, 1, 2).float() / 127.5 - 1.0
+        cells = self.cells(pixels).permute(0, 2, 3, 1).unflatten(0, pictures.shape[:2])
+        return (cells + self.place + self.view[:, None, None]).flatten(1, 3)
+
+
+class PictureNet(PictureTokens):
+    """Pictures to tokens, and a decoder of tokens."""
+
+    def __init__(self, config: NetConfig, *, views: int, size: int, seen: int = 0) -> None:
+        super().__init__(config, views=views, size=size, seen=seen)
+        self.config = config
+        self.decoder = PanelDecoder(config)
+        self.shown = nn.Linear(config.width, PARTS * PARTS * (SHOWN_CLASSES + 1))
 
     def pixel_losses(self, tokens: Float[Tensor, "b t w"], labels: UInt8[Tensor, "b n h w"]) -> dict[str, Tensor]:
         """Losses of what the parts of all cells show; ``labels`` as ``Rendered.labels``."""
@@ -66,12 +92,6 @@ class PictureNet(nn.Module):
             "borders": BORDER_WEIGHT * functional.binary_cross_entropy_with_logits(said[:, -1], truth[:, -1]),
         }
 
-    def _tokens(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
-        """A token for each cell of each picture."""
-        pixels = pictures.flatten(0, 1).permute(0, 3, 1, 2).float() / 127.5 - 1.0
-        cells = self.cells(pixels).permute(0, 2, 3, 1).unflatten(0, pictures.shape[:2])
-        return (cells + self.place + self.view[:, None, None]).flatten(1, 3)
-
 
 def _borders(panels: Int[Tensor, "b h w"]) -> Float[Tensor, "b 1 h w"]:
     """1 for pixels of a panel (others are -1) whose right or lower neighbour shows another panel."""
@@ -84,3 +104,53 @@ def _borders(panels: Int[Tensor, "b h w"]) -> Float[Tensor, "b 1 h w"]:
 def _halved(channels: int, width: int) -> list[nn.Module]:
     """A layer that halves the picture."""
     return [nn.Conv2d(channels, width, 3, stride=2, padding=1, bias=False), nn.GroupNorm(8, width), nn.GELU()]
+
+
+# --------------------------------------------------------------------------------------------------------- the examples
+
+
+class ShownGarments(Protocol):
+    """Garments with their pictures; a frozen dataclass."""
+
+    @property
+    def pictures(self) -> UInt8[Tensor, "b n h w 3"]: ...
+
+    @property
+    def device(self) -> torch.device: ...
+
+    def __len__(self) -> int: ...
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self: ...
+
+
+Shown = TypeVar("Shown", bound=ShownGarments)
+
+
+@dataclass(frozen=True)
+class DrawnPictures(Generic[Shown]):
+    """Examples whose batches have some of the pictures, others and in another order in each step."""
+
+    whole: Shown
+    views: int
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Shown:
+        found = self.whole.batch(rows)
+        if chance is None:
+            return replace(found, pictures=found.pictures[:, : self.views])  # type: ignore[type-var]
+        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
+        return replace(found, pictures=found.pictures[:, uploaded(chosen, found.device)])  # type: ignore[type-var]
+
+
+def pictures_of(garments: GarmentSet) -> UInt8[Tensor, "b n h w 3"]:
+    """The stored pictures of all garments."""
+    return torch.from_numpy(np.stack([garments.ragged["pictures"][k] for k in range(len(garments))]))
+
+
+def require_views(views: int) -> int:
+    """The number of pictures that a network sees. Raises ``ConfigError`` for one that garments do not have."""
+    if not 1 <= views <= PICTURES:
+        raise ConfigError(f"views {views}: give 1 to {PICTURES}")
+    return views

@@ -227,14 +227,15 @@ def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t
     return points.gather(1, order).view(batch, count, -1, points.shape[2])
 
 
-def some_of(regions: Float[Tensor, "b t m 6"], count: int) -> Float[Tensor, "b c m 6"]:
+def some_of(regions: Float[Tensor, "b t *m"], count: int) -> Float[Tensor, "b c *m"]:
     """``count`` regions of each garment, drawn from torch's generator of the device; all if there are not as many.
 
     Half of the regions cost half of the time, and few garments are not learned by heart as easily (PatchDropout, Liu et
     al., WACV 2023).
     """
     rows = torch.rand(regions.shape[:2], device=regions.device).argsort(dim=1)[:, :count]
-    return regions.gather(1, rows[..., None, None].expand(-1, -1, *regions.shape[2:]))
+    rows = rows.view(*rows.shape, *(1 for _ in regions.shape[2:]))
+    return regions.gather(1, rows.expand(-1, -1, *regions.shape[2:]))
 
 
 def encoder(config: EncoderConfig) -> nn.TransformerEncoder:

@@ -20,6 +20,7 @@ MODELS = {
         "neural_tailor",
         "parameters",
         "picture_set",
+        "picture_parameters",
         "stitches",
         "nearest",
         "typical",

@@ -37,8 +37,8 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.derived import PANEL_NAMES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
-from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, best_pairs, edges_of, mean_of
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, mean_of
+from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, best_pairs, edges_of
 from benchmarks.reconstruction.panel_net import Edges, Predicted, edge_numbers
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.point_net import CHUNK, TOGETHER, DrawnPoints

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
-from benchmarks.reconstruction.learners import squared_distances
+from benchmarks.reconstruction.learners import mean_of, squared_distances
 from benchmarks.reconstruction.panel_net import Edges, NetConfig, PanelDecoder, Predicted, Sewn, axes_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
 from benchmarks.reconstruction.point_net import PointLearner, sizes_from
@@ -36,7 +36,6 @@ __all__ = [
     "common_labels",
     "edges_of",
     "match_panels",
-    "mean_of",
     "panel_losses",
     "set_loss",
 ]
@@ -240,11 +239,6 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
     of_seams = functional.binary_cross_entropy_with_logits(turned, true.turned.float(), reduction="none")
     means = {name: mean_of(values.view_as(exists), exists) for name, values in of_edges.items()}
     return {**means, "turned": mean_of(of_seams, is_sewn)}
-
-
-def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:
-    """Mean of the chosen values; 0 if there are none."""
-    return torch.where(chosen, values, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
 # ---------------------------------------------------------------------------------------------------------- the answers

@@ -5,22 +5,21 @@ Convolutions and attention turn the pictures into tokens (``picture_model``); pa
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import chain
 from typing import Any, cast
 
-import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import UInt8
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
-from benchmarks.reconstruction.picture_model import PictureNet
+from benchmarks.reconstruction.picture_model import DrawnPictures, PictureNet, pictures_of, require_views
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
@@ -34,10 +33,11 @@ SMOKE: Mapping[str, Any] = {
 }  # fmt: skip
 LARGE: Mapping[str, Any] = {
     "width": 256, "heads": 8, "layers": 4, "edge_width": 256, "edge_heads": 8, "edge_layers": 2, "seam_layers": 2,
+    "seen": 512,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "queries": 12, "slots": 24, "edges": 96, "width": 64, "heads": 4, "layers": 1, "edge_width": 64, "edge_heads": 4,
-    "edge_layers": 1, "seam_layers": 1, "views": 2,
+    "edge_layers": 1, "seam_layers": 1, "views": 2, "seen": 0,
 }  # fmt: skip
 """Sizes of the usual and of the smallest network."""
 CHUNK = 64  # garments that a process encodes at once
@@ -56,20 +56,21 @@ class PictureSet(Learner[PictureTargets, Pattern]):
     """Pictures to a pattern."""
 
     def __init__(self, config: NetConfig, *, views: int = PICTURES) -> None:
-        """``views``: pictures that are seen. Raises ``ConfigError`` for a number that garments do not have."""
+        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
+
+        Raises ``ConfigError`` for a number of pictures that garments do not have.
+        """
         super().__init__()
-        if not 1 <= views <= PICTURES:
-            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
-        self.views = views
-        self.net = PictureNet(config, views=views, size=PICTURE_SIZE)
+        self.views = require_views(views)
+        self.net = PictureNet(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.net.shown.requires_grad_(False)  # pictures without labels of their pixels do not train it
 
-    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPictures":
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureTargets]:
         """Pictures and targets of the garments."""
         parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
         return self.drawn_from(PictureTargets.join(list(parallel_map(self.encoder(), parts, workers))).to(device))
 
-    def drawn_from(self, encoded: TensorExamples) -> "DrawnPictures":
+    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureTargets]:
         return DrawnPictures(cast(PictureTargets, encoded), self.views)
 
     def encoder(self) -> "ToPictureTargets":
@@ -108,27 +109,7 @@ class ToPictureTargets:
     def __call__(self, garments: GarmentSet) -> PictureTargets:
         """Pictures and targets of all garments."""
         targets = self.to_targets(garments)
-        pictures = np.stack([garments.ragged["pictures"][k] for k in range(len(garments))])
-        columns = {field.name: getattr(targets, field.name) for field in fields(targets)}
-        return PictureTargets(**columns, pictures=torch.from_numpy(pictures))
-
-
-@dataclass(frozen=True)
-class DrawnPictures:
-    """Examples whose batches have some of the pictures, others and in another order in each step."""
-
-    whole: PictureTargets
-    views: int
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureTargets:
-        found = self.whole.batch(rows)
-        if chance is None:
-            return replace(found, pictures=found.pictures[:, : self.views])
-        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
-        return replace(found, pictures=found.pictures[:, uploaded(chosen, found.device)])
+        return PictureTargets(**vars(targets), pictures=pictures_of(garments))
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureSet:

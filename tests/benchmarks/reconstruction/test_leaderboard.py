@@ -87,6 +87,24 @@ def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None
     assert found == ["picture_set", "picture_set views=1"]
 
 
+def test_trainings_of_other_lengths_are_rows_of_their_own(tmp_path: Path) -> None:
+    added(tmp_path, result("T1", "panel_set", 0.3, train=1000))
+    added(tmp_path, result("T1", "panel_set", 0.4, train=4000))
+    added(tmp_path, result("T1", "panel_set", 0.5, train=4000) | {"minutes": 20.0})
+    page = (tmp_path / "learning_T1.md").read_text()
+    assert "| topology_exact | panel_set, 8 minutes | 0.3 (0.2 to 0.4) | 0.4 (0.3 to 0.5) |" in page
+    assert "| topology_exact | panel_set, 20 minutes |  | 0.5 (0.4 to 0.6) |" in page
+
+
+def test_a_remark_is_part_of_the_report(tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    path.write_text(json.dumps(result("T0", "nearest", 0.2)))
+    told = ["--command", "x", "--commit", "abc", "--remark", "Half of the errors are waistbands."]
+    assert main(["--reports", str(tmp_path), "--add", str(path), *told]) == 0
+    page = (tmp_path / "learning_T0.md").read_text()
+    assert "## nearest, 4 garments, 8 minutes\n\nHalf of the errors are waistbands.\n" in page
+
+
 def test_the_least_error_comes_first(tmp_path: Path) -> None:
     for model, error in (("mean_measures", 4.0), ("measures", 1.0)):
         added(tmp_path, result("T5", model, 0.0) | {"scores": {"error_cm": [error, error, error]}})

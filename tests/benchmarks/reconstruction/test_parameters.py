@@ -8,8 +8,9 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design
+from benchmarks.reconstruction.design_net import Answer, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.parameters import Answer, Designs, ParameterNet, build, drawn
+from benchmarks.reconstruction.models.parameters import Designs, ParameterNet, build
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.parameter import Choice
@@ -91,9 +92,10 @@ def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -
     network = learner().eval()
     batch = network.prepare(six, device=CPU).batch(torch.arange(6))
     with torch.no_grad():
-        network.biases[PATHS.index("meta.upper"), 4] = network.biases[PATHS.index("meta.bottom"), 8] = 50.0
-        network.biases[PATHS.index("meta.bottom"), 3] = 40.0
-    for answer in network._answers(batch):
+        biases = network.decoder.biases
+        biases[PATHS.index("meta.upper"), 4] = biases[PATHS.index("meta.bottom"), 8] = 50.0
+        biases[PATHS.index("meta.bottom"), 3] = 40.0
+    for answer in network.decoder.answers(network._said(batch)):
         meta = decode_design(answer.codes).meta
         assert (meta.upper, meta.bottom.value if meta.bottom else "") == (None, "Pants")
 

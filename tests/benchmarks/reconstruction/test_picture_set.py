@@ -1,4 +1,4 @@
-"""The network of task T2: what its batches hold, and that it learns from pictures."""
+"""The networks of task T2: what their batches hold, and that they learn from pictures."""
 
 from dataclasses import replace
 from itertools import islice
@@ -11,7 +11,9 @@ import torch
 from benchmarks.reconstruction import garments
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES, picture_views
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
-from benchmarks.reconstruction.models.picture_set import PictureSet, build
+from benchmarks.reconstruction.models import load_model
+from benchmarks.reconstruction.picture_model import STRIDE, PictureTokens
+from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.conftest import SKIRTS
@@ -29,17 +31,21 @@ def painted(six: GarmentSet) -> GarmentSet:
     return replace(six, ragged={**six.ragged, "pictures": Ragged.of(shades)})
 
 
-def learner(**sizes: int) -> PictureSet:
+MODELS = ("picture_set", "picture_parameters")
+
+
+def learner(model: str = "picture_set", **sizes: int) -> Any:
     torch.manual_seed(0)
-    return build(smoke=True, options=sizes)
+    return load_model(model).build(smoke=True, options=sizes)
 
 
 def shades(pictures: torch.Tensor) -> list[int]:
     return pictures[0, :, 0, 0, 0].tolist()
 
 
-def test_each_step_draws_other_pictures(painted: GarmentSet) -> None:
-    examples = learner(views=3).prepare(painted, device=CPU)
+@pytest.mark.parametrize("model", MODELS)
+def test_each_step_draws_other_pictures(painted: GarmentSet, model: str) -> None:
+    examples = learner(model, views=3).prepare(painted, device=CPU)
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]
     assert torch.equal(drawn[0], drawn[1])
@@ -47,14 +53,26 @@ def test_each_step_draws_other_pictures(painted: GarmentSet) -> None:
     assert all(len(set(shades(pictures)) & {20, 80, 140, 200}) == 3 for pictures in drawn)
 
 
-def test_processes_encode_the_same_targets(painted: GarmentSet) -> None:
-    encoded = learner().encoder()(painted.select([0, 1]))
-    whole = learner().prepare(painted, device=CPU).whole[:2]
-    assert all(torch.equal(value, getattr(whole, name)) for name, value in vars(encoded).items())
+@pytest.mark.parametrize("model", MODELS)
+def test_processes_encode_the_same_targets(painted: GarmentSet, model: str) -> None:
+    encoded = learner(model).encoder()(painted.select([0, 1]))
+    whole = learner(model).prepare(painted, device=CPU).whole[:2]
+    for name, value in vars(encoded).items():
+        assert np.array_equal(value.numpy(), getattr(whole, name).numpy(), equal_nan=value.is_floating_point())
 
 
-def test_the_loss_falls(painted: GarmentSet) -> None:
-    network = learner(views=1)
+def test_a_step_sees_some_cells_and_an_answer_all() -> None:
+    torch.manual_seed(0)
+    sizes = EncoderConfig(width=32, heads=2, layers=1)
+    network = PictureTokens(sizes, views=2, size=4 * STRIDE, seen=5)
+    pictures = torch.randint(256, (3, 2, 4 * STRIDE, 4 * STRIDE, 3), dtype=torch.uint8)
+    assert network(pictures).shape == (3, 5, 32)
+    assert network.eval()(pictures).shape == (3, 2 * 4 * 4, 32)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_loss_falls(painted: GarmentSet, model: str) -> None:
+    network = learner(model, views=1)
     config = TrainConfig(steps=25, batch=4, lr=3e-3, log_every=5, weight_decay=0.0)
     curve = train(network, network.prepare(painted, device=CPU), config, device=CPU).curve
     assert curve[-1]["loss"] < 0.7 * curve[0]["loss"]
@@ -87,14 +105,16 @@ def _whole(found: GarmentSet) -> GarmentSet:
     return found
 
 
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("sizes", [{"views": 9}, {"tables": 2}])
-def test_an_unknown_size_is_refused(sizes: dict[str, int]) -> None:
+def test_an_unknown_size_is_refused(sizes: dict[str, int], model: str) -> None:
     with pytest.raises(ConfigError, match=r"give 1 to 4|no size tables"):
-        learner(**sizes)
+        learner(model, **sizes)
 
 
-def test_every_trained_parameter_has_a_gradient(painted: GarmentSet) -> None:
-    network = learner(views=1)
+@pytest.mark.parametrize("model", MODELS)
+def test_every_trained_parameter_has_a_gradient(painted: GarmentSet, model: str) -> None:
+    network = learner(model, views=1)
     parts = network.loss(network.prepare(painted, device=CPU).batch(torch.arange(2)))
     torch.autograd.backward(torch.stack(list(parts.values())).sum())
     assert [name for name, p in network.named_parameters() if p.requires_grad and p.grad is None] == []

@@ -1,0 +1,287 @@
+"""What tokens say about a garment: design parameters and body measures, from which our own programs draw the answer.
+
+Each of the parameters of ``OutfitDesign``, and each of the 26 measures, has a query that attends to the tokens. A
+choice has a logit for each option; a number has a value, and, where random designs often keep the default, a logit that
+it is the default. Parameters that have no effect on the garment are left out of the loss: only meta.bottom of a dress
+says that it has trousers, and nothing says how wide their legs would be.
+
+Every answer can be sewn. Upper, waistband and bottom are chosen together, as the likeliest of the outfits that exist.
+Numbers are moved into their ranges. A design that cannot be drawn for the predicted measures is repaired as random
+designs are (``wearable``), and if that fails its numbers become defaults.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from benchmarks.reconstruction.attention import DecoderLayer
+from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import TensorExamples, mean_of
+from benchmarks.reconstruction.panel_net import NEVER
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
+from gcd_dataset.generator.garments.outfit import BACKS
+from gcd_dataset.generator.garments.parameter import Choice
+from gcd_dataset.generator.garments.space import DesignSpace
+from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
+from gcd_dataset.generator.garments.wearable import wearable
+from gcd_dataset.measurements import MEASURES, Measurements
+from gcd_dataset.records import Pattern
+from gcd_dataset.validate import Severity, check_pattern
+
+__all__ = ["Answer", "DesignDecoder", "DesignTargets", "Words", "drawn"]
+
+FEW = 12  # a whole number of at most this many values is a choice among them
+VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square
+LARGEST_BACK = 0.95  # of the girth
+WEIGHTS = {"choices": 1.0, "numbers": 5.0, "defaults": 0.5, "measures": 1.0}
+LEAVES = tuple(leaf.path for leaf in PARAMETERS)
+META = tuple(LEAVES.index(path) for path in ("meta.upper", "meta.wb", "meta.bottom"))
+
+
+@dataclass(frozen=True)
+class DesignTargets(TensorExamples):
+    """Parameters and measures that garments were drawn from."""
+
+    codes: Float[Tensor, "b d"]
+    """Rows of ``encode_design``; NaN for an unknown parameter."""
+    effective: Bool[Tensor, "b d"]
+    """Known parameters that have an effect."""
+    measures: Float[Tensor, "b m"]
+    """In the order of ``MEASURES`` [cm, degrees]; NaN for an unknown one."""
+
+    @staticmethod
+    def of(garments: GarmentSet) -> "DesignTargets":
+        """The targets of garments with the field ``design``, on a CPU."""
+        codes = np.concatenate([garments.ragged["design"][k] for k in range(len(garments))]).astype(np.float32)
+        effective = np.array([have_effect(decode_design(row)) for row in codes]).reshape(codes.shape)
+        return DesignTargets(
+            codes=torch.from_numpy(codes),
+            effective=torch.from_numpy(effective & np.isfinite(codes)),
+            measures=torch.from_numpy(garments.measures).float(),
+        )
+
+
+# ---------------------------------------------------------------------------------------------------------- the network
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is said about a garment."""
+
+    outputs: Float[Tensor, "b d o"]
+    """Of a choice: logits of its options. Of a number: its value as a share of the range, and the default's logit."""
+    measures: Float[Tensor, "b m"]
+    """In deviations from the mean."""
+
+
+class DesignDecoder(nn.Module):
+    """Tokens to a design and measures."""
+
+    mean: Tensor
+    deviation: Tensor
+    least: Tensor
+    most: Tensor
+
+    def __init__(self, width: int, *, heads: int, layers: int) -> None:
+        super().__init__()
+        queries, options = len(PARAMETERS) + len(MEASURES), int(_TABLE.options.max())
+        self.queries = nn.Parameter(torch.randn(queries, width))
+        self.layers = nn.ModuleList(DecoderLayer(width, heads, 4 * width) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+        self.weights = nn.Parameter(torch.randn(queries, width, options) / width)
+        self.biases = nn.Parameter(torch.zeros(queries, options))
+        for name in ("mean", "deviation", "least", "most"):
+            self.register_buffer(name, torch.zeros(len(MEASURES)))
+        for name, column in vars(_TABLE).items():
+            self.register_buffer(f"table_{name}", torch.from_numpy(column), persistent=False)
+
+    def learn_range(self, garments: GarmentSet) -> None:
+        """Take the range of the measures from garments, unless it is known.
+
+        Raises ``ConfigError`` if the measures of no body are complete.
+        """
+        if self.deviation.any():
+            return
+        known = garments.measures[np.isfinite(garments.measures).all(axis=1)].astype(np.float64)
+        if not len(known):
+            raise ConfigError("no garment with all measures of its body: give garments that gcd_dataset made")
+        self.mean.copy_(torch.from_numpy(known.mean(axis=0)))
+        self.deviation.copy_(torch.from_numpy(known.std(axis=0)).clamp(min=1e-3))
+        self.least.copy_(torch.from_numpy(known.min(axis=0)))
+        self.most.copy_(torch.from_numpy(known.max(axis=0)))
+
+    def forward(self, tokens: Float[Tensor, "b t w"]) -> Words:
+        """What the queries say."""
+        queries = self.queries.expand(len(tokens), -1, -1)
+        for layer in self.layers:
+            queries = layer(queries, tokens)
+        with torch.autocast(tokens.device.type, enabled=False):
+            found = torch.einsum("bqw,qwo->bqo", self.norm(queries.float()), self.weights) + self.biases
+        count = len(PARAMETERS)
+        return Words(found[:, :count], found[:, count:, 0])
+
+    def losses(self, words: Words, true: DesignTargets) -> dict[str, Tensor]:
+        """The weighted loss terms."""
+        with torch.autocast(true.codes.device.type, enabled=False):
+            table = self._table()
+            codes, outputs = true.codes.nan_to_num(), words.outputs
+            is_choice = table.options > 0
+            rows = (codes - table.low).round().long().clamp(min=0)
+            rows = torch.where(is_choice, rows, 0)
+            logits = self._logits(outputs)
+            choices = functional.cross_entropy(logits.flatten(0, 1), rows.flatten(), reduction="none").view(rows.shape)
+            is_default = (codes == table.default) & table.kept
+            shares = (codes - table.low) / table.extent
+            numbers = functional.smooth_l1_loss(outputs[..., 0], shares, beta=VALUE_BEND, reduction="none")
+            binary = functional.binary_cross_entropy_with_logits
+            defaults = binary(outputs[..., 1], is_default.to(outputs.dtype), reduction="none")
+            known = true.measures.isfinite()
+            apart = words.measures - ((true.measures - self.mean) / self.deviation).nan_to_num()
+            zero = torch.zeros_like(apart)
+            parts = {
+                "choices": mean_of(choices, true.effective & is_choice),
+                "numbers": mean_of(numbers, true.effective & ~is_choice & ~is_default),
+                "defaults": mean_of(defaults, true.effective & ~is_choice & table.kept),
+                "measures": mean_of(functional.smooth_l1_loss(apart, zero, beta=VALUE_BEND, reduction="none"), known),
+            }
+        return {name: WEIGHTS[name] * part for name, part in parts.items()}
+
+    @torch.no_grad()
+    def answers(self, words: Words) -> list["Answer"]:
+        """The likeliest parameters and measures of each garment, on the CPU."""
+        table = self._table()
+        logits = self._logits(words.outputs).log_softmax(dim=-1)
+        chosen = logits.argmax(dim=-1) + table.low
+        values = table.low + words.outputs[..., 0] * table.extent
+        values = torch.where((words.outputs[..., 1] > 0) & table.kept, table.default, values)
+        codes = torch.where(table.options > 0, chosen, values)
+        joint = _OUTFITS.to(logits.device)
+        likelihood = logits[:, META[0], joint[:, 0]] + logits[:, META[1], joint[:, 1]] + logits[:, META[2], joint[:, 2]]
+        codes[:, list(META)] = joint[likelihood.argmax(dim=1)].to(codes.dtype)
+        measures = (words.measures * self.deviation + self.mean).clamp(self.least, self.most)
+        pairs = zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True)
+        return [Answer(row, sizes, self.mean.double().cpu().numpy()) for row, sizes in pairs]
+
+    def _table(self) -> "Table":
+        return Table(**{name: getattr(self, f"table_{name}") for name in vars(_TABLE)})
+
+    def _logits(self, outputs: Float[Tensor, "b d o"]) -> Float[Tensor, "b d o"]:
+        """Logits of the options; those beyond a parameter's own are never chosen."""
+        option = torch.arange(outputs.shape[-1], device=outputs.device)
+        return outputs.masked_fill(option >= self.table_options.clamp(min=1)[:, None], NEVER)  # type: ignore[operator]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The parameters' spaces, a row each; arrays, or tensors on the network's device."""
+
+    options: Any
+    """Number of the options; 0 for a number."""
+    low: Any
+    """Least value of a number; 0 for a choice, whose code is the row of its option."""
+    extent: Any
+    """Width of a number's range."""
+    default: Any
+    kept: Any
+    """Whether a number is often its default."""
+
+    @staticmethod
+    def of(spaces: Sequence[Any]) -> "Table":
+        """The table of some spaces."""
+        rows = [_row(space) for space in spaces]
+        options, low, extent, default, kept = (np.array(column) for column in zip(*rows, strict=True))
+        low, extent, default = (column.astype(np.float32) for column in (low, extent, default))
+        return Table(options, low, extent, default, kept)
+
+
+def _row(space: Any) -> tuple[int, float, float, float, bool]:
+    if isinstance(space, Choice):
+        return len(options_of(space)), 0.0, 1.0, 0.0, False
+    low, high = space.range
+    few = space.kind == "int" and high - low < FEW
+    return int(few) * int(high - low + 1), low, high - low, space.default, space.keep is not None and not few
+
+
+_TABLE = Table.of([leaf.space for leaf in PARAMETERS])
+
+
+def _outfits() -> Int[Tensor, "c 3"]:
+    """Rows of the options of upper, waistband and bottom of all outfits that exist."""
+    spaces = [cast(Choice, PARAMETERS[row].space) for row in META]
+    uppers, bands, bottoms = (options_of(space) for space in spaces)
+    found = [
+        (i, j, k)
+        for i, upper in enumerate(uppers)
+        for j, band in enumerate(bands)
+        for k, bottom in enumerate(bottoms)
+        if (upper or bottom) and (upper is None or Upper(upper).garment.carries or not (band or bottom))
+    ]
+    return torch.tensor(found)
+
+
+_OUTFITS = _outfits()
+
+
+# ---------------------------------------------------------------------------------------------------------- the drawing
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Parameters and measures of a garment, before it is drawn."""
+
+    codes: Float[np.ndarray, " d"]
+    measures: Float[np.ndarray, " m"]
+    """[cm, degrees]"""
+    usual: Float[np.ndarray, " m"]
+    """Measures of a body that designs fit."""
+
+
+def drawn(answer: Answer) -> Pattern:
+    """The first pattern that can be sewn.
+
+    Tried in order: the design; repaired; with its numbers at their defaults; that on the usual body; a circle skirt.
+    """
+    size, usual = _size(answer.measures), _size(answer.usual)
+    design = decode_design(answer.codes)
+    for number in range(5):
+        pattern = _tried(design, size, usual, number)
+        if pattern is not None:
+            return pattern
+    raise ConfigError("no circle skirt can be drawn for the mean body of the training set: give other garments")
+
+
+def _tried(design: OutfitDesign, size: Measurements, usual: Measurements, number: int) -> Pattern | None:
+    try:
+        if number == 1:
+            design = wearable(design, [size], np.random.default_rng(0), DesignSpace.declared(OutfitDesign)).design
+        if number in (2, 3):
+            design = _with_defaults(design)
+        if number == 4:
+            design = decode_design(encode_design({"meta": {"bottom": Bottom.CIRCLE.value}}))
+        pattern = outfit(size if number < 3 else usual, design)
+    except GcdError:
+        return None
+    return None if any(fault.severity is Severity.ERROR for fault in check_pattern(pattern)) else pattern
+
+
+def _with_defaults(design: OutfitDesign) -> OutfitDesign:
+    """The design with its choices alone."""
+    codes = encode_design(design_to_dict(design))
+    is_number = np.array([not isinstance(leaf.space, Choice) for leaf in PARAMETERS])
+    return decode_design(np.where(is_number, np.nan, codes))
+
+
+def _size(measures: Float[np.ndarray, " m"]) -> Measurements:
+    """The measures, with backs that are part of their girths."""
+    values = dict(zip(MEASURES, measures.tolist(), strict=True))
+    for back, girth in BACKS:
+        values[back] = min(values[back], LARGEST_BACK * values[girth])
+    return Measurements.from_file_values(values)

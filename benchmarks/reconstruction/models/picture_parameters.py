@@ -1,0 +1,105 @@
+"""From pictures of a garment to design parameters and body measures, from which our own programs draw the answer.
+
+The tokens of the pictures are those of ``picture_set``; ``design_net`` reads designs from them, as in ``parameters``.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.design_net import DesignDecoder, DesignTargets, Words, drawn
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
+from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
+
+__all__ = ["SMOKE", "TASKS", "USUAL", "PictureDesigns", "PictureParameters", "build", "encoded"]
+
+TASKS = ("T2",)
+USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
+SMOKE: Mapping[str, Any] = {
+    "steps": 120, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
+}  # fmt: skip
+LARGE: Mapping[str, Any] = {"width": 256, "heads": 8, "layers": 6, "seen": 512}
+SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2}
+"""Sizes of the usual and of the smallest network."""
+
+
+@dataclass(frozen=True)
+class PictureDesigns(DesignTargets):
+    """Pictures of garments with the parameters and measures that they were drawn from."""
+
+    pictures: UInt8[Tensor, "b n h w 3"]
+    """sRGB"""
+
+
+class PictureParameters(Learner[PictureDesigns, Pattern]):
+    """Pictures to a design and measures, and so to a pattern."""
+
+    def __init__(self, config: EncoderConfig, *, views: int = PICTURES) -> None:
+        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
+
+        Raises ``ConfigError`` for a number of pictures that garments do not have.
+        """
+        super().__init__()
+        self.views = require_views(views)
+        self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
+        self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
+
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureDesigns]:
+        """Pictures and targets. The first set prepared, the training set, gives the range of the measures."""
+        self.decoder.learn_range(garments)
+        parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
+        return self.drawn_from(PictureDesigns.join(list(parallel_map(encoded, parts, workers))).to(device))
+
+    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
+        return DrawnPictures(cast(PictureDesigns, encoded), self.views)
+
+    def encoder(self) -> Callable[[GarmentSet], PictureDesigns]:
+        return encoded
+
+    def compile_parts(self) -> None:
+        for layer in (*self.tokens.encoder.layers, *self.decoder.layers):
+            layer.compile()
+
+    def loss(self, batch: PictureDesigns) -> dict[str, Tensor]:
+        return self.decoder.losses(self.decoder(self.tokens(batch.pictures)), batch)
+
+    def predict(self, batch: PictureDesigns) -> list[Pattern]:
+        return [drawn(one) for one in self.decoder.answers(self._said(batch))]
+
+    def answers(
+        self, examples: Examples[PictureDesigns], count: int, *, batch: int, workers: int = 0
+    ) -> Iterator[Pattern]:
+        rows = torch.split(torch.arange(count), batch)
+        said = [one for part in rows for one in self.decoder.answers(self._said(examples.batch(part)))]
+        return parallel_map(drawn, said, workers)
+
+    @torch.no_grad()
+    def _said(self, batch: PictureDesigns) -> Words:
+        said: Words = self.decoder(self.tokens(batch.pictures))
+        return said
+
+
+def encoded(garments: GarmentSet) -> PictureDesigns:
+    """Pictures and targets of garments with the fields ``design`` and ``pictures``, on a CPU."""
+    return PictureDesigns(**vars(DesignTargets.of(garments)), pictures=pictures_of(garments))
+
+
+def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
+    """The learner; ``options``: fields of ``EncoderConfig``, and ``views``. Raises ``ConfigError`` for others."""
+    given = {**(SMALL if smoke else LARGE), **options}
+    views = int(given.pop("views", PICTURES))
+    unknown = set(given) - set(LARGE)
+    if unknown:
+        known = ", ".join([*LARGE, "views"])
+        raise ConfigError(f"no size {min(unknown)} of a picture_parameters network: choose of {known}")
+    return PictureParameters(EncoderConfig(**given), views=views)
