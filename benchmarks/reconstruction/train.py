@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -35,7 +36,14 @@ from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
 from benchmarks.reconstruction.scoring.table import DRAPED
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
-from benchmarks.reconstruction.training import StoppedError, TrainConfig, Trained, one_of_several_ranks, train
+from benchmarks.reconstruction.training import (
+    StoppedError,
+    TrainConfig,
+    Trained,
+    one_of_several_ranks,
+    train,
+    training_device,
+)
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
@@ -44,7 +52,9 @@ from gcd_dataset.generator.drawing import png_bytes
 __all__ = ["UNFINISHED", "Result", "add_arguments", "main", "options_from", "run"]
 
 MINUTES, TRAINED = 8.0, 4000
-EVALUATION = "evaluation.json"
+REPORT, SCORES, EVALUATION = "report.json", "scores.csv", "evaluation.json"
+OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")
+"""Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3
 """Exit code of a call that ``--limit-minutes`` ended."""
 SMOKE: Mapping[str, Any] = {
@@ -131,8 +141,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def options_from(args: argparse.Namespace, model: str) -> Options:
     """The options of a run. Raises ``ConfigError``."""
-    module, out = load_model(model), Path(args.out)
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
+    module, out, device = load_model(model), Path(args.out), training_device(args.device)
+    least = {"train": 0, "test": 0, "fresh": 0, "workers": -1, "limit_minutes": 0}
+    for name, low in least.items():
+        if not low <= getattr(args, name) < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {low} or more")
     usual = getattr(module, "SMOKE" if args.smoke else "USUAL", {})
     given = {name: value for name in ("batch", "lr", "steps", "minutes", "checks") if (value := getattr(args, name))}
     chosen = {**usual, **given}
@@ -209,7 +222,7 @@ def run(options: Options) -> Result | None:
     _write(out, judge, split.test, answers, scores)
     if options.drape:
         report = _with_drapes(report, options)
-    write_whole(out / "report.json", json.dumps(report, indent=1).encode())
+    write_whole(out / REPORT, json.dumps(report, indent=1).encode())
     return Result(scores, report, trained)
 
 
@@ -339,14 +352,27 @@ def _write(
     answers: Sequence[Any],
     scores: Sequence[Any],
 ) -> None:
-    judge.write(answers, test, out)
-    with drafted(out / "scores.csv") as draft, draft.open("w", newline="") as file:
+    _remove_answers(out)
+    with drafted(out / SCORES) as draft, draft.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["key", "kind", *asdict(scores[0])])
         writer.writeheader()
         for key, kind, score in zip(test.keys, test.kinds, scores, strict=True):
             writer.writerow({"key": key, "kind": kind, **asdict(score)})
+    judge.write(answers, test, out)
     picture = judge.picture(answers, test)
     write_whole(make_folder(out / "pictures") / "test.png", png_bytes(picture))
+
+
+def _remove_answers(out: Path) -> None:
+    """Remove the files of an earlier run, which ``SCORES`` lists: nobody shall score them as answers of this one."""
+    for name in (REPORT, EVALUATION):
+        (out / name).unlink(missing_ok=True)
+    if not (out / SCORES).exists():
+        return
+    with (out / SCORES).open(newline="") as file:
+        keys = [row.get("key") or "" for row in csv.DictReader(file)]
+    for folder, key, suffix in product(OF_GARMENTS, filter(None, keys), SUFFIXES):
+        (out / folder / f"{Path(key).name}{suffix}").unlink(missing_ok=True)
 
 
 def _with_drapes(report: Mapping[str, Any], options: Options) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from benchmarks.reconstruction.learners import Examples, Learner
+from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder
 
@@ -38,6 +39,7 @@ __all__ = [
     "one_of_several_ranks",
     "step_of",
     "train",
+    "training_device",
 ]
 
 Batch = TypeVar("Batch")
@@ -58,7 +60,10 @@ class StoppedError(GcdError):
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """Options of a training. Raises ``ConfigError`` unless exactly one of ``steps`` and ``minutes`` is given."""
+    """Options of a training.
+
+    Raises ``ConfigError`` unless exactly one of ``steps`` and ``minutes`` is given, and for numbers out of range.
+    """
 
     steps: int = 0
     """Optimiser steps."""
@@ -89,10 +94,12 @@ class TrainConfig:
     """Time between checkpoints."""
 
     def __post_init__(self) -> None:
-        if (self.steps > 0) == (self.minutes > 0):
+        if (self.steps != 0) == (self.minutes != 0) or self.steps < 0 or not 0 <= self.minutes < math.inf:
             raise ConfigError(f"steps {self.steps}, minutes {self.minutes:g}: give one of them, above 0")
         if self.batch < 1 or not 0 <= self.ema < 1:
             raise ConfigError(f"batch {self.batch}, ema {self.ema:g}: give a batch of 1 or more, an ema in [0, 1)")
+        if not 0 < self.lr < math.inf or self.checks < 0:
+            raise ConfigError(f"lr {self.lr:g}, checks {self.checks}: give a rate above 0, and 0 checks or more")
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -192,6 +199,22 @@ def learning_rate(progress: float, warm_up: float) -> float:
     if progress < warm_up:
         return progress / warm_up
     return 0.5 + 0.5 * math.cos(math.pi * min(1.0, (progress - warm_up) / (1 - warm_up)))
+
+
+def training_device(name: str) -> str:
+    """``cpu``, ``cuda`` or ``cuda:N``; ``auto`` is the GPU where there is one.
+
+    Raises ``ConfigError`` for another name, and for a GPU that this machine does not have.
+    """
+    count = torch.cuda.device_count()
+    if name == "auto":
+        return "cuda" if count else "cpu"
+    devices = named_devices(name)
+    if len(devices) > 1:
+        raise ConfigError(f"device {name}: give one; torchrun starts a process for each of several GPUs")
+    if devices[0] != "cpu" and int(devices[0].removeprefix("cuda:")) >= count:
+        raise ConfigError(f"device {name}: this machine has {count} GPUs that torch can use: give another, cpu or auto")
+    return name
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_le
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED
-from benchmarks.reconstruction.training import StoppedError, TrainConfig, train
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> None:
 
     Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
-    device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
+    device = torch.device(training_device(args.device))
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
     split = TASKS["T3"].load(

@@ -40,6 +40,22 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
 
 
+def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
+    """They would be scored as answers of the later model."""
+    out = tmp_path / "out"
+    assert main(["nearest", *SMALL, "--out", str(out)]) == 0
+    (out / "predictions" / "own.json").write_text("{}")
+    (out / "evaluation.json").write_text("{}")
+    assert main(["typical", *SMALL, "--test", "2", "--out", str(out)]) == 0
+    for folder in ("predictions", "truth"):
+        assert {path.name for path in patterns_in(out / folder)} - {"own.json"} == {f"1_{k:09d}.json" for k in range(2)}
+    assert {path.name for path in (out / "bodies").iterdir()} == {
+        f"1_{k:09d}{end}" for k in range(2) for end in (".npy", ".meta.json")
+    }
+    assert (out / "predictions" / "own.json").exists()  # a file that the command did not write
+    assert not (out / "evaluation.json").exists()
+
+
 def test_answers_are_draped(tmp_path: Path) -> None:
     """The truth, draped again, is the drape that the points are of."""
     out = tmp_path / "out"
@@ -89,6 +105,18 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
         (["--task", "T3", "--drape"], "panel_set does not answer T3"),
         (["--set", "width"], "--set width: give NAME=NUMBER"),
         (["--steps", "3", "--minutes", "1"], "give one of them"),
+        (["--steps", "3", "--minutes", "nan"], "give one of them"),
+        (["--minutes", "inf"], "give one of them"),
+        (["--steps", "3", "--lr", "-1"], "lr -1, checks 4: give a rate above 0"),
+        (["--steps", "3", "--checks", "-1"], "checks -1: give"),
+        (["--train", "-1"], "--train -1: give 0 or more"),
+        (["--test", "-1"], "--test -1: give 0 or more"),
+        (["--fresh", "-3"], "--fresh -3: give 0 or more"),
+        (["--workers", "-5"], "--workers -5: give -1 or more"),
+        (["--limit-minutes", "nan"], "--limit-minutes nan: give 0 or more"),
+        (["--device", "tpu"], "device='tpu': give auto, cpu"),
+        (["--device", "cuda:99"], "device cuda:99: this machine has"),
+        (["--device", "cuda:0,1"], "device cuda:0,1: give one; torchrun"),
     ],
 )
 def test_unusable_options_are_refused(
