@@ -30,11 +30,11 @@ from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_i
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
-from benchmarks.reconstruction.tasks import TASKS
+from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
 from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
-from gcd_dataset.files import make_folder
+from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
 
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> None:
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
     report["all_s"] = round(time.perf_counter() - began, 1)
-    (out / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    write_whole(out / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     print(json.dumps({name: value for name, value in report.items() if name not in ("arguments", "config")}, indent=2))
 
 
@@ -246,8 +246,9 @@ def foreign(learner: StitchLearner, folder: Path) -> dict[str, Any]:
 
 
 def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """The specifications of patterns, by name, for the evaluator."""
-    make_folder(folder)
+    """The specifications of patterns, by name, for the evaluator; those of an earlier run are removed."""
+    for old in make_folder(folder).glob(f"{TEST_SEED}_*_specification.json"):
+        old.unlink()
     for pattern in patterns:
         write_pattern(pattern, folder / f"{pattern.name}_specification.json")
 

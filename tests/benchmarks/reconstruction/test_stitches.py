@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import cos, sin
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
+from benchmarks.reconstruction.stitching.run import write
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
@@ -449,3 +451,13 @@ def test_stitches_on_edges_that_the_truth_lacks_are_wrong() -> None:
     score = score_stitches(graph_of(t_shirt()), rows, others=2)
     assert score.precision == pytest.approx(10 / 12)
     assert score.recall == 1.0
+
+
+def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
+    patterns = [replace(t_shirt(), name=f"1_{k:09d}") for k in range(3)]
+    (tmp_path / "own.json").write_text("{}")
+    write(tmp_path, patterns)
+    write(tmp_path, patterns[:2])
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
+    ]  # fmt: skip
