@@ -167,8 +167,8 @@ class DesignDecoder(nn.Module):
         likelihood = logits[:, META[0], joint[:, 0]] + logits[:, META[1], joint[:, 1]] + logits[:, META[2], joint[:, 2]]
         codes[:, list(META)] = joint[likelihood.argmax(dim=1)].to(codes.dtype)
         measures = (words.measures * self.deviation + self.mean).clamp(self.least, self.most)
-        pairs = zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True)
-        return [Answer(row, sizes, self.mean.double().cpu().numpy()) for row, sizes in pairs]
+        rows, usual = zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True), self.mean.double().cpu()
+        return [Answer(row, sizes, usual.numpy()) for row, sizes in rows]
 
     def _table(self) -> "Table":
         return Table(**{name: getattr(self, f"table_{name}") for name in vars(_TABLE)})
