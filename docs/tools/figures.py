@@ -55,6 +55,14 @@ class Report:
             f"benchmarks/reports/{self.name}.md has no row {' | '.join(start)}: change docs/tools/figures.py"
         )
 
+    def cell(self, column: str, *start: str) -> str:
+        """The cell below ``column``, without its interval, of the first row that starts with these."""
+        rows = [line.strip("|").split("|") for line in self.text.splitlines() if line.startswith("|")]
+        heads = [names for row in rows if column in (names := [cell.strip() for cell in row])]
+        if not heads:
+            raise StaleError(f"benchmarks/reports/{self.name}.md has no {column}: change docs/tools/figures.py")
+        return self.cells(*start)[heads[0].index(column)].split()[0]
+
     def fact(self, name: str) -> str:
         """An entry of the list at its end, such as ``hardware``; empty without one."""
         match = re.search(FACT.format(name), self.text, re.MULTILINE)
@@ -117,6 +125,11 @@ def _webdataset(fields: str) -> Callable[[Report], str]:
         return f"{ratios}; the bytes read and copied once {floor / ours:.2f} ×"
 
     return beside
+
+
+def _of_patterns(report: Report, model: str) -> str:
+    names = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "and, draped, within 1 cm"}
+    return ", ".join(f"{text} {report.cell(name, model)}" for name, text in names.items())
 
 
 def _loading(fields: str) -> Callable[[Report], str]:
@@ -285,6 +298,14 @@ FIGURES = (
             f"{r.cells('stitches', '24,000')[8].split()[0]} (up to panels of equal shape)"
         ),
         lambda r: "the longest edges joined first: F1 0.29",
+        short=True,
+    ),
+    Figure(
+        "patterns from the points of unseen draped garments: a network, trained on 16,000 garments for 2 minutes",
+        "learning_T1",
+        lambda r: _of_patterns(r, "parameters"),
+        lambda r: f"the nearest of the 16,000: {_of_patterns(r, 'nearest')}",
+        command="python -m benchmarks.reconstruction.train parameters --task T1 --train 16000 --minutes 2 --drape",
         short=True,
     ),
     Figure(
