@@ -298,7 +298,6 @@ FIGURES = (
             f"{r.cells('stitches', '24,000')[8].split()[0]} (up to panels of equal shape)"
         ),
         lambda r: "the longest edges joined first: F1 0.29",
-        short=True,
     ),
     Figure(
         "patterns from the points of unseen draped garments: a network, trained on 16,000 garments for 2 minutes",
