@@ -11,6 +11,7 @@ from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import leg_of, limbs_of
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.generator.garments import OutfitDesign, outfit
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
@@ -24,6 +25,7 @@ from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, PanelRole
 from tests.generator.drape.garments import neutral, wear
+from tests.helpers import patch
 
 LEVELS = OutfitDesign(
     meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.LEVELS),
@@ -85,6 +87,17 @@ def test_a_skirt_without_a_path_down_from_its_top_starts_flat() -> None:
     assert skirt is not None
     placed = np.array(mesh.vertices, float)
     replace(skirt, top=skirt.cloth.vertices).place_on_cone(limbs_of(body)[BodyPart.TRUNK], placed)
+    assert np.array_equal(placed, mesh.vertices)
+
+
+def test_cloth_sewn_all_round_but_for_a_slit_is_no_tube() -> None:
+    """No cross section of it lies at its root: the harmonic function from root to end is near 0 nearly everywhere."""
+    mesh, limb = patch(30, 30), limbs_of(neutral()[0])[BodyPart.LEFT_ARM]
+    middle = mesh.uv[mesh.corners].mean(axis=1)
+    square = (np.abs(middle - 15.0) < 10.0).all(axis=1)
+    corridor = (np.abs(middle[:, 0] - 15.5) < 1.5) & (middle[:, 1] > 15.0)
+    placed = np.array(mesh.vertices, float)
+    assert not put_on_limb(mesh, square | corridor, limb, placed)
     assert np.array_equal(placed, mesh.vertices)
 
 
