@@ -29,6 +29,9 @@ from gcd_dataset.tensors import PANEL_LABELS
 __all__ = ["STRIDE", "DrawnPictures", "PictureNet", "PictureTokens", "pictures_of", "require_views"]
 
 STRIDE = 8  # pixels along each side of a token's cell
+NUMBERS = 6  # of a distortion
+MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3
+"""Of ``distorted``: radians; logarithm of the scale; half sides of the picture; logarithm of a channel's weight."""
 PARTS = 2  # parts of a cell along each side, about which its token says something
 SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
 """Weights of the losses of what pixels show and of borders, relative to the losses of panels."""
@@ -128,7 +131,7 @@ Shown = TypeVar("Shown", bound=ShownGarments)
 
 @dataclass(frozen=True)
 class DrawnPictures(Generic[Shown]):
-    """Examples whose batches have some of the pictures, others and in another order in each step."""
+    """Examples whose batches have some of the pictures, others, in another order and distorted in each step."""
 
     whole: Shown
     views: int
@@ -141,7 +144,26 @@ class DrawnPictures(Generic[Shown]):
         if chance is None:
             return replace(found, pictures=found.pictures[:, : self.views])  # type: ignore[type-var]
         chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
-        return replace(found, pictures=found.pictures[:, uploaded(chosen, found.device)])  # type: ignore[type-var]
+        pictures = found.pictures[:, uploaded(chosen, found.device)]
+        numbers = torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows]
+        return replace(found, pictures=distorted(pictures, 2 * numbers - 1))  # type: ignore[type-var]
+
+
+def distorted(pictures: UInt8[Tensor, "b n h w 3"], numbers: Float[Tensor, "b n 6"]) -> UInt8[Tensor, "b n h w 3"]:
+    """The pictures turned, enlarged and shifted, their channels weighted; at the border its pixels are repeated.
+
+    ``numbers``: turn, growth, two shifts, two weights of each picture in [-1, 1], on the CPU.
+    """
+    turn, growth, right, down, red, blue = uploaded(numbers.flatten(0, 1), pictures.device).unbind(-1)
+    scale = torch.exp(MOST_GROWTH * growth)
+    cosine, sine = scale * torch.cos(MOST_TURN * turn), scale * torch.sin(MOST_TURN * turn)
+    rows = [cosine, -sine, MOST_SHIFT * right, sine, cosine, MOST_SHIFT * down]
+    shown = pictures.flatten(0, 1).permute(0, 3, 1, 2).float()
+    grid = functional.affine_grid(torch.stack(rows, dim=-1).view(-1, 2, 3), list(shown.shape), align_corners=False)
+    moved = functional.grid_sample(shown, grid, padding_mode="border", align_corners=False)
+    weights = torch.exp(MOST_WEIGHT * torch.stack([red, -0.5 * (red + blue), blue], dim=-1))
+    found = (moved * weights[:, :, None, None]).clamp(0, 255).round().to(torch.uint8)
+    return found.permute(0, 2, 3, 1).reshape(pictures.shape)
 
 
 def pictures_of(garments: GarmentSet) -> UInt8[Tensor, "b n h w 3"]:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction import garments
+from benchmarks.reconstruction import garments, picture_model
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES, picture_views
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.picture_model import STRIDE, PictureTokens
+from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
@@ -44,7 +44,8 @@ def shades(pictures: torch.Tensor) -> list[int]:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_each_step_draws_other_pictures(painted: GarmentSet, model: str) -> None:
+def test_each_step_draws_other_pictures(painted: GarmentSet, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture_model, "distorted", lambda pictures, numbers: pictures)
     examples = learner(model, views=3).prepare(painted, device=CPU)
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]
@@ -59,6 +60,32 @@ def test_processes_encode_the_same_targets(painted: GarmentSet, model: str) -> N
     whole = learner(model).prepare(painted, device=CPU).whole[:2]
     for name, value in vars(encoded).items():
         assert np.array_equal(value.numpy(), getattr(whole, name).numpy(), equal_nan=value.is_floating_point())
+
+
+def test_pictures_are_distorted_alike_in_any_batch(painted: GarmentSet) -> None:
+    examples = learner().prepare(painted, device=CPU)
+    whole, part = (examples.batch(torch.tensor(rows), torch.Generator().manual_seed(0)) for rows in ([4, 1, 2], [1]))
+    assert torch.equal(whole.pictures[1:2], part.pictures)
+    assert not torch.equal(part.pictures, examples.batch(torch.tensor([1]), torch.Generator().manual_seed(1)).pictures)
+
+
+def test_a_distortion_moves_a_dot_as_said() -> None:
+    pictures = torch.zeros(1, 1, 100, 100, 3, dtype=torch.uint8)
+    pictures[0, 0, 48:52, 58:62] = 200  # 10 pixels to the right of the middle
+    still = torch.zeros(1, 1, 6)
+    assert torch.equal(distorted(pictures, still), pictures)
+    turned, grown, moved, red = (distorted(pictures, still.index_fill(2, torch.tensor(k), 1.0)) for k in (0, 1, 2, 4))
+
+    def place(found: torch.Tensor) -> tuple[float, float]:
+        weight = found[0, 0, :, :, 1].double()
+        at = (torch.arange(100) - 49.5).double()
+        return float((weight.sum(0) * at).sum() / weight.sum()), float((weight.sum(1) * at).sum() / weight.sum())
+
+    assert place(turned) == pytest.approx((10 * np.cos(MOST_TURN), -10 * np.sin(MOST_TURN)), abs=0.1)
+    assert place(grown) == pytest.approx((10 / np.exp(MOST_GROWTH), 0.0), abs=0.1)
+    assert place(moved) == pytest.approx((10 - 50 * MOST_SHIFT, 0.0), abs=0.1)
+    assert red[0, 0, 50, 60, 0] == 255
+    assert red[0, 0, 50, 60, 1] < 200
 
 
 def test_a_step_sees_some_cells_and_an_answer_all() -> None:
