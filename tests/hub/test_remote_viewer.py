@@ -24,9 +24,9 @@ def test_the_first_page_requests_no_more_than_its_garment_and_a_part_of_the_tags
 ) -> None:
     monkeypatch.setattr(albums, "REQUESTED", 4)
     album = opened(hub, tmp_path)
-    gallery = Gallery(album)
     assert album.facets().outcomes == {"settled": COUNT}
     assert not hub.asked(r"\.tar")
+    gallery = Gallery(album)  # makes the first page in a thread
     gallery.get("/garment", {"position": "9"})
     gallery._tag_reader.shutdown(wait=True)
     assert album.known == 4
