@@ -102,7 +102,7 @@ class Planned:
         given = int(self.options.get("train", 0))
         if not self.options.get("smoke"):
             return given
-        return int(stitching.SMOKE["train"]) if self.program == "stitching.run" else given or int(SMOKE["train"])
+        return given or int(stitching.SMOKE["train"] if self.program == "stitching.run" else SMOKE["train"])
 
     @property
     def garments(self) -> str:

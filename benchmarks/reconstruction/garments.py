@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar, cast
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -173,7 +174,7 @@ class GarmentSet:
     def load(path: Path) -> "GarmentSet":
         """Read what ``save`` wrote. Raises ``ConfigError`` for another file."""
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
             ragged = {
                 name.split("/")[1]: Ragged(rows, arrays[name.replace("/rows", "/starts")])
@@ -185,7 +186,7 @@ class GarmentSet:
             }
             columns |= {name: tuple(arrays[name].tolist()) for name in ("keys", "kinds")}
             return GarmentSet(**columns, ragged=ragged, recipe=json.loads(str(arrays["recipe"])))
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
             raise ConfigError(f"{path}: no garment set ({error}): delete the file, it is made again") from error
 
 

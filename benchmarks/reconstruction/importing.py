@@ -349,6 +349,11 @@ def _import(options: argparse.Namespace) -> tuple[int, int]:
         except (SpecError, PatternError) as error:
             failed += 1
             print(f"importing: {error}", file=sys.stderr)
+    written = {f"{name}_specification.json" for name in origin}
+    others = sorted(path.name for path in options.out.glob("*_specification.json") if path.name not in written)
+    if others:
+        text = f"{len(others)} files that this import did not write, such as {others[0]}"
+        print(f"importing: {options.out} holds {text}: evaluate scores them, too", file=sys.stderr)
     return len(origin), failed
 
 

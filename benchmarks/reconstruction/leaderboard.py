@@ -11,6 +11,7 @@ commit and date. From the files there the reports ``learning_T0.md`` …, their 
 import argparse
 import io
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,8 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reconstruction.tasks import TASKS
-from gcd_dataset.errors import ConfigError
+from benchmarks.reconstruction.tasks import TASKS, task_named
+from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import write_whole
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
 
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
+LEAST_MADE = 0.5  # of the garments asked for; a set with fewer is shown with its own number
 HEADLINES: Mapping[str, Sequence[str]] = {
     "T3": ("f1_symmetric", "perfect_symmetric", "f1_several_symmetric"),
     "T4": ("panel_label", "seam_f1", "edge_label"),
@@ -118,7 +120,7 @@ def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remar
     """
     entry = _read(path)
     entry = {**entry, "command": command, "commit": commit, "date": date, "remark": remark}
-    kind = _of(entry, path)
+    kind = _checked(_of(entry, path), path)
     variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
     variant += f"_{kind.minutes:.0f}min" if kind.minutes else ""
     name = f"{kind.task}_{kind.model}_{kind.train}{variant}.json".lower().replace(" ", "_")
@@ -181,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             told = {"command": args.command, "commit": args.commit or commit_here(), "remark": args.remark}
             add(args.add, folder, date=date, **told)
         written = write_pages(args.reports)
-    except ConfigError as error:
+    except GcdError as error:
         print(f"leaderboard: {error}", file=sys.stderr)
         return 1
     for path in written:
@@ -193,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _entry(path: Path) -> Entry:
-    return _of(_read(path), path)
+    return _checked(_of(_read(path), path), path)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -226,14 +228,31 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             train = int(arguments["train"])
             return Entry("T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark)
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
-        train = int(options.get("train") or found["data"]["train"]["count"])
+        left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
+        train = int(options.get("train") or count)
+        if count < LEAST_MADE * train and not left_out:
+            train = count  # a folder may hold fewer garments than asked for
         model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
         return Entry(
             found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            options.get("leave_out", ""), int(found.get("fresh", 0)), remark,
+            left_out, int(found.get("fresh", 0)), remark,
         )  # fmt: skip
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path}: {error!r} is missing: train again with this version") from error
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
+
+
+def _checked(entry: Entry, path: Path) -> Entry:
+    """The entry. Raises ``ConfigError`` for an unknown task, and for scores that are no finite numbers."""
+    task_named(entry.task)
+    if not isinstance(entry.scores, Mapping):
+        raise ConfigError(f"{path}: scores are {entry.scores!r:.99}: give a map of names to numbers")
+    each = {"minutes": [entry.minutes], **entry.scores}
+    each |= {f"{title}, {name}": values for title, table in entry.tables.items() for name, values in table.items()}
+    for name, values in each.items():
+        numbers = isinstance(values, Sequence) and all(isinstance(value, int | float) for value in values)
+        if not numbers or len(values) not in (1, 3) or not all(map(math.isfinite, values)):
+            raise ConfigError(f"{path}: {name} is {values!r:.99}: give a mean, or a mean and the ends of its interval")
+    return entry
 
 
 def _data(part: Mapping[str, Any]) -> str:

@@ -142,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def options_from(args: argparse.Namespace, model: str) -> Options:
     """The options of a run. Raises ``ConfigError``."""
     module, out, device = load_model(model), Path(args.out), training_device(args.device)
-    least = {"train": 0, "test": 0, "fresh": 0, "workers": -1, "limit_minutes": 0}
+    least = {"train": 0, "test": 0, "fresh": 0, "seed": 0, "workers": -1, "limit_minutes": 0}
     for name, low in least.items():
         if not low <= getattr(args, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {low} or more")
@@ -181,9 +181,12 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
 
 def _sizes(texts: Sequence[str]) -> dict[str, int]:
     try:
-        return {name: int(value) for name, value in (text.split("=") for text in texts)}
+        found = {name: int(value) for name, value in (text.split("=") for text in texts)}
     except ValueError as error:
         raise ConfigError(f"--set {' '.join(texts)}: give NAME=NUMBER, such as width=256") from error
+    if any(value < 0 for value in found.values()):
+        raise ConfigError(f"--set {' '.join(texts)}: give numbers of 0 or more")
+    return found
 
 
 def run(options: Options) -> Result | None:
@@ -232,6 +235,8 @@ def _require_model_of_task(options: Options) -> None:
     answered = getattr(load_model(options.model), "TASKS", patterns)
     if options.task.name not in answered:
         raise ConfigError(f"{options.model} does not answer {options.task.name}: give --task {', '.join(answered)}")
+    if not hasattr(load_model(options.model), "build") and (options.sizes or options.fresh):
+        raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
     if options.drape and not (options.task.answers_patterns and "pose" in options.task.extra):
         raise ConfigError(f"{options.task.name} has no patterns or no bodies to drape: leave out --drape")
 
@@ -263,8 +268,26 @@ def _trained(
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
     limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
-    trained = train(learner, examples, options.config, device=device, out=options.out, check=check, limit=limit)
+    arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
+    trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
+
+
+def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
+    """What is trained on what: a checkpoint of another training is not continued."""
+    recipe = {name: value for name, value in garments.recipe.items() if name != "made"}
+    return {
+        "task": options.task.name,
+        "model": options.model,
+        "sizes": json.dumps(options.sizes, sort_keys=True),
+        "smoke": int(options.smoke),
+        "leave_out": options.leave_out,
+        "fresh": options.fresh,
+        "garments": len(garments),
+        "recipe": json.dumps(recipe, sort_keys=True),
+        "ids": garments.ids_hash,
+        "patterns": garments.patterns_hash,
+    }
 
 
 def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, device: torch.device) -> FreshPool[Any]:

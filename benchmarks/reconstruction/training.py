@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -146,17 +147,19 @@ def train(
     check: Check | None = None,
     stop_after: int | None = None,
     limit: float = math.inf,
+    of: Mapping[str, str | int] | None = None,
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
-    ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``: stop after this step
-    as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises ``StoppedError``, with a
-    checkpoint in ``out``, for a training that the limit ends; ``TrainingError`` for a loss that is not finite;
-    ``ConfigError`` for a checkpoint of other options.
+    ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
+    training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
+    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises
+    ``StoppedError``, with a checkpoint in ``out``, for a training that the limit ends; ``TrainingError`` for a loss
+    that is not finite; ``ConfigError`` for a checkpoint of another training.
     """
     called = time.perf_counter()
     torch.manual_seed(config.seed)
-    run = _Run(learner.to(device), config, device)
+    run = _Run(learner.to(device), config, device, of)
     curves = _Curves(None if out is None or _rank() else make_folder(out))
     if out is not None and (out / CHECKPOINT).exists():
         run.restore(out / CHECKPOINT, examples)
@@ -241,8 +244,15 @@ def one_of_several_ranks(device: str) -> Iterator[torch.device]:
 class _Run:
     """The state of a training."""
 
-    def __init__(self, learner: Learner[Any, Any], config: TrainConfig, device: torch.device) -> None:
+    def __init__(
+        self,
+        learner: Learner[Any, Any],
+        config: TrainConfig,
+        device: torch.device,
+        of: Mapping[str, str | int] | None = None,
+    ) -> None:
         self.learner, self.config, self.device = learner, config, device
+        self.identity = {**(of or {}), **config.identity}
         self.step, self.seconds = 0, 0.0
         if device.type == "cuda":
             torch.set_float32_matmul_precision("high")  # TF32 outside autocast
@@ -339,7 +349,7 @@ class _Run:
         if _rank():
             return
         state = {
-            "config": self.config.identity,
+            "config": self.identity,
             "learner": self.learner.state_dict(),
             "averaged": self.averaged.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -354,13 +364,15 @@ class _Run:
 
     def restore(self, path: Path, examples: Examples[Any]) -> None:
         """Continue from a checkpoint. Raises ``ConfigError`` for one of other options."""
-        state = torch.load(path, map_location=self.device, weights_only=True)
-        if state["config"] != self.config.identity:
-            ours, theirs = self.config.identity, state["config"]
-            name = next(name for name in {**theirs, **ours} if ours.get(name) != theirs.get(name))
-            raise ConfigError(
-                f"{path}: of a training with {name} {theirs.get(name)}, not {ours.get(name)}: give another folder"
-            )
+        try:
+            state = torch.load(path, map_location=self.device, weights_only=True)
+        except (RuntimeError, EOFError, ValueError, UnpicklingError) as error:
+            raise ConfigError(f"{path}: no checkpoint ({error!s:.99}): delete it, the training starts again") from error
+        ours, theirs = self.identity, state["config"]
+        for name in dict.fromkeys([*ours, *theirs]):
+            if ours.get(name) != theirs.get(name):
+                given = f"of a training with {name} {theirs.get(name)}, not {ours.get(name)}"
+                raise ConfigError(f"{path}: {given}: give another folder")
         self.learner.load_state_dict(state["learner"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimizer.load_state_dict(state["optimizer"])

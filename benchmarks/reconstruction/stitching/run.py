@@ -51,9 +51,10 @@ SMOKE: dict[str, Any] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code."""
-    args = _parser().parse_args(arguments)
-    if args.smoke:
-        args = argparse.Namespace(**{**vars(args), **SMOKE})
+    parser = _parser()
+    if parser.parse_args(arguments).smoke:
+        parser.set_defaults(**SMOKE)
+    args = parser.parse_args(arguments)
     try:
         run(args)
     except StoppedError as stopped:
@@ -71,6 +72,15 @@ def run(args: argparse.Namespace) -> None:
     Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
     device = torch.device(training_device(args.device))
+    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
+    for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
+        if not least <= getattr(args, name) < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
+    if args.width < 1 or args.heads < 1 or args.layers < 1 or args.width % args.heads:
+        sizes = f"--width {args.width} --heads {args.heads} --layers {args.layers}"
+        raise ConfigError(f"{sizes}: give numbers of 1 or more, the width a multiple of the heads")
+    if args.examples and not Path(args.examples).is_dir():
+        raise ConfigError(f"--examples {args.examples}: no such folder: give one of specification files")
     out, began = make_folder(Path(args.out)), time.perf_counter()
     data = make_folder(Path(args.data) if args.data else out / "data")
     split = TASKS["T3"].load(
@@ -91,9 +101,10 @@ def run(args: argparse.Namespace) -> None:
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
-    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
     limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
-    trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit)
+    of = {name: getattr(args, name) for name in ("placed", "autosew", "one_round", "leave_out", "foreign")}
+    of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
+    trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit, of=of)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
@@ -130,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
     option("--train", 24_000, "patterns to train on")
     option("--test", 500, "patterns to test on, of another seed")
-    option("--seed", 0, "seed of the patterns, the network and the order")
+    option("--seed", 0, "seed of the network and the order")
     option("--minutes", 6.0, "time of the training")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
     option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")

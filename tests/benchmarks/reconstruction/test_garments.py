@@ -63,9 +63,11 @@ def test_a_saved_set_is_read_as_it_was(six: GarmentSet, tmp_path: Path) -> None:
     six.save(tmp_path / "set.npz")
     assert same(GarmentSet.load(tmp_path / "set.npz"), six)
     assert GarmentSet.load(tmp_path / "set.npz").recipe == six.recipe
-    (tmp_path / "set.npz").write_bytes(b"PK")
-    with pytest.raises(ConfigError, match="delete the file"):
-        GarmentSet.load(tmp_path / "set.npz")
+    whole = (tmp_path / "set.npz").read_bytes()
+    for damaged in (b"PK", b"", whole[:1000]):
+        (tmp_path / "set.npz").write_bytes(damaged)
+        with pytest.raises(ConfigError, match="delete the file"):
+            GarmentSet.load(tmp_path / "set.npz")
 
 
 def test_a_cached_set_grows_and_holds_the_smaller_ones(tmp_path: Path) -> None:

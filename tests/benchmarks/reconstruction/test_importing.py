@@ -185,6 +185,14 @@ def test_panels_get_the_names_of_the_true_patterns(tmp_path: Path, capsys: pytes
     assert "names.json: no list of names, each once" in capsys.readouterr().err
 
 
+def test_predictions_of_an_earlier_import_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one", "two"):
+        save(tmp_path / f"{name}.npz", standardised(garment()))
+        assert run("neuraltailor", tmp_path / f"{name}.npz", out=tmp_path / "out") == 0
+    error = capsys.readouterr().err
+    assert "holds 1 files that this import did not write, such as one_specification.json: evaluate scores" in error
+
+
 def test_sewformer_with_all_edges_of_a_panel_in_one_row(tmp_path: Path) -> None:
     arrays = sewformer.encode(garment())
     scaled = {

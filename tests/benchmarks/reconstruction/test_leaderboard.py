@@ -52,6 +52,38 @@ def test_another_file_is_refused(text: str, tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "learning").exists()
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"scores": {"iou": ["a", "b", "c"]}},
+        {"scores": {"iou": None}},
+        {"scores": {"iou": [0.5, 0.4]}},
+        {"scores": {"iou": [float("nan")] * 3}},
+        {"scores": [1, 2]},
+        {"scores_of_kinds": {"skirt": {"iou": None}}},
+        {"minutes": "abc"},
+        {"minutes": float("inf")},
+        {"task": "T9"},
+        {"task": "../x"},
+        {"task": 5},
+    ],
+)
+def test_a_malformed_report_is_refused_and_not_kept(
+    changed: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert added(tmp_path, result("T0", "nearest", 0.2)) == 0
+    assert added(tmp_path, result("T0", "panel_set", 0.2) | changed) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert [path.name for path in (tmp_path / "learning").iterdir()] == ["t0_nearest_4_8min.json"]
+
+
+def test_a_folder_of_few_garments_is_counted(tmp_path: Path) -> None:
+    found = result("T0", "panel_set", 0.2, train=4000)
+    found["data"]["train"]["count"] = 5
+    added(tmp_path, found)
+    assert [entry.train for entry in read_entries(tmp_path / "learning")] == [5]
+
+
 def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None:
     added(tmp_path, result("T1", "panel_set", 0.3, train=1000))
     assert not (tmp_path / "learning_T1.png").exists()

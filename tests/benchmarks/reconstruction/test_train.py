@@ -56,6 +56,38 @@ def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     assert not (out / "evaluation.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        (["--task", "T1"], "task T0, not T1"),
+        (["--train", "6"], "garments 4, not 6"),
+        (["--resolution", "7"], 'resolution": 6.0'),
+        (["--set", "width=32"], 'sizes {}, not {"width": 32}'),
+    ],
+)
+def test_a_checkpoint_of_another_training_is_refused(
+    flags: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = ["panel_set", *SMALL, "--steps", "1", "--out", str(tmp_path)]
+    assert main(first) == 0
+    before = (tmp_path / "report.json").read_bytes()
+    assert main([*first, *flags]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "checkpoint.pt: of a training with " in error
+    assert expected in error
+    assert (tmp_path / "report.json").read_bytes() == before
+
+
+def test_a_damaged_checkpoint_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["panel_set", *SMALL, "--steps", "1", "--out", str(tmp_path)]
+    assert main(flags) == 0
+    path = tmp_path / "checkpoint.pt"
+    for data in (path.read_bytes()[:1000], b"", b"PK"):
+        path.write_bytes(data)
+        assert main(flags) == 1
+        assert "checkpoint.pt: no checkpoint" in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_answers_are_draped(tmp_path: Path) -> None:
     """The truth, draped again, is the drape that the points are of."""
     out = tmp_path / "out"
@@ -107,6 +139,8 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
         (["--steps", "3", "--minutes", "1"], "give one of them"),
         (["--steps", "3", "--minutes", "nan"], "give one of them"),
         (["--minutes", "inf"], "give one of them"),
+        (["--set", "width=-4"], "--set width=-4: give numbers of 0 or more"),
+        (["--seed", "-1"], "--seed -1: give 0 or more"),
         (["--steps", "3", "--lr", "-1"], "lr -1, checks 4: give a rate above 0"),
         (["--steps", "3", "--checks", "-1"], "checks -1: give"),
         (["--train", "-1"], "--train -1: give 0 or more"),
