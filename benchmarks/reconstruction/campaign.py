@@ -40,7 +40,7 @@ from benchmarks.reconstruction import leaderboard
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import MINUTES, SMOKE, UNFINISHED
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
 
@@ -51,6 +51,7 @@ OWN = ("program", "model", "spare")
 """Keys of a plan that are no options of the program."""
 SPARE = 1.0  # minutes
 LEAST = 1.5  # minutes; a training that cannot be finished is not begun with less
+INTERRUPTED = 130  # exit code
 LEAVE = 15.0  # s that a program has to write its checkpoint
 REPORT, LOG, PLANNED = "report.json", "log.txt", "planned.json"
 
@@ -132,6 +133,8 @@ def _runs(path: Path, name: str, group: Any) -> list[Planned]:
     if not isinstance(group, dict):
         raise ConfigError(f"{path}: {name} is no table: give [{name}] with the options of its runs")
     lists = {key: value for key, value in group.items() if isinstance(value, list) and key != "set"}
+    if not all(lists.values()):
+        raise ConfigError(f"{path}: [{name}] has an empty list: give at least one value")
     found = []
     for values in product(*lists.values()):
         chosen = {**group, **dict(zip(lists, values, strict=True))}
@@ -142,7 +145,13 @@ def _runs(path: Path, name: str, group: Any) -> list[Planned]:
             raise ConfigError(f"{path}: [{name}] has no model: give model = …")
         options = {key: value for key, value in chosen.items() if key not in OWN}
         task_named(str(options.get("task", "T0")))
+        for key in ("train", "minutes", "spare"):
+            value = chosen.get(key, 0)
+            if not isinstance(value, int | float) or not 0 <= value < float("inf"):
+                raise ConfigError(f"{path}: [{name}] {key} = {value!r:.99}: give a number, 0 or more")
         title = "-".join([name, *(str(value) for value in values)])
+        if "/" in title or not title.isprintable() or title in (".", ".."):
+            raise ConfigError(f"{path}: {title!r:.99} is no name for a folder: rename [{name}]")
         found.append(Planned(title, program, chosen.get("model", ""), options, float(chosen.get("spare", SPARE))))
     return found
 
@@ -176,7 +185,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not runs:
             raise ConfigError(f"{args.plan} has no run {args.only}: give --only a pattern such as 'T0-*'")
         return _report(runs, args) if args.report else _Campaign(args).run(runs)
-    except ConfigError as error:
+    except KeyboardInterrupt:
+        print("campaign: interrupted: repeat the command to continue", file=sys.stderr)
+        return INTERRUPTED
+    except GcdError as error:
         print(f"campaign: {error}", file=sys.stderr)
         return 1
 
@@ -239,6 +251,8 @@ class _Campaign:
         gpus = _gpus() if args.gpus < 0 else args.gpus
         self.slots: list[int | None] = list(range(gpus)) or [None]
         self.begun = time.monotonic()
+        if not 0 <= args.limit_minutes < float("inf"):
+            raise ConfigError(f"--limit-minutes {args.limit_minutes:g}: give 0 or more")
         self.limit = 60.0 * args.limit_minutes or float("inf")
         self.states: dict[str, State] = {}
         self.jobs: dict[int | None, _Job] = {}
@@ -263,7 +277,11 @@ class _Campaign:
     def _known(self, run: Planned) -> State:
         """The state that the files tell. Raises ``ConfigError`` for files of other options."""
         folder = self.out / run.name
-        if (folder / PLANNED).exists() and json.loads((folder / PLANNED).read_text()) != run.command:
+        try:
+            planned = json.loads((folder / PLANNED).read_text()) if (folder / PLANNED).exists() else run.command
+        except ValueError as error:
+            raise ConfigError(f"{folder / PLANNED}: {error}: delete the folder") from error
+        if planned != run.command:
             raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
         if (folder / REPORT).exists():
             return State.DONE

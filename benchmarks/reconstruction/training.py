@@ -9,7 +9,9 @@ import csv
 import importlib.util
 import math
 import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -154,8 +156,8 @@ def train(
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
     stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises
-    ``StoppedError``, with a checkpoint in ``out``, for a training that the limit ends; ``TrainingError`` for a loss
-    that is not finite; ``ConfigError`` for a checkpoint of another training.
+    ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
+    ``TrainingError`` for a loss that is not finite; ``ConfigError`` for a checkpoint of another training.
     """
     called = time.perf_counter()
     torch.manual_seed(config.seed)
@@ -166,25 +168,27 @@ def train(
         curves.resume(run.step)
     saved, mark = time.perf_counter(), time.perf_counter()
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
-    while run.progress < 1 and (stop_after is None or run.step < stop_after):
-        run.take_step(examples)
-        elapsed = time.perf_counter() - mark
-        run.seconds, mark = run.seconds + elapsed, mark + elapsed
-        is_over = run.agree_on_time(is_over=mark - called > limit) and run.progress < 1
-        is_last = is_over or run.progress >= 1 or run.step == stop_after
-        checked: Mapping[str, float] = {}
-        if check is not None and run.progress * config.checks >= next_check:
-            next_check = math.floor(run.progress * config.checks) + 1
-            checked = check(run.step, run.average()) if not _rank() else {}
-        if checked or is_last or run.step % config.log_every == 0:
-            curves.add(run.row(checked))
-        if out is not None and (is_last or run.is_due(saved)):
-            run.save(out / CHECKPOINT, examples)
-            saved = time.perf_counter()
-        aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
-        if is_over:
-            curves.close()
-            raise StoppedError(f"stopped by the limit at {run.progress:.0%}: repeat the command to continue")
+    with _signals() as is_signalled:
+        while run.progress < 1 and (stop_after is None or run.step < stop_after):
+            run.take_step(examples)
+            elapsed = time.perf_counter() - mark
+            run.seconds, mark = run.seconds + elapsed, mark + elapsed
+            is_over = run.agree_on_time(is_over=is_signalled() or mark - called > limit) and run.progress < 1
+            is_last = is_over or run.progress >= 1 or run.step == stop_after
+            checked: Mapping[str, float] = {}
+            if check is not None and run.progress * config.checks >= next_check:
+                next_check = math.floor(run.progress * config.checks) + 1
+                checked = check(run.step, run.average()) if not _rank() else {}
+            if checked or is_last or run.step % config.log_every == 0:
+                curves.add(run.row(checked))
+            if out is not None and (is_last or run.is_due(saved)):
+                run.save(out / CHECKPOINT, examples)
+                saved = time.perf_counter()
+            aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
+            if is_over:
+                curves.close()
+                cause = "a signal" if is_signalled() else "the limit"
+                raise StoppedError(f"stopped by {cause} at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
 
@@ -218,6 +222,27 @@ def training_device(name: str) -> str:
     if devices[0] != "cpu" and int(devices[0].removeprefix("cuda:")) >= count:
         raise ConfigError(f"device {name}: this machine has {count} GPUs that torch can use: give another, cpu or auto")
     return name
+
+
+@contextmanager
+def _signals() -> Iterator[Callable[[], bool]]:
+    """A function that tells whether SIGINT or SIGTERM arrived; the second of a kind acts as before."""
+    owner, before, received = os.getpid(), dict[int, Any](), list[int]()
+
+    def note(number: int, frame: object) -> None:
+        signal.signal(number, before[number])
+        if os.getpid() == owner:
+            received.append(number)
+        else:  # a process that was forked meanwhile, such as a worker
+            os.kill(os.getpid(), number)
+
+    if threading.current_thread() is threading.main_thread():  # others cannot set handlers
+        before |= {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

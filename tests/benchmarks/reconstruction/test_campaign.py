@@ -68,6 +68,10 @@ def test_lists_hold_a_value_for_each_run(plan: Path) -> None:
         ("[a]\nmodel = 'x'\ntask = 'T9'", "no task 'T9'"),
         ("[a]\nprogram = 'rm'", "program 'rm'"),
         ("[a]\nmodel = ['x', 'x']", "two runs a-x"),
+        ("[a]\nmodel = 'x'\ntrain = []", "[a] has an empty list"),
+        ("[a]\nmodel = 'x'\nminutes = 'abc'", "[a] minutes = 'abc': give a number"),
+        ("[a]\nmodel = 'x'\ntrain = -1", "[a] train = -1: give a number"),
+        ("['../../b']\nmodel = 'x'", "is no name for a folder"),
         ("[a", "give a TOML file"),
     ],
 )

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -76,6 +79,20 @@ def test_a_checkpoint_of_another_training_is_refused(
     assert "checkpoint.pt: of a training with " in error
     assert expected in error
     assert (tmp_path / "report.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tmp_path: Path) -> None:
+    flags = ["panel_set", *SMALL, "--minutes", "5", "--batch", "2", "--workers", "0", "--out", str(tmp_path)]
+    given = [sys.executable, "-m", "benchmarks.reconstruction.train", *flags]
+    with subprocess.Popen(given, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert any(line.startswith("step ") for line in process.stderr)
+        process.send_signal(number)
+        error = process.stderr.read()
+    assert (process.returncode, "Traceback" in error) == (UNFINISHED, False)
+    assert "stopped by a signal" in error.splitlines()[-1]
+    assert (tmp_path / "checkpoint.pt").exists()
 
 
 def test_a_damaged_checkpoint_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
