@@ -2,8 +2,9 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -360,6 +361,53 @@ def test_a_failure_is_no_better_than_any_prediction() -> None:
             low_is_good = name in ("panel_l2", "panel_l2_pen", "transl_cm", "rot_deg", "seam_mismatch")
             better, worse = (getattr(score, name) for score in (other, worst))
             assert better <= worse if low_is_good else better >= worse, name
+
+
+def distorted(pattern: Pattern, rng: np.random.Generator) -> Pattern:
+    """Some panels left out, scaled, bent, moved or added; some edges missing; some seams left out, wrong or twice."""
+
+    def one_of(*values: Any) -> Any:
+        return values[rng.integers(len(values))]
+
+    def changed(panel: Panel) -> Panel:
+        corners = panel.vertices * one_of(1, 1, 0, 0.01, 3, 30, 1e6, 1e200, [1, -1])
+        corners = corners + rng.normal(0, one_of(0, 0.1, 3, 30), panel.vertices.shape)
+        curves = (LINE, Arc(40.0, True, True), Arc(1.0, True, False), Quadratic((0.5, 2.0)), Quadratic((np.nan, 0.0)))
+        edges = tuple(replace(edge, curve=one_of(edge.curve, edge.curve, *curves)) for edge in panel.edges)
+        moved = panel.placement.translation + rng.normal(0, one_of(0, 1, 20, 1e4), 3) * one_of(*[1] * 9, np.inf)
+        turned = panel.placement.rotation + rng.normal(0, one_of(0, 0.1, 3), 3) * one_of(*[1] * 9, np.nan)
+        return Panel(panel.name, corners, edges[one_of(0, 0, 0, 1) :], Placement(moved, turned))
+
+    panels = [changed(panel) for panel in pattern.panels if rng.random() < 0.8]
+    panels += [replace(one_of(*pattern.panels), name=f"more_{k}") for k in range(one_of(0, 0, 1, 3))]
+    names = [panel.name for panel in (*panels, *pattern.panels)]
+    refs = [EdgeRef(one_of(*names), int(rng.integers(6))) for _ in range(2 * one_of(0, 0, 1, 4))]
+    seams = [seam for seam in pattern.seams if rng.random() < 0.8]
+    seams += [Seam(one, other, bool(rng.integers(2))) for one, other in zip(refs[::2], refs[1::2], strict=True)]
+    return Pattern("distorted", tuple(panels), tuple(seams * one_of(1, 1, 2)))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_no_distortion_is_worse_than_a_failure(seed: int) -> None:
+    """Shares stay within 0 and 1, and all scores are finite."""
+    rng = np.random.default_rng(seed)
+    whole = (garment(), rectangles(60.0, 10.0), replace(garment(), seams=()))[seed % 3]
+    worst = asdict(failed_score(whole))
+    with np.errstate(all="ignore"):
+        found = [asdict(score_pattern(distorted(whole, rng), whole)) for _ in range(5)]
+    for score in found:
+        for name, value in score.items():
+            if name in ("panel_l2", "panel_l2_pen", "transl_cm", "rot_deg", "seam_mismatch"):
+                assert 0 <= value <= worst[name], name
+            else:
+                assert 0 <= worst[name] <= value <= 1, name
+
+
+def test_the_outline_distance_of_a_large_panel_is_at_most_that_of_a_failure() -> None:
+    """Only the larger of two panels is predicted, three times its size."""
+    whole = rectangles(60.0, 10.0)
+    large = replace(whole.panels[0], vertices=3 * whole.panels[0].vertices)
+    assert score_pattern(Pattern("", (large,), ()), whole).panel_l2 == failed_score(whole).panel_l2
 
 
 def test_a_failure_scores_0_though_the_garment_has_no_seams() -> None:

@@ -35,7 +35,7 @@ class PatternScore:
     """Sum of the IoU of matched outlines, centroids aligned, divided by the larger number of panels."""
     panel_l2: float
     """Mean distance of matched outlines, centroids aligned, at equal shares of their length; for each panel at most the
-    mean radius of the true one [cm]."""
+    mean radius of the true one, and in all at most the mean of these radii [cm]."""
     panel_l2_pen: float
     """``panel_l2`` over all true panels; an unmatched panel counts with its mean radius [cm]."""
     transl_cm: float
@@ -77,6 +77,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     radii = {shape: float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in true_shapes}
     distances = {pair.true: min(_contour_distance(pair.predicted, pair.true), radii[pair.true]) for pair in pairs}
     penalised = _mean([distances.get(shape, radius) for shape, radius in radii.items()], 0.0)
+    worst = _mean(list(radii.values()), 0.0)
     alike = sum(pair.iou >= SAME_OUTLINE for pair in pairs)
     right_edges = sum(len(pair.predicted.panel.edges) == len(pair.true.panel.edges) for pair in pairs)
     right, found, wanted = seam_counts(predicted, true, pairs)
@@ -88,7 +89,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
         panel_count_acc=float(len(predicted_shapes) == len(true_shapes)),
         edge_count_acc=right_edges / larger if larger else 1.0,
         iou=sum(pair.iou for pair in pairs) / larger if larger else 1.0,
-        panel_l2=_mean(list(distances.values()), penalised),
+        panel_l2=min(_mean(list(distances.values()), worst), worst),  # the panels that match may be the large ones
         panel_l2_pen=penalised,
         transl_cm=_mean([min(pair.distance, FAR) for pair in pairs], FAR if larger else 0.0),
         rot_deg=_mean([float(np.degrees(pair.angle)) for pair in pairs], 180.0 if larger else 0.0),

@@ -15,6 +15,7 @@ __all__ = ["PanelShape", "resample_loop", "shape_or_none", "signed_area"]
 
 CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
 CONTOUR_POINTS = 256
+LARGEST = 1e12  # cm: specification files hold no larger number
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,10 @@ class PanelShape:
 
     @staticmethod
     def of(panel: Panel) -> "PanelShape":
-        """The shape of a panel. Raises ``PatternError`` for an open loop or an arc that does not span its chord."""
+        """The shape of a panel.
+
+        Raises ``PatternError`` for an open loop, an arc that does not span its chord, and numbers that are not finite.
+        """
         outline = _polyline(panel)
         centroid, side = area_centroid(panel), float(np.copysign(1.0, signed_area(outline)))
         loop = (outline - centroid) * [side, 1.0]
@@ -90,8 +94,10 @@ def signed_area(loop: Float[np.ndarray, "n 2"]) -> float:
 def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
     """The outline with sampled curves. Raises ``PatternError`` if it is not one closed loop."""
     require_closed(panel)
-    if not np.all(np.isfinite(panel.vertices)):
-        raise PatternError(f"panel {panel.name}: a vertex is not finite: correct its vertices")
+    if not _usable(panel.vertices):
+        raise PatternError(f"panel {panel.name}: a vertex is not finite or too large: correct its vertices")
+    if not _usable(panel.placement.translation) or not _usable(panel.placement.rotation):
+        raise PatternError(f"panel {panel.name}: its placement is not finite or too large: correct it")
     pieces = [
         sample_curve(*panel.edge_ends(index), edge.curve, 2 if edge.curve == LINE else CURVE_SAMPLES)[:-1]
         for index, edge in enumerate(panel.edges)
@@ -99,4 +105,11 @@ def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
     loop = np.concatenate(pieces)
     if len(loop) < 3:
         raise PatternError(f"panel {panel.name}: {len(loop)} straight edges: close the outline")
+    if not _usable(loop):
+        raise PatternError(f"panel {panel.name}: a curve is not finite or too large: correct its control points")
     return loop
+
+
+def _usable(values: np.ndarray) -> bool:
+    """Whether all values are finite and of a size that areas can be computed with."""
+    return bool(np.all(np.abs(values) <= LARGEST))  # false for NaN
