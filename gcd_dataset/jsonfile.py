@@ -103,17 +103,17 @@ class JsonPath:
 
     def numbers(self, value: Any, count: int, name: str) -> tuple[float, ...]:
         if not (isinstance(value, list | tuple) and len(value) == count and all(_is_number(n) for n in value)):
-            raise self.error(f"{name} must be {count} numbers, found {found(value)}")
+            raise self.error(f"{name} must be {count} numbers{_limit(value)}, found {found(value)}")
         return tuple(float(n) for n in value)
 
     def number(self, value: Any, name: str) -> float:
         if not _is_number(value):
-            raise self.error(f"{name} must be a number, found {found(value)}")
+            raise self.error(f"{name} must be a number{_limit([value])}, found {found(value)}")
         return float(value)
 
     def index(self, value: Any, name: str) -> int:
         if not (isinstance(value, int) and _is_number(value)):
-            raise self.error(f"{name} must be a whole number, found {found(value)}")
+            raise self.error(f"{name} must be a whole number{_limit([value])}, found {found(value)}")
         return value
 
     def text(self, value: Any, name: str) -> str:
@@ -192,3 +192,9 @@ def _holds(value: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
+
+
+def _limit(values: Any) -> str:
+    """The bound of numbers, for a message on values of which one exceeds it."""
+    numbers = [value for value in values if isinstance(value, int | float)] if isinstance(values, list) else []
+    return f" of at most {LARGEST_NUMBER:g}" if any(abs(value) > LARGEST_NUMBER for value in numbers) else ""

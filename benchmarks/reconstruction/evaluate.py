@@ -45,6 +45,8 @@ __all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "evaluator", "figures_of", "
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
+OF_DRAPES = ("bodies", "inputs", "resolution", "device")
+"""Options with an effect on drapes only."""
 BY_NAME = {"neuraltailor", "aipparel"}
 """Presets that match panels, or the panels of seams, by name."""
 SEAMS = (
@@ -61,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = evaluator()
     options = parser.parse_args(arguments)
-    if not options.drape and (given := [name for name in ("bodies", "inputs") if getattr(options, name) is not None]):
+    if not options.drape and (given := [name for name in OF_DRAPES if getattr(options, name) is not None]):
         parser.error(f"--{given[0]} has an effect with --drape only: add --drape")
     if options.partial and options.inputs is None:
         parser.error("--partial has an effect with --inputs only: add --inputs DIR")
@@ -88,6 +90,8 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
     names = [case.name for case in folders.cases]
     if options.json is not None and not options.json.absolute().parent.is_dir():
         raise OutputError(f"{options.json}: no such folder: create {options.json.absolute().parent}")
+    if options.json is not None and options.json.is_dir():
+        raise OutputError(f"{options.json}: a folder: give a file")
     wearers, inputs = _wearers(options, names), _inputs(options.inputs, names)
     scored: Iterable[Scored] = score_cases(folders.cases, workers=options.workers)
     garments = list(_with_bar(scored, len(folders.cases), "scored", options.quiet))
@@ -101,6 +105,9 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
             "true one: rename them, or import them with --panels",
             file=sys.stderr,
         )
+    for preset, scores in presets.items():
+        for remark in _of_no_number(scores):
+            print(f"evaluate: preset {preset}: {remark}", file=sys.stderr)
     if options.json is not None:
         tree = tree_of(garments, figures, kinds, presets, _settings(options))
         write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
@@ -144,10 +151,8 @@ def evaluator() -> argparse.ArgumentParser:
         "draped true pattern)",
     )
     parser.add_argument("--partial", action="store_true", help="inputs show a part of the garment, as a scan does")
-    parser.add_argument(
-        "--resolution", type=_centimetres, default=SPACING, metavar="CM", help=f"mesh edges of drapes ({SPACING})"
-    )
-    parser.add_argument("--device", default="auto", help="device of the drapes: auto, cpu or cuda:0 (auto)")
+    parser.add_argument("--resolution", type=_centimetres, metavar="CM", help=f"mesh edges of drapes ({SPACING})")
+    parser.add_argument("--device", help="device of the drapes: auto, cpu or cuda:0 (auto)")
     parser.add_argument(
         "--preset",
         action="append",
@@ -213,8 +218,8 @@ def _draped(
         wearers,
         inputs=inputs,
         partial=options.partial,
-        spacing=options.resolution,
-        device=options.device,
+        spacing=options.resolution or SPACING,
+        device=options.device or "auto",
         workers=options.workers,
     )
 
@@ -223,6 +228,15 @@ def _preset(preset: str, garments: Sequence[Scored]) -> dict[str, float]:
     legacy = import_module("gcd_dataset.metrics.legacy")
     predicted, true = [garment.predicted for garment in garments], [garment.true for garment in garments]
     return dict(legacy.legacy_scores(preset, predicted, true))
+
+
+def _of_no_number(scores: Mapping[str, float]) -> Iterator[str]:
+    """A line on the scores that are infinite, and one on those that are NaN."""
+    infinite, unknown = ([name for name, value in scores.items() if test(value)] for test in (math.isinf, math.isnan))
+    if infinite:
+        yield f"{', '.join(infinite)}: infinite by its definition, since a prediction has no panels"
+    if unknown:
+        yield f"{', '.join(unknown)}: not a number (nan), since none of these garments counts by its definition"
 
 
 def _shares_a_name(garment: Scored) -> bool:

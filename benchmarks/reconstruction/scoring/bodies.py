@@ -79,7 +79,12 @@ def wearers_of(bodies: str) -> Wearers:
     """
     path = Path(bodies)
     if not path.is_dir():
-        named_body(bodies)  # raises for an unknown name
+        try:
+            named_body(bodies)
+        except BodyError as error:
+            if path.exists() or path.suffix in MESHES or ":" in bodies:
+                raise
+            raise BodyError(f"{bodies}: no such folder, and {error}") from error
         return Wearers(None, bodies, {})
     table = read_json(path / TABLE, "map from garments to bodies", error=BodyError) if (path / TABLE).exists() else {}
     if not isinstance(table, dict) or not all(isinstance(body, str) for body in table.values()):

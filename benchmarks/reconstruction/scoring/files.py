@@ -1,6 +1,6 @@
 """Predictions and true patterns as two folders of specification files, matched by file name."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,8 +39,8 @@ class Folders:
         if missing:
             yield f"{len(missing)} of {len(self.cases)} garments without a prediction, all failures: {listed(missing)}"
         if self.unknown:
-            count = f"predictions without a true pattern, not scored: {len(self.unknown)}"
-            yield f"{count}: {listed(self.unknown)}: name each prediction after its garment"
+            named = f"{len(self.unknown)}: {listed(self.unknown)}{_in_capitals(self.unknown, missing)}"
+            yield f"predictions without a true pattern, not scored: {named}: name each prediction after its garment"
 
 
 def match_folders(predictions: Path, truth: Path) -> Folders:
@@ -52,7 +52,7 @@ def match_folders(predictions: Path, truth: Path) -> Folders:
     if not true.keys() & predicted.keys():
         raise SpecError(
             f"{predictions}: no file is named as one of {truth}: it holds {listed(list(predicted))}, the other "
-            f"{listed(list(true))}: name each prediction after its garment"
+            f"{listed(list(true))}{_in_capitals(predicted, true)}: name each prediction after its garment"
         )
     cases = tuple(Case(name, path, predicted.get(name)) for name, path in sorted(true.items()))
     return Folders(cases, tuple(sorted(predicted.keys() - true.keys())))
@@ -88,6 +88,13 @@ def name_of(path: Path) -> str:
     if path.stem.lower() in PLAIN:
         return path.parent.name
     return next((path.stem.removesuffix(end) for end in ENDINGS if path.stem.endswith(end)), path.stem)
+
+
+def _in_capitals(names: Iterable[str], garments: Iterable[str]) -> str:
+    """A remark if a name and that of a garment differ in capital letters only; else empty."""
+    known = {garment.casefold(): garment for garment in garments}
+    alike = [name for name in names if name.casefold() in known]
+    return f" ({shown(alike[0])} and {shown(known[alike[0].casefold()])} differ in capital letters)" if alike else ""
 
 
 def listed(names: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from functools import partial
 
 from benchmarks.reconstruction.scoring.distances import WORST, Surface, distance
 from benchmarks.reconstruction.scoring.files import Case
-from gcd_dataset.errors import GcdError, PatternError
+from gcd_dataset.errors import GcdError, PatternError, SpecError
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.metrics import PanelShape, failed_score, score_pattern
 from gcd_dataset.records import BoxMesh, Pattern
@@ -128,6 +128,8 @@ def _read_true(case: Case) -> Pattern:
         true = read_pattern(case.true)
         for panel in true.panels:
             PanelShape.of(panel)
+    except SpecError as error:
+        raise SpecError(f"{error}; if {case.true.name} is no true pattern, move it elsewhere") from error
     except PatternError as error:
         raise PatternError(f"{case.true}: {error}") from error
     if not true.panels:

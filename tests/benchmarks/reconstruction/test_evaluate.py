@@ -211,6 +211,36 @@ def test_missing_bodies_and_folders_are_errors_at_once(
     assert "no body for d" in capsys.readouterr().err
     assert run(ours, truth, "--json", tmp_path / "nowhere" / "out.json") == 1
     assert "no such folder" in capsys.readouterr().err
+    assert run(ours, truth, "--json", bodies) == 1
+    assert f"{bodies}: a folder: give a file" in capsys.readouterr().err
+    for missing in ("nowhere", tmp_path / "nowhere"):
+        assert run(ours, truth, "--drape", "--bodies", missing) == 1
+        [line] = [line for line in capsys.readouterr().err.splitlines() if "nowhere" in line]
+        assert f"{missing}: no such folder, and no body named" in line
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", "5", '{"a": "neutral"}', '{"pattern": 5}', "", "no JSON"])
+def test_another_json_file_among_true_patterns(
+    content: str, tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (truth / "bodies.json").write_text(content)
+    assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert "bodies.json: " in line and line.endswith("; if bodies.json is no true pattern, move it elsewhere")
+
+
+def test_a_preset_that_is_no_number_says_why(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = save(tmp_path / "ours", dict.fromkeys("abc", garment()) | {"d": Pattern("", (), ())})
+    assert run(ours, truth, "--preset", "stitched") == 0
+    [remark] = capsys.readouterr().err.splitlines()
+    assert remark == (
+        "evaluate: preset stitched: panel_l2, transl_l2, rot_l2: infinite by its definition, since a prediction has no "
+        "panels"
+    )
+    less = save(tmp_path / "less", dict.fromkeys("abcd", replace(garment(), panels=garment().panels[:1], seams=())))
+    assert run(less, truth, "--preset", "reweaver") == 0
+    [remark] = capsys.readouterr().err.splitlines()
+    assert "preset reweaver: edges, topology, edge_cd, iou: not a number (nan), since none of these garments" in remark
 
 
 def test_the_headline_counts_right_drapes_of_all_garments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -245,10 +275,13 @@ def test_a_reader_that_exits_early(tmp_path: Path, truth: Path) -> None:
         assert "Traceback" not in process.stderr.read()
 
 
-@pytest.mark.parametrize("arguments", [["--bodies", "neutral"], ["--drape", "--partial"], ["--workers", "0"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--bodies", "neutral"], ["--device", "cpu"], ["--resolution", "1"], ["--drape", "--partial"], ["--workers", "0"]],
+)
 def test_wrong_usage(tmp_path: Path, truth: Path, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        run(tmp_path, truth, *arguments)
+        run(truth, truth, *arguments)
     assert caught.value.code == 2
 
 

@@ -62,6 +62,17 @@ def test_files_are_matched_by_the_garments_name(tmp_path: Path) -> None:
     assert "cape" in unknown
 
 
+def test_names_that_differ_in_capital_letters(tmp_path: Path) -> None:
+    truth = write(tmp_path / "truth", "dress.json", "skirt.json")
+    folders = match_folders(write(tmp_path / "some", "dress.json", "Skirt.json"), truth)
+    [_, unknown] = folders.remarks()
+    assert unknown.endswith(
+        ": 1: Skirt (Skirt and skirt differ in capital letters): name each prediction after its garment"
+    )
+    with pytest.raises(SpecError, match=r"\(DRESS and dress differ in capital letters\): name each prediction after"):
+        match_folders(write(tmp_path / "all", "DRESS.json"), truth)
+
+
 def test_files_in_a_folder_for_each_garment(tmp_path: Path) -> None:
     """The layout of the published data, and of predictions named after their folder."""
     folder = write(tmp_path / "truth", "a/dress/dress_specification.json", "a/skirt/specification.json")
