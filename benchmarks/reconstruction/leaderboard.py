@@ -4,8 +4,9 @@
     python -m benchmarks.reconstruction.leaderboard --add OUT/report.json --command "python -m … --out OUT"
 
 ``--add`` copies the results of ``train`` or ``stitching.run`` into ``benchmarks/reports/learning``, with command,
-commit and date. From the files there the reports ``learning_T0.md`` …, their curves over the number of garments and
-``leaderboard.md`` are written.
+commit and date; smoke runs are refused. From the files there the reports ``learning_T0.md`` …, their curves over the
+number of garments and ``leaderboard.md`` are written. Models are ranked on one test set for each task; results on other
+garments have tables of their own.
 """
 
 import argparse
@@ -40,6 +41,7 @@ __all__ = [
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
 LEAST_MADE = 0.5  # of the garments asked for; a set with fewer is shown with its own number
+LEAST_TESTED = 0.9  # of the task's number of test garments; some cannot be draped
 HEADLINES: Mapping[str, Sequence[str]] = {
     "T3": ("f1_symmetric", "perfect_symmetric", "f1_several_symmetric"),
     "T4": ("panel_label", "seam_f1", "edge_label"),
@@ -47,7 +49,8 @@ HEADLINES: Mapping[str, Sequence[str]] = {
     "T6": ("error_cm", "within_1cm", "ms"),
 }
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
-USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "panel_count_acc")
+USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
+CURVES, COLUMNS = 3, 5  # of these scores: drawn and shown by kind, and in the table of all tasks
 LOWER = ("error_cm", "error_degrees", "ms")
 """Scores of which the lower is the better."""
 PROGRAMS = (
@@ -92,6 +95,10 @@ class Entry:
     """Garments made during the training, besides ``train``."""
     remark: str = ""
     """What the scores do not tell."""
+    tested: int = 0
+    """Garments of the test set."""
+    tests: str = ""
+    """Which garments these are: equal for the same patterns, draped at the same resolution."""
 
     @property
     def trained_on(self) -> str:
@@ -110,23 +117,29 @@ class Entry:
 def read_entries(folder: Path) -> list[Entry]:
     """The results in a folder, by task, then as the scores rank them. Raises ``ConfigError`` for unreadable ones."""
     found = [_entry(path) for path in sorted(folder.glob("*.json"))]
-    return sorted(found, key=lambda entry: (entry.task, -_rank(entry), entry.model, entry.train, entry.left_out))
+    tasks = sorted({entry.task for entry in found})
+    return [entry for task in tasks for entry in _ranked([e for e in found if e.task == task])]
 
 
 def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remark: str = "") -> Path:
-    """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another kind of file.
+    """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another file or a smoke run.
 
-    It replaces the result of the same model, task and garments, trained for as many minutes.
+    It replaces the result of the same model, task and garments, trained for as many minutes and tested alike.
     """
     entry = _read(path)
     entry = {**entry, "command": command, "commit": commit, "date": date, "remark": remark}
     kind = _checked(_of(entry, path), path)
+    if _is_smoke(entry):
+        raise ConfigError(f"{path}: a smoke run, which tells nothing about a model: run it again without --smoke")
     variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
     variant += f"_{kind.minutes:.0f}min" if kind.minutes else ""
-    name = f"{kind.task}_{kind.model}_{kind.train}{variant}.json".lower().replace(" ", "_")
+    name = f"{kind.task}_{kind.model}_{kind.train}{variant}".lower().replace(" ", "_")
+    file = folder / f"{name}.json"
+    if file.exists() and _test_set(_entry(file)) != _test_set(kind):
+        file = folder / f"{name}_test{kind.tested}_{kind.tests[:8]}.json"
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / name, (json.dumps(entry, indent=1) + "\n").encode())
-    return folder / name
+    write_whole(file, (json.dumps(entry, indent=1) + "\n").encode())
+    return file
 
 
 def pages(entries: Sequence[Entry]) -> dict[str, str]:
@@ -139,7 +152,7 @@ def pages(entries: Sequence[Entry]) -> dict[str, str]:
 def curves(entries: Sequence[Entry]) -> dict[str, bytes]:
     """File name to PNG: the first scores of a task against the garments trained on, if these differ in number."""
     tasks = dict.fromkeys(entry.task for entry in entries)
-    own = {task: [e for e in entries if e.task == task and not e.left_out] for task in tasks}
+    own = {task: _by_test_set([e for e in entries if e.task == task])[0] for task in tasks}
     return {_curve_file(task): _drawn(task, some) for task, some in own.items() if _has_curve(some)}
 
 
@@ -226,7 +239,9 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             tables |= _tables_of(kinds)
             minutes = found["train_s"] / 60
             train = int(arguments["train"])
-            return Entry("T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark)
+            return Entry(
+                "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found)
+            )  # fmt: skip
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
         left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
         train = int(options.get("train") or count)
@@ -235,7 +250,7 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
         model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
         return Entry(
             found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            left_out, int(found.get("fresh", 0)), remark,
+            left_out, int(found.get("fresh", 0)), remark, **_tests(found),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
@@ -255,6 +270,21 @@ def _checked(entry: Entry, path: Path) -> Entry:
     return entry
 
 
+def _tests(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of an entry that tell the test set."""
+    part = found["data"]["test"]
+    resolution = part.get("recipe", {}).get("recipe", {}).get("resolution")
+    drapes = f", meshes of {resolution:g} cm" if resolution else ""
+    return {"tested": int(part["count"]), "tests": f"{str(part['patterns'])[:16]}{drapes}"}
+
+
+def _is_smoke(found: Mapping[str, Any]) -> bool:
+    """Whether a report is of a smoke run, which its command, its options or its garments of one kind tell."""
+    options = {**found.get("options", {}), **found.get("arguments", {})}
+    design = found["data"]["test"].get("recipe", {}).get("recipe", {}).get("design")
+    return bool(options.get("smoke") or design or "--smoke" in found["command"].split())
+
+
 def _data(part: Mapping[str, Any]) -> str:
     return f"{part['count']} garments, patterns {str(part['patterns'])[:16]}, samples {str(part['ids'])[:16]}"
 
@@ -267,17 +297,43 @@ def _tables_of(kinds: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
     return {f"Of {kind}": {name: [value] for name, value in scores.items()} for kind, scores in kinds.items()}
 
 
-def _rank(entry: Entry) -> float:
-    for name in (*HEADLINES.get(entry.task, ()), *USUAL):
-        if name in entry.scores:
-            return -float(entry.scores[name][0]) if name in LOWER else float(entry.scores[name][0])
-    return 0.0
+def _ranked(entries: Sequence[Entry]) -> list[Entry]:
+    """Entries of a task, the best first by the first score that all of them have."""
+    names = [name for entry in entries[:1] for name in HEADLINES.get(entry.task, USUAL)]
+    shared = next((name for name in names if all(name in entry.scores for entry in entries)), "")
+    sign = 1 if shared in LOWER else -1
+
+    def rank(entry: Entry) -> tuple[float, str, int, str]:
+        return sign * float(entry.scores[shared][0]) if shared else 0.0, entry.model, entry.train, entry.left_out
+
+    return sorted(entries, key=rank)
 
 
-def _first_scores(task: str, entries: Sequence[Entry]) -> list[str]:
-    """Names of the scores that the table of all tasks shows, the headline first."""
-    names = [name for name in (*HEADLINES.get(task, ()), *USUAL) if any(e.score(name) for e in entries)]
-    return names[:3]
+def _test_set(entry: Entry) -> tuple[int, str]:
+    return entry.tested, entry.tests
+
+
+def _by_test_set(entries: Sequence[Entry]) -> list[list[Entry]]:
+    """Ranked entries of each test set of a task, without those that leave out a kind; the usual test set first.
+
+    The usual one has about as many garments as the task says, and of such ones the most entries, the latest at a tie.
+    """
+    found: dict[tuple[int, str], list[Entry]] = {}
+    for entry in entries:
+        if not entry.left_out:
+            found.setdefault(_test_set(entry), []).append(entry)
+
+    def usual(own: Sequence[Entry]) -> tuple[bool, int, str]:
+        whole = own[0].tested >= LEAST_TESTED * task_named(own[0].task).tested
+        return whole, len(own), max(str(entry.facts.get("date", "")) for entry in own)
+
+    return [_ranked(own) for own in sorted(found.values(), key=usual, reverse=True)] or [[]]
+
+
+def _first_scores(task: str, entries: Sequence[Entry], most: int = CURVES) -> list[str]:
+    """Names of the scores that tables and curves show, the headline first."""
+    names = [name for name in HEADLINES.get(task, USUAL) if any(e.score(name) for e in entries)]
+    return names[:most]
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
@@ -285,11 +341,10 @@ def _first_scores(task: str, entries: Sequence[Entry]) -> list[str]:
 
 def _page(task: str, entries: Sequence[Entry]) -> str:
     """The report of a task."""
-    whole = [entry for entry in entries if not entry.left_out]
-    names = list(dict.fromkeys(name for entry in whole for name in entry.scores))
-    head = ["model", "trained on", "minutes", *names]
-    rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in whole]
-    parts = [f"# {task}", _about(task), _table(head, rows), *_over_size(task, whole), *_left_out(task, entries)]
+    whole, *others = _by_test_set(entries)
+    names = list(dict.fromkeys(name for own in (whole, *others) for entry in own for name in entry.scores))
+    parts = [f"# {task}", _about(task), *_ranking(whole, names), *_over_size(task, whole)]
+    parts += [*_on_others(others, names), *_left_out(task, entries)]
     for entry in entries:
         without = f", without {entry.left_out}" if entry.left_out else ""
         spent = f", {entry.minutes:.0f} minutes" if entry.minutes else ""
@@ -305,32 +360,56 @@ def _page(task: str, entries: Sequence[Entry]) -> str:
 
 
 def _leaderboard(entries: Sequence[Entry]) -> str:
-    lines = ["# Leaderboard", "The scores of each task that its report puts first; means with 95 % intervals."]
+    lines = [
+        "# Leaderboard",
+        "The scores of each task that its report puts first; means with 95 % intervals. A table ranks models that were "
+        "tested on the same garments. Scores of patterns: [definitions](../../docs/evaluate.md#scores).",
+    ]
     for task in dict.fromkeys(entry.task for entry in entries):
         own = [entry for entry in entries if entry.task == task]
-        whole = [entry for entry in own if not entry.left_out]
-        names = _first_scores(task, own)
-        rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in whole]
+        whole, *others = _by_test_set(own)
+        names = _first_scores(task, own, COLUMNS)
         lines += [f"## {task}", _about(task) + f" [Report](learning_{task}.md)."]
-        lines.append(_table(["model", "trained on", "minutes", *names], rows))
-        lines += _left_out(task, own)
+        lines += [*_ranking(whole, names), *_on_others(others, names), *_left_out(task, own)]
     return "\n\n".join(lines) + "\n"
+
+
+def _ranking(entries: Sequence[Entry], names: Sequence[str]) -> list[str]:
+    """The scores of one test set; nothing without entries."""
+    if not entries:
+        return []
+    rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in entries]
+    about = f"Tested on {entries[0].tested:,} garments (patterns {entries[0].tests})."
+    return [about, _table(["model", "trained on", "minutes", *names], rows)]
+
+
+def _on_others(groups: Sequence[Sequence[Entry]], names: Sequence[str]) -> list[str]:
+    """The scores of further test sets, a table for each."""
+    about = "Results on other test garments do not compare with the table above, nor with each other."
+    return [about, *(part for own in groups for part in _ranking(own, names))] if groups else []
 
 
 def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
     """The scores on each kind of garment, trained with and without it; nothing if no kind was left out."""
     names, rows = _first_scores(task, entries), []
+    whole = _by_test_set(entries)[0]
     for entry in sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out)):
-        peers = [e for e in entries if (e.model, e.train, e.fresh, e.left_out) == (entry.model, entry.train, 0, "")]
+        peers = [e for e in whole if (e.model, e.train, e.fresh) == (entry.model, entry.train, 0)]
         peers.sort(key=lambda e: abs(e.minutes - entry.minutes))
         known = peers[0].kinds.get(entry.left_out, {}) if peers else {}
         cells = [
             cell for name in names for cell in (_shown([known[name]] if name in known else None), entry.score(name))
         ]
-        rows.append([entry.left_out, entry.model, f"{entry.train:,}", *cells])
+        rows.append([entry.left_out, entry.model, f"{entry.train:,}", f"{entry.tested:,}", *cells])
     if not rows:
         return []
-    head = ["left out", "model", "of", *(f"{name}, {how}" for name in names for how in ("with", "without"))]
+    head = [
+        "left out",
+        "model",
+        "of",
+        "tested on",
+        *(f"{name}, {how}" for name in names for how in ("with", "without")),
+    ]
     about = "A kind of garment left out: scores on the test garments of that kind, trained with and without it."
     return [about, _table(head, rows)]
 

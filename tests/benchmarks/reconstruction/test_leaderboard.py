@@ -11,12 +11,15 @@ from PIL import Image
 from benchmarks.reconstruction.leaderboard import main, read_entries
 
 
-def result(task: str, model: str, exact: float, *, train: int = 4, **options: Any) -> dict[str, Any]:
+def result(
+    task: str, model: str, exact: float, *, train: int = 4, tested: int = 500, patterns: str = "ef", **options: Any
+) -> dict[str, Any]:
     data = {"count": train - 1, "patterns": "ab" * 32, "ids": "cd" * 32, "recipe": {}}
+    test = {**data, "count": tested, "patterns": patterns * 32}
     return {
         "options": {"train": train, **options},
         "task": task, "model": model, "scores": {"topology_exact": [exact, exact - 0.1, exact + 0.1]},
-        "scores_of_kinds": {"skirt": {"topology_exact": 0.25}}, "data": {"train": data, "test": data},
+        "scores_of_kinds": {"skirt": {"topology_exact": 0.25}}, "data": {"train": data, "test": test},
         "minutes": 8.0, "steps": 10, "parameters": 1234, "device": "NVIDIA H200",
     }  # fmt: skip
 
@@ -104,12 +107,74 @@ def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None
 
 def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path) -> None:
     added(tmp_path, result("T0", "panel_set", 0.7))
-    added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt"))
+    added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt", tested=70, patterns="12"))
     for name in ("learning_T0.md", "leaderboard.md"):
         page = (tmp_path / name).read_text()
-        assert "| left out | model | of | topology_exact, with | topology_exact, without |" in page
-        assert "| skirt | panel_set | 4 | 0.25 | 0.1 (0 to 0.2) |" in page
+        assert "| left out | model | of | tested on | topology_exact, with | topology_exact, without |" in page
+        assert "| skirt | panel_set | 4 | 70 | 0.25 | 0.1 (0 to 0.2) |" in page
         assert page.count("| panel_set | 4 | 8.0 |") == 1
+        assert page.count("Tested on") == 1
+
+
+def test_results_on_other_test_garments_have_a_table_of_their_own(tmp_path: Path) -> None:
+    """Of few garments, of other patterns, and of drapes at another resolution; the ranked test set is the task's."""
+    coarse = result("T0", "coarse", 0.97)
+    coarse["data"]["test"]["recipe"] = {"recipe": {"resolution": 6.0, "design": {}}}
+    others = (
+        result("T0", "few", 0.99, tested=100), result("T0", "few too", 0.98, tested=100),
+        result("T0", "foreign", 0.95, patterns="34"), coarse,
+    )  # fmt: skip
+    for found in (*others, result("T0", "good", 0.7, tested=499), result("T0", "better", 0.8, tested=499)):
+        assert added(tmp_path, found) == 0
+    for name in ("learning_T0.md", "leaderboard.md"):
+        ranked, other = (tmp_path / name).read_text().split("Results on other test garments do not compare with")
+        rows = [line.split(" | ")[0] for line in ranked.splitlines() if line.startswith("| ")]
+        assert rows == ["| model", "| ---", "| better", "| good"]
+        assert "Tested on 499 garments (patterns efefefefefefefef)." in ranked
+        assert other.count("Tested on ") == 3
+        assert "Tested on 500 garments (patterns efefefefefefefef, meshes of 6 cm).\n\n| model " in other
+        assert other.index("| few | 4 |") < other.index("| few too | 4 |")
+
+
+def test_a_result_on_other_test_garments_replaces_none(tmp_path: Path) -> None:
+    """The command of the second one differs by ``--test 100``."""
+    for found in (result("T0", "nearest", 0.2), result("T0", "nearest", 0.9, tested=100)) * 2:
+        assert added(tmp_path, found) == 0
+    assert [(e.tested, e.scores["topology_exact"][0]) for e in read_entries(tmp_path / "learning")] == [
+        (100, 0.9),
+        (500, 0.2),
+    ]
+    assert (
+        "| nearest | 4 | 8.0 | 0.2 (0.1 to 0.3) |" in (tmp_path / "leaderboard.md").read_text().split("Results on")[0]
+    )
+
+
+@pytest.mark.parametrize("sign", ["option", "command", "garments"])
+def test_smoke_runs_are_refused(sign: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found, path = result("T0", "panel_set", 0.2, tested=8), tmp_path / "report.json"
+    if sign == "option":
+        found["options"]["smoke"] = True
+    if sign == "garments":
+        found["data"]["test"]["recipe"] = {"recipe": {"design": {"meta": {"upper": "none"}}}}
+    path.write_text(json.dumps(found))
+    command = "python -m x --smoke" if sign == "command" else "python -m x"
+    assert main(["--reports", str(tmp_path), "--add", str(path), "--command", command, "--commit", "abc"]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert line == f"leaderboard: {path}: a smoke run, which tells nothing about a model: run it again without --smoke"
+    assert not (tmp_path / "learning").exists()
+
+
+def test_models_are_ranked_by_a_score_that_all_have(tmp_path: Path) -> None:
+    """Drapes of the answers are scored for one of two models: the share within 1 cm and ``topology_exact`` are not
+    comparable."""
+    draped = result("T0", "draped", 0.7)
+    draped["scores"] |= {"within_1cm": [0.3, 0.2, 0.4], "sim_ok": [0.9, 0.8, 1.0], "stitch_f1": [0.6, 0.5, 0.7]}
+    added(tmp_path, draped)
+    added(tmp_path, result("T0", "other", 0.5))
+    assert [entry.model for entry in read_entries(tmp_path / "learning")] == ["draped", "other"]
+    board = (tmp_path / "leaderboard.md").read_text()
+    assert "| model | trained on | minutes | within_1cm | topology_exact | stitch_f1 | sim_ok |" in board
+    assert "| other | 4 | 8.0 |  | 0.5 (0.4 to 0.6) |  |  |" in board
 
 
 def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None:
@@ -153,4 +218,4 @@ def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
     assert added(tmp_path, found) == 0
     found |= {"arguments": {"train": 1000, "leave_out": "dress"}, "one_to_one": {"f1_symmetric": [0.5, 0.4, 0.6]}}
     assert added(tmp_path, found) == 0
-    assert "| dress | stitches | 1,000 | 0.75 | 0.5 (0.4 to 0.6) |" in (tmp_path / "learning_T3.md").read_text()
+    assert "| dress | stitches | 1,000 | 4 | 0.75 | 0.5 (0.4 to 0.6) |" in (tmp_path / "learning_T3.md").read_text()
