@@ -12,6 +12,7 @@ it as a failure. Exit code 0; 1 if no garment could be read or the options are w
 import argparse
 import re
 import sys
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,7 +37,10 @@ __all__ = ["FORMATS", "Garment", "garment_name", "main", "read_garments"]
 ARRAY_FILES = (".npz", ".npy", ".pt", ".pth")
 FILES = (".json", *ARRAY_FILES)
 PREDICTED = re.compile(r"_*pred(icted|iction)?(_single)?(_[0-9.e-]+)?_*$")  # …_predicted_, …_predicted_single_, …_pred
-UNREADABLE = (OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, UnpicklingError, zipfile.BadZipFile)
+UNREADABLE = (
+    OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, UnpicklingError, zipfile.BadZipFile,
+)  # fmt: skip
+MOST_ROWS = 5000  # edges of a garment's arrays; their distances take 200 MB, and the largest network has 1,443
 SINGLE = ""  # name of the array of a file that holds one
 NAMELESS = frozenset({"", "NNSewingPattern", "specification", "template"})  # such files are named by their folder
 
@@ -87,6 +91,11 @@ def read_garments(
     names = [str(item) for item in arrays.pop("names", np.zeros(0, str)).reshape(-1).tolist()]
     for number, (title, part) in enumerate(_garments(arrays, reader, path, name)):
         title = names[number] if number < len(names) else title
+        if (rows := int(np.prod(part[reader.main].shape[:-1]))) > MOST_ROWS:
+            raise SpecError(
+                f"{path}: {shown(title)}: {reader.main} hold {rows} edges, more than {MOST_ROWS}: give one garment, or "
+                "a first axis of garments"
+            )
         read = partial(reader.decode, part, title, raw, panels or reader.panels)
         yield _attempt(lambda read=read: Garment(read()), path, title)  # type: ignore[misc]
 
@@ -249,10 +258,13 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a file by name, as float64; names of garments as strings. Pickled objects are never loaded."""
     advice = "save plain arrays with numpy.savez or tensors with torch.save"
     try:
+        if not path.stat().st_size:
+            raise ValueError("an empty file")
         if path.suffix in (".pt", ".pth"):
             import torch
 
-            content = torch.load(path, map_location="cpu", weights_only=True)
+            with warnings.catch_warnings(action="ignore"):  # torch's advice on foreign files; the error is one line
+                content = torch.load(path, map_location="cpu", weights_only=True)
             parts = content if isinstance(content, dict) else {SINGLE: content}
             arrays = {
                 str(key): _real((value if value.is_complex() else value.double()).numpy(force=True))
@@ -262,11 +274,12 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             if isinstance(names := parts.get("names"), list | tuple):
                 arrays["names"] = np.array([str(item) for item in names])
             return arrays
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            return {SINGLE: _real(content)}
-        with content:
-            plain = {key: content[key] for key in content.files}
+        with path.open("rb") as file:  # numpy leaves a broken archive open
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {SINGLE: _real(content)}
+            with content:
+                plain = {key: content[key] for key in content.files}
         return {key: value if key == "names" else _real(value) for key, value in plain.items()}
     except FileNotFoundError as cause:
         raise SpecError(f"{path}: no such file: give a prediction") from cause
@@ -289,7 +302,7 @@ def _tokens(tree: Mapping[str, Any], path: Path, *, raw: bool) -> aipparel.AIppa
     for command, rows in at.mapping(tree.get("values"), "values").items():
         try:
             array = np.array(rows, float)
-        except (TypeError, ValueError) as cause:
+        except (TypeError, ValueError, OverflowError) as cause:
             raise at.error(f"values of {shown(command)} are no table of numbers: give one row a token") from cause
         values[command] = array if raw else _unscaled(command, array)
     return aipparel.AIpparelTokens(tokens, values)
@@ -400,7 +413,11 @@ def _names(path: Path) -> list[str]:
 def _attempt(read: Callable[[], Garment], path: Path, name: str) -> Garment | GcdError:
     """The garment, or its error with the file and the garment in front."""
     try:
-        return read()
+        with np.errstate(all="ignore"):  # numbers without bounds overflow before they are refused
+            garment = read()
+        if not garment.pattern.panels:
+            raise PatternError("no panel with an edge: the model predicted nothing; leave it out")
+        return garment
     except GcdError as error:
         text = str(error)
         return type(error)(text if text.startswith(str(path)) else f"{path}: {shown(name)}: {text}")

@@ -23,6 +23,7 @@ from gcd_dataset.encodings.rows import (
     middle_of,
     panel_from_vectors,
     quaternion,
+    require_finite,
     seam_ends,
     top_of,
 )
@@ -201,6 +202,5 @@ def _rows(command: str, values: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "
     rows = np.asarray(values, float)
     if rows.ndim != 2 or rows.shape[1] != NUMBERS[command]:
         raise PatternError(f"values of {command} have shape {rows.shape}, not (n, {NUMBERS[command]}): one row a token")
-    if not np.all(np.isfinite(rows)):
-        raise PatternError(f"values of {command} are not all finite: give finite numbers")
+    require_finite(rows, f"values of {command}")
     return rows

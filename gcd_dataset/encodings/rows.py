@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 GAP = 3.0  # cm in x and in y: a wider gap between the ends of an outline takes one more edge; pattern_converter.py
+LARGEST = 1e12  # larger numbers have no place in a specification file
 LEVEL = 1e-6  # cm: sides of a bounding box that hang this close count as equally high
 
 
@@ -271,7 +272,7 @@ def require_room(pattern: Pattern, *, panels: int, edges: int, what: str) -> Non
 
 
 def require_finite(values: np.ndarray, what: str) -> None:
-    """Raise ``PatternError`` with the first place where a value is not finite."""
-    bad = np.argwhere(~np.isfinite(values))
+    """Raise ``PatternError`` with the first place where a value is not finite, or larger than ``LARGEST``."""
+    bad = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(bad):
-        raise PatternError(f"{what}{bad[0].tolist()} is {values[tuple(bad[0])]}: give finite numbers")
+        raise PatternError(f"{what}{bad[0].tolist()} is {values[tuple(bad[0])]}: give finite numbers up to {LARGEST:g}")

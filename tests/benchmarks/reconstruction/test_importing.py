@@ -1,6 +1,7 @@
 """Predictions of published models, in the files that they write, become specifications that can be scored."""
 
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -351,6 +352,87 @@ def test_errors_name_file_place_and_remedy(tmp_path: Path, capsys: pytest.Captur
     save(source, parts)
     assert run("aipparel", source, out=out) == 1
     assert "belt.npz: aipparel has no arrays: give a JSON file" in one_line_of(capsys)
+
+
+DAMAGED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "cut": lambda array: array[..., :-1],
+    "flat": lambda array: array.reshape(-1),
+    "nested": lambda array: array[None, None],
+    "one number": lambda array: np.array(1.0),
+    "text": lambda array: np.array(["a", "b"]),
+    "nan": lambda array: array * np.nan,
+    "huge": lambda array: np.where(array == 0, 1e300, array * 1e300),
+    "empty": lambda array: array[:0],
+    "many": lambda array: np.repeat(array, 40, axis=0),
+}
+
+
+def undamaged(form: str) -> dict[str, np.ndarray]:
+    if form == "sewingldm":
+        return {"samples": sewingldm.encode(garment())}
+    if form == "garmentdiffusion":
+        return {"edges": garmentdiffusion.encode(garment())}
+    arrays = neuraltailor.encode(garment()) if form == "neuraltailor" else sewformer.encode(garment())
+    return {name: getattr(arrays, name) for name in ("outlines", "rotations", "translations")}
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+@pytest.mark.parametrize("form", ["neuraltailor", "sewformer", "sewingldm", "garmentdiffusion"])
+def test_damaged_arrays_are_one_error(
+    form: str, damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = undamaged(form)
+    first = next(iter(parts))
+    save(tmp_path / "belt.npz", parts | {first: DAMAGED[damage](parts[first])})
+    assert run(form, tmp_path / "belt.npz", out=tmp_path / "out", flags=("--raw",)) == 1
+    line = one_line_of(capsys)
+    assert line.startswith(f"importing: {tmp_path / 'belt.npz'}: ") and line.count(": ") >= 3
+
+
+@pytest.mark.parametrize("suffix", ["npz", "npy", "pt"])
+def test_damaged_files_are_one_error(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, array = tmp_path / f"belt.{suffix}", sewingldm.encode(garment())
+    if suffix == "npz":
+        np.savez(source, samples=array)
+    elif suffix == "npy":
+        np.save(source, array)
+    else:
+        torch.save({"samples": torch.from_numpy(array)}, source)
+    whole = source.read_bytes()
+    for content in (b"", whole[:50], whole[: len(whole) // 2], pickle.dumps({"samples": 1}, 4)):
+        source.write_bytes(content)
+        assert run("sewingldm", source, out=tmp_path / "out") == 1
+        line = one_line_of(capsys)
+        assert f"belt.{suffix}: cannot be read (" in line and "(): " not in line
+        assert line.endswith("): save plain arrays with numpy.savez or tensors with torch.save")
+
+
+def test_an_array_larger_than_the_memory_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with (tmp_path / "belt.npy").open("wb") as file:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**14,)}
+        np.lib.format.write_array_header_1_0(file, header)
+    assert run("sewingldm", tmp_path / "belt.npy", out=tmp_path / "out") == 1
+    assert "belt.npy: cannot be read (Unable to allocate" in one_line_of(capsys)
+
+
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ([[10**400, 0]], "values of <pattern_cmd_LINE> are no table of numbers: give one row a token"),
+        ([[1e300, 0]], "<pattern_cmd_LINE>[0, 0] is 1e+300: give finite numbers up to 1e+12"),
+        ([[1, 2, 3]], "<pattern_cmd_LINE> have shape (1, 3), not (n, 2): one row a token"),
+        ([], "<pattern_cmd_LINE> have shape (0,), not (n, 2): one row a token"),
+    ],
+)
+def test_damaged_tokens_are_one_error(
+    values: list[Any], fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tokens = aipparel.encode(garment())
+    rows = {name: rows.tolist() for name, rows in tokens.values.items()} | {"<pattern_cmd_LINE>": values}
+    tree = {"tokens": tokens.tokens, "values": rows}
+    (tmp_path / "belt.json").write_text(json.dumps(tree))
+    assert run("aipparel", tmp_path / "belt.json", out=tmp_path / "out", flags=("--raw",)) == 1
+    assert one_line_of(capsys).endswith(fault)
 
 
 def test_one_failure_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
