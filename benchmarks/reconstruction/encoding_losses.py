@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
-from gcd_dataset.errors import GcdError, PatternError
+from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.metrics import score_pattern
@@ -49,7 +49,7 @@ def losses_of(again: Callable[[Pattern], Pattern], patterns: Sequence[Pattern]) 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code: 0, or 1 for a file that cannot be read."""
+    """Run the command. Returns the exit code: 0, or 1 for a file or an option that cannot be used."""
     parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.encoding_losses", description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="specification files, in place of samples")
     parser.add_argument("--count", type=int, default=100, help="sampled patterns (100)")
@@ -65,6 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _table(options: argparse.Namespace) -> Iterator[str]:
+    for name, least in (("count", 1), ("seed", 0)):
+        if getattr(options, name) < least:
+            raise ConfigError(f"--{name} {getattr(options, name)}: give {least} or more")
     if options.files:
         patterns = [read_pattern(path) for path in options.files]
     else:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
+from benchmarks.reconstruction.encoding_losses import main as print_losses
 from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.importing import garment_name, main
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
@@ -352,6 +353,12 @@ def test_errors_name_file_place_and_remedy(tmp_path: Path, capsys: pytest.Captur
     save(source, parts)
     assert run("aipparel", source, out=out) == 1
     assert "belt.npz: aipparel has no arrays: give a JSON file" in one_line_of(capsys)
+
+
+@pytest.mark.parametrize(("option", "least"), [("--count", 1), ("--seed", 0)])
+def test_losses_of_no_patterns_are_refused(option: str, least: int, capsys: pytest.CaptureFixture[str]) -> None:
+    assert print_losses([option, str(least - 1)]) == 1
+    assert one_line_of(capsys) == f"encoding_losses: {option} {least - 1}: give {least} or more"
 
 
 DAMAGED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
