@@ -167,13 +167,15 @@ def test_the_commands_of_the_committed_plans_are_valid(name: str) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("model")
     add_arguments(parser)
+    stitches = argparse.ArgumentParser()
+    stitching.add_arguments(stitches)
     for run in read_plan(PLANS / name):
         arguments = [*run.command[3:], "--out", "out"]
         if run.program == "train":
             args = parser.parse_args(arguments)
             options_from(args, args.model)
         else:
-            args = stitching._parser().parse_args(arguments)
+            args = stitching.parsed(stitches, arguments)
         assert not args.leave_out or args.leave_out in FAMILIES
     tasks = {run.task for run in read_plan(PLANS / name)}
     assert tasks >= set(TASKS) - ({"T7", "T1-scan"} if name == "h200_short.toml" else {"T7"})
