@@ -34,12 +34,12 @@ from enum import StrEnum
 from fnmatch import fnmatch
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from benchmarks.reconstruction import leaderboard
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
-from benchmarks.reconstruction.train import MINUTES, SMOKE, UNFINISHED
+from benchmarks.reconstruction.train import MINUTES, SMOKE, UNFINISHED, add_arguments, options_from, require_usable
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
@@ -144,7 +144,6 @@ def _runs(path: Path, name: str, group: Any) -> list[Planned]:
         if program == "train" and "model" not in chosen:
             raise ConfigError(f"{path}: [{name}] has no model: give model = …")
         options = {key: value for key, value in chosen.items() if key not in OWN}
-        task_named(str(options.get("task", "T0")))
         for key in ("train", "minutes", "spare"):
             value = chosen.get(key, 0)
             if not isinstance(value, int | float) or not 0 <= value < float("inf"):
@@ -152,8 +151,32 @@ def _runs(path: Path, name: str, group: Any) -> list[Planned]:
         title = "-".join([name, *(str(value) for value in values)])
         if "/" in title or not title.isprintable() or title in (".", ".."):
             raise ConfigError(f"{path}: {title!r:.99} is no name for a folder: rename [{name}]")
-        found.append(Planned(title, program, chosen.get("model", ""), options, float(chosen.get("spare", SPARE))))
+        run = Planned(title, program, str(chosen.get("model", "")), options, float(chosen.get("spare", SPARE)))
+        try:
+            _require_usable(run)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: [{name}] {error}") from error
+        found.append(run)
     return found
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises ``ConfigError`` where others leave the program."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(message)
+
+
+def _require_usable(run: Planned) -> None:
+    """Raise ``ConfigError`` for options that the program would refuse on any machine."""
+    parser = _Parser(allow_abbrev=False)
+    given = [*run.command[3:], "--out", "out", "--device", "cpu"]
+    if run.program == "stitching.run":
+        stitching.add_arguments(parser)
+        stitching.configs_from(stitching.parsed(parser, given))
+    else:
+        add_arguments(parser)
+        require_usable(options_from(parser.parse_args(given[1:]), run.model))
 
 
 def _flags(options: Mapping[str, Any]) -> list[str]:
@@ -284,6 +307,7 @@ class _Campaign:
         if planned != run.command:
             raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
         if (folder / REPORT).exists():
+            _report_in(folder / REPORT)
             return State.DONE
         return State.UNFINISHED if (folder / "checkpoint.pt").exists() else State.WAITING
 
@@ -466,11 +490,22 @@ def _trained_minutes(folder: Path) -> float:
         return max((float(row["seconds"]) for row in csv.DictReader(file)), default=0.0) / 60
 
 
+def _report_in(path: Path) -> dict[str, Any]:
+    """What a run reports. Raises ``ConfigError`` for a damaged file."""
+    try:
+        found = json.loads(path.read_text())
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}: delete it, the run is scored again") from error
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path}: no report: delete it, the run is scored again")
+    return found
+
+
 def _headline(path: Path, task: str) -> str:
     """The score by which models of the task are compared."""
     if not path.exists():
         return ""
-    found = json.loads(path.read_text())
+    found = _report_in(path)
     name = "perfect_symmetric" if "one_to_one" in found else task_named(task).headline
     value = found.get("one_to_one", found.get("scores", {})).get(name)
     return f"{name} {value[0]:.3f}" if value else ""

@@ -238,7 +238,7 @@ def generated(
     while kept is None or made < count:
         following = whole.select(range(made, made := min(count, made + portion)))
         if ahead:
-            rest = _joined(stream.encoded(following, _itself), following)
+            rest = _joined((one for _, one in stream.encoded(following, _itself)), following)
         else:
             rest = read_garments(following, points=points, extra=extra, workers=workers)
         kept = rest if kept is None else GarmentSet.join([kept, rest])
@@ -255,9 +255,18 @@ def _names(points: int, extra: Sequence[str]) -> tuple[list[str], list[str]]:
     return names, item_fields(names)
 
 
-def read_folder(source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
-    """The settled garments of a folder, URL or Hub repository that ``GarmentDataset`` opens."""
+def read_folder(
+    source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0, stage: str = "pattern"
+) -> GarmentSet:
+    """The settled garments of a folder, URL or Hub repository that ``GarmentDataset`` opens.
+
+    Raises ``ConfigError`` for garments of another stage; ``pattern``: those of any.
+    """
     names, read = _names(points, extra)
+    fields = GarmentDataset(source, dtype=None).fields
+    held = "drape" if "verts" in fields else "mesh" if "faces" in fields else "pattern"
+    if stage not in ("pattern", held):  # points of box meshes and of drapes have one name
+        raise ConfigError(f"{source}: garments of stage {held}: give garments made with --stage {stage}")
     found = GarmentDataset(source, fields=read, dtype=None)
     return replace(
         read_garments(found, points=points, extra=extra, workers=workers),
@@ -274,8 +283,8 @@ def fresh_garments(
     extra: Sequence[str] = (),
     workers: int = 0,
     **options: Any,
-) -> Iterator[Encoded]:
-    """``encode`` of each garment of a seed from index ``first`` on, a set of one; made and encoded by ``workers``.
+) -> Iterator[tuple[int, Encoded]]:
+    """Index and ``encode`` of each garment of a seed from index ``first`` on, a set of one; made by ``workers``.
 
     Garments whose drape did not settle are left out. Where there is a GPU, this process renders pictures on it, and
     encodes garments that have some.
@@ -284,7 +293,7 @@ def fresh_garments(
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
     stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=stream.transform(encode), **options)
-    yield from stream.encoded(endless.select(range(first, first + MOST_FRESH)), encode)
+    yield from stream.encoded(endless.select(range(first, first + MOST_FRESH)), encode, first=first)
 
 
 @dataclass(frozen=True)
@@ -299,15 +308,21 @@ class _Stream:
         """The transform of the data set that is streamed."""
         return _Encoded(self.pack, encode) if self.views is None else None
 
-    def encoded(self, garments: Garments, encode: Callable[[GarmentSet], Encoded]) -> Iterator[Encoded]:
-        """``encode`` of each garment that settled, a set of one; the data set has the transform above."""
+    def encoded(
+        self, garments: Garments, encode: Callable[[GarmentSet], Encoded], *, first: int = 0
+    ) -> Iterator[tuple[int, Encoded]]:
+        """Index and ``encode`` of each garment that settled, a set of one; the data set has the transform above.
+
+        ``first``: index of the first garment; the others follow without gaps.
+        """
         fresh = FreshGarments(garments, workers=self.workers, room=1)
         if self.views is None:
-            yield from (cast(Encoded, one) for one in fresh if one is not None)
+            yield from ((k, cast(Encoded, one)) for k, one in enumerate(fresh, first) if one is not None)
         else:
             settled = filter(_is_settled, fresh)
             batches = iter(lambda: list(islice(settled, TOGETHER)), [])
-            yield from (encode(self.pack(item)) for items in self.views.batches(batches) for item in items)
+            shown = (item for items in self.views.batches(batches) for item in items)
+            yield from ((int(item["meta"]["index"]), encode(self.pack(item))) for item in shown)
 
 
 def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:

@@ -32,6 +32,7 @@ STRIDE = 8  # pixels along each side of a token's cell
 NUMBERS = 6  # of a distortion
 MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3
 """Of ``distorted``: radians; logarithm of the scale; half sides of the picture; logarithm of a channel's weight."""
+GROUPS = 8  # of channels that are normalised together
 PARTS = 2  # parts of a cell along each side, about which its token says something
 SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
 """Weights of the losses of what pixels show and of borders, relative to the losses of panels."""
@@ -41,9 +42,14 @@ class PictureTokens(nn.Module):
     """Pictures to tokens of their cells, related to each other."""
 
     def __init__(self, config: EncoderConfig, *, views: int, size: int, seen: int = 0) -> None:
-        """``seen``: cells of a garment in a training step, others in each step; 0: all, as in an answer."""
+        """``seen``: cells of a garment in a training step, others in each step; 0: all, as in an answer.
+
+        Raises ``ConfigError`` for a width whose quarter has no ``GROUPS`` equal parts.
+        """
         super().__init__()
         width, side = config.width, size // STRIDE
+        if width % (4 * GROUPS):
+            raise ConfigError(f"width {width}: give a multiple of {4 * GROUPS}")
         self.seen = seen
         self.cells = nn.Sequential(
             *_halved(3, width // 4),
@@ -106,7 +112,7 @@ def _borders(panels: Int[Tensor, "b h w"]) -> Float[Tensor, "b 1 h w"]:
 
 def _halved(channels: int, width: int) -> list[nn.Module]:
     """A layer that halves the picture."""
-    return [nn.Conv2d(channels, width, 3, stride=2, padding=1, bias=False), nn.GroupNorm(8, width), nn.GELU()]
+    return [nn.Conv2d(channels, width, 3, stride=2, padding=1, bias=False), nn.GroupNorm(GROUPS, width), nn.GELU()]
 
 
 # --------------------------------------------------------------------------------------------------------- the examples

@@ -6,10 +6,10 @@ al., ECCV 2022; Kd-Networks, Klokov and Lempitsky, ICCV 2017). A training step s
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any, TypeVar, cast
+from typing import cast
 
 import torch
 from jaxtyping import Float, Int
@@ -34,12 +34,10 @@ __all__ = [
     "PointTokens",
     "encoder",
     "regions_of",
-    "sizes_from",
+    "require_tokens",
     "some_of",
     "waves",
 ]
-
-Sizes = TypeVar("Sizes", bound="PointConfig")
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
@@ -83,12 +81,11 @@ class PointLearner(Learner[PanelTargets, Pattern]):
     def __init__(self, config: PointConfig, *, points: int = 4096, stored_points: int = 8192) -> None:
         """``points``: points of a garment in a step, drawn from the first ``stored_points``.
 
-        Raises ``ConfigError`` unless the number of tokens is a power of 2, at most ``points``.
+        Raises ``ConfigError`` unless the number of tokens is a power of 2, at most either number of points.
         """
         super().__init__()
         self.config = config
-        if not 1 <= config.tokens <= points or config.tokens & (config.tokens - 1):
-            raise ConfigError(f"{config.tokens} tokens of {points} points: give a power of 2, at most the points")
+        require_tokens(config, points, stored_points)
         self.points, self.stored_points = points, stored_points
         self.tokens = PointTokens(config)
 
@@ -128,16 +125,11 @@ class PointLearner(Learner[PanelTargets, Pattern]):
         """The predictions in the form of the targets, from the tokens of the points."""
 
 
-def sizes_from(model: str, kind: type[Sizes], options: Mapping[str, Any]) -> tuple[Sizes, dict[str, Any]]:
-    """The configuration of a network, and the arguments of ``PointLearner``. Raises ``ConfigError``."""
-    given = dict(options)
-    own: dict[str, Any] = {name: given.pop(name) for name in ("points", "stored_points") if name in given}
-    names = [field.name for field in fields(kind)]
-    unknown = set(given) - set(names)
-    if unknown:
-        known = ", ".join([*names, "points", "stored_points"])
-        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {known}")
-    return kind(**given), own
+def require_tokens(config: EncoderConfig, points: int, stored_points: int) -> None:
+    """Raise ``ConfigError`` unless the number of tokens is a power of 2, at most either number of points."""
+    least = min(points, stored_points)
+    if not 1 <= config.tokens <= least or config.tokens & (config.tokens - 1):
+        raise ConfigError(f"{config.tokens} tokens of {least} points: give a power of 2, at most the points")
 
 
 @dataclass(frozen=True)

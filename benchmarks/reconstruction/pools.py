@@ -10,6 +10,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from benchmarks.reconstruction.learners import Learner, TensorExamples
+from gcd_dataset.errors import ConfigError
 
 __all__ = ["FreshPool"]
 
@@ -28,18 +29,23 @@ class FreshPool(Generic[Batch]):
         self,
         learner: Learner[Batch, Any],
         first: TensorExamples,
-        stream: Callable[[int], Iterator[TensorExamples]],
+        stream: Callable[[int], Iterator[tuple[int, TensorExamples]]],
         *,
         room: int,
     ) -> None:
-        """``first``: examples to begin with, on the device; ``stream``: encoded garments from an index on, on a CPU."""
-        self._stream = stream
-        filled = min(len(first), room)
+        """``first``: examples to begin with, on the device; ``stream``: indices and encoded garments from an index on,
+        on a CPU, in order.
+
+        Raises ``ConfigError`` without room for the first examples.
+        """
+        if len(first) > room:
+            raise ConfigError(f"room {room}: give room for the {len(first)} examples to begin with")
+        self._stream, filled = stream, len(first)
         self._store = first[torch.arange(room, device=first.device) % filled]
         self._filled = self._next = filled
         self._view = learner.drawn_from(self._store)
-        self._ready: queue.Queue[TensorExamples | BaseException] | None = None
-        self._first = 0
+        self._ready: queue.Queue[tuple[int, TensorExamples] | BaseException] | None = None
+        self._following = 0  # index after the last example received; those of garments left out are counted
         self.received = 0
         """Fresh examples received, in this run and those that it continues."""
 
@@ -54,7 +60,7 @@ class FreshPool(Generic[Batch]):
         """Take what is ready; the first call starts the stream. Raises the stream's error."""
         if self._ready is None:
             self._ready = queue.Queue(WAITING)
-            thread = threading.Thread(target=_fill, args=(self._ready, self._stream(self.received)), daemon=True)
+            thread = threading.Thread(target=_fill, args=(self._ready, self._stream(self._following)), daemon=True)
             thread.start()
         taken: list[TensorExamples] = []
         while len(taken) < WAITING:
@@ -64,7 +70,8 @@ class FreshPool(Generic[Batch]):
                 break
             if isinstance(one, BaseException):
                 raise one
-            taken.append(one)
+            self._following = one[0] + 1
+            taken.append(one[1])
         if taken:
             self._put(type(taken[0]).join(taken))
 
@@ -77,15 +84,17 @@ class FreshPool(Generic[Batch]):
         self.received += len(fresh)
 
     def state_dict(self) -> dict[str, Any]:
-        """The number of examples received."""
-        return {"received": self.received}
+        """The number of examples received, and the index at which the stream continues."""
+        return {"received": self.received, "following": self._following}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue the stream after the examples received before."""
-        self.received = state["received"]
+        self.received, self._following = state["received"], state["following"]
 
 
-def _fill(ready: "queue.Queue[TensorExamples | BaseException]", stream: Iterator[TensorExamples]) -> None:
+def _fill(
+    ready: "queue.Queue[tuple[int, TensorExamples] | BaseException]", stream: Iterator[tuple[int, TensorExamples]]
+) -> None:
     try:
         for one in stream:
             ready.put(one)

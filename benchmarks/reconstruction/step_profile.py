@@ -13,13 +13,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from benchmarks.reconstruction.models import MODELS, load_model
-from benchmarks.reconstruction.train import Options, add_arguments, options_from
+from benchmarks.reconstruction.train import Options, add_arguments, load_split, options_from, require_usable
 from benchmarks.reconstruction.training import TrainConfig, step_of
 from gcd_dataset.errors import ConfigError, GcdError
 
@@ -65,9 +66,9 @@ def _profile(options: Options) -> None:
     module, config = load_model(options.model), options.config
     if not hasattr(module, "build"):
         raise ConfigError(f"{options.model} has no training: choose a network")
+    require_usable(options)
     device = torch.device(options.device)
-    recipe = {**options.task.options, **(options.recipe or {})}
-    split = options.task.load(options.train, data=options.data, workers=options.workers, tested=1, **recipe)
+    split = load_split(replace(options, test=1, leave_out=""))
     torch.manual_seed(config.seed)
     learner = module.build(smoke=options.smoke, options=options.sizes)
     step = step_of(learner, learner.prepare(split.train, device=device), config, device=device)

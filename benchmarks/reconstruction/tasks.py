@@ -58,6 +58,11 @@ class Task:
         """Whether an answer is a ``Pattern``."""
         return self.asked == "pattern"
 
+    @property
+    def stage(self) -> str:
+        """Last stage of the garments: ``pattern``, ``mesh`` or ``drape``."""
+        return "drape" if self.options.get("drape") else str(self.options.get("stage", "mesh"))
+
     def load(
         self,
         count: int,
@@ -79,8 +84,11 @@ class Task:
         )
 
     def read(self, source: str, count: int, *, workers: int = 0, tested: int = 0) -> Split:
-        """The garments of a folder or repository, split by design and body; ``count`` to train on."""
-        whole = read_folder(source, points=self.points, extra=self.extra, workers=workers)
+        """The garments of a folder or repository, split by design and body; ``count`` to train on.
+
+        Raises ``ConfigError`` for garments of another stage.
+        """
+        whole = read_folder(source, points=self.points, extra=self.extra, workers=workers, stage=self.stage)
         return split_off(whole, tested or self.tested).first(count)
 
 

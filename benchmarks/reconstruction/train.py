@@ -37,6 +37,8 @@ from benchmarks.reconstruction.pools import FreshPool
 from benchmarks.reconstruction.scoring.table import DRAPED
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
+    CHECKPOINT,
+    CURVES,
     StoppedError,
     TrainConfig,
     Trained,
@@ -49,7 +51,17 @@ from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import png_bytes
 
-__all__ = ["UNFINISHED", "Result", "add_arguments", "main", "options_from", "run"]
+__all__ = [
+    "UNFINISHED",
+    "Options",
+    "Result",
+    "add_arguments",
+    "load_split",
+    "main",
+    "options_from",
+    "require_usable",
+    "run",
+]
 
 MINUTES, TRAINED = 8.0, 4000
 REPORT, SCORES, EVALUATION = "report.json", "scores.csv", "evaluation.json"
@@ -79,11 +91,11 @@ class Options:
     """Options of the network."""
     data: Path | None = None
     source: str = ""
-    """Folder or repository of the garments; empty: they are generated."""
+    """Folder or repository of the garments; empty: they are generated, and kept in ``data``."""
     leave_out: str = ""
     """Kind of garment to test on, and not to train on."""
     fresh: int = 0
-    """Room for fresh garments; 0: only the fixed set."""
+    """Room for the garments to train on and for fresh ones, the latest; 0: only the fixed set."""
     recipe: Mapping[str, Any] | None = None
     """Changes of the task's recipe."""
     workers: int = 0
@@ -118,10 +130,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--train", 0, f"garments to train on; 0: {TRAINED}, or {SMOKE['train']} with --smoke")
     option("--test", 0, "garments to test on; 0: those of the task")
     option("--out", "out", "folder of the results; a repeated call continues there")
-    option("--data", "", "folder that caches the garments (default: garments beside --out)")
-    option("--source", "", "folder, URL or Hub repository of garments; split by design and body")
+    option("--data", "", "folder that caches generated garments (default: garments beside --out)")
+    option("--source", "", "folder, URL or Hub repository of garments of the task's stage, instead of generated ones; "
+           "they are split by design and body, and --data is not used")  # fmt: skip
     option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
-    option("--fresh", 0, "room for garments made during the training, besides --train; 0: none")
+    option("--fresh", 0, "room for the garments of --train and those made meanwhile, the latest; 0: none are made")
     option("--minutes", 0.0, f"time for the steps alone, without loading and scoring; {MINUTES:g} without --steps")
     option("--steps", 0, "optimiser steps")
     option("--batch", 0, "garments of a step; 0: the model's own")
@@ -129,12 +142,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--checks", 0, "scores and pictures on the way; 0: the model's own, mostly 4")
     option("--seed", 0, "seed of weights and order")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
-    option("--resolution", 0.0, "edge length of the meshes [cm]; 0: the task's own")
+    option("--resolution", 0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
     parser.add_argument("--compile", action="store_true", help="compile the network")
     parser.add_argument("--make-only", action="store_true", help="make the garments of --data, then stop")
-    parser.add_argument("--drape", action="store_true", help="also score drapes of the answers")
+    parser.add_argument("--drape", action="store_true", help="also score drapes of the answers, at the resolution "
+                        "of the garments; with --source at the task's own")  # fmt: skip
     parser.add_argument("--smoke", action="store_true", help="few coarse garments and a tiny network, for two cores")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="sizes of the network")
 
@@ -154,7 +168,9 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
     if "steps" not in chosen:
         chosen.setdefault("minutes", MINUTES)
     recipe: dict[str, Any] = {"resolution": args.resolution} if args.resolution else {}
-    if args.smoke:
+    if args.source and recipe:
+        raise ConfigError(f"--resolution {args.resolution:g}: the garments of --source are made: leave it out")
+    if args.smoke and not args.source:
         recipe = {"resolution": SMOKE["resolution"], "design": SMOKE["design"], **recipe}
     workers = (0 if args.smoke else max(1, cores() - 1)) if args.workers < 0 else args.workers
     return Options(
@@ -194,13 +210,14 @@ def run(options: Options) -> Result | None:
 
     Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
-    _require_model_of_task(options)
+    require_usable(options)
+    _require_own_folder(options)
     begun = time.perf_counter()
     if options.smoke:
         torch.set_num_threads(1)  # fastest for tiny networks
     module, out, judge = load_model(options.model), make_folder(options.out), judge_of(options.task)
     with one_of_several_ranks(options.device) as device:
-        split = _loaded(options)
+        split = load_split(options)
         loaded = time.perf_counter()
         if options.make_only:
             print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")
@@ -229,19 +246,34 @@ def run(options: Options) -> Result | None:
     return Result(scores, report, trained)
 
 
-def _require_model_of_task(options: Options) -> None:
-    """Raise ``ConfigError`` for a model that answers other tasks; a model without ``TASKS`` answers patterns."""
+def require_usable(options: Options) -> None:
+    """Raise ``ConfigError`` for options that do not go together; a model without ``TASKS`` answers patterns."""
+    module = load_model(options.model)
     patterns = tuple(task.name for task in TASKS.values() if task.answers_patterns)
-    answered = getattr(load_model(options.model), "TASKS", patterns)
+    answered = getattr(module, "TASKS", patterns)
     if options.task.name not in answered:
         raise ConfigError(f"{options.model} does not answer {options.task.name}: give --task {', '.join(answered)}")
-    if not hasattr(load_model(options.model), "build") and (options.sizes or options.fresh):
-        raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
+    if not hasattr(module, "build"):
+        if options.sizes or options.fresh:
+            raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
+    elif options.sizes or options.fresh:
+        learner = module.build(smoke=options.smoke, options=options.sizes)
+        if options.fresh and (learner.encoder() is None or options.source or options.leave_out):
+            raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
+    if 0 < options.fresh < options.train:
+        raise ConfigError(f"--fresh {options.fresh}: give room for the {options.train} garments of --train, and more")
     if options.drape and not (options.task.answers_patterns and "pose" in options.task.extra):
         raise ConfigError(f"{options.task.name} has no patterns or no bodies to drape: leave out --drape")
 
 
-def _loaded(options: Options) -> Split:
+def _require_own_folder(options: Options) -> None:
+    """Raise ``ConfigError`` if a reference would answer into the folder of a training."""
+    for name in (CHECKPOINT, CURVES):
+        if not hasattr(load_model(options.model), "build") and (options.out / name).exists():
+            raise ConfigError(f"{options.out} holds {name} of a training: give {options.model} another folder")
+
+
+def load_split(options: Options) -> Split:
     """The garments; the first rank makes them, the others read its cache."""
     if dist.is_initialized() and dist.get_rank():
         dist.barrier()
@@ -291,15 +323,13 @@ def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
 
 
 def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, device: torch.device) -> FreshPool[Any]:
-    """Examples that fresh garments renew. Raises ``ConfigError`` where there can be none."""
-    encode = learner.encoder()
-    if encode is None or options.source or options.leave_out:
-        raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
-    task = options.task
+    """Examples that fresh garments renew."""
+    encode, task = learner.encoder(), options.task
+    assert encode is not None  # ``require_usable``
     make = {"points": task.points, "extra": task.extra, "workers": options.workers, **task.options}
     seed = FRESH_SEED + (dist.get_rank() if dist.is_initialized() else 0)
 
-    def stream(first: int) -> Iterator[TensorExamples]:
+    def stream(first: int) -> Iterator[tuple[int, TensorExamples]]:
         return fresh_garments(encode, seed, first=first, **{**make, **(options.recipe or {})})
 
     return FreshPool(learner, encode(known).to(device), stream, room=options.fresh)

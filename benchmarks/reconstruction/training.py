@@ -32,6 +32,8 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder
 
 __all__ = [
+    "CHECKPOINT",
+    "CURVES",
     "Check",
     "Growing",
     "StoppedError",

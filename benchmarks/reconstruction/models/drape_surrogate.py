@@ -20,6 +20,7 @@ from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
 from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, squared_distances
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, gathered, mlp, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,
@@ -30,7 +31,6 @@ from benchmarks.reconstruction.surfaces import (
     surface_of,
 )
 from benchmarks.reconstruction.wearers import body_points
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 from gcd_dataset.workers import parallel_map
 
@@ -160,15 +160,14 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``."""
-    given = {**(SMALL if smoke else {}), **options}
-    names = ("body", "body_tokens", "second_rounds")
-    own = {name: given.pop(name) for name in names if name in given}
-    unknown = set(given) - set(SurfaceNetConfig.__dataclass_fields__)
-    if unknown:
-        known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, *names])
-        raise ConfigError(f"no size {min(unknown)} of a drape_surrogate network: choose of {known}")
-    return DrapeSurrogate(SurfaceNetConfig(**given), **own)
+    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
+
+    Raises ``ConfigError`` for others.
+    """
+    given, own = {**(SMALL if smoke else {}), **options}, ("body", "body_tokens", "second_rounds")
+    least = {"convolutions": 0, "layers": 0, "body_tokens": 0}
+    sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, given, own=own, least=least)
+    return DrapeSurrogate(sizes, **arguments)
 
 
 def _in_float32(part: nn.Module, features: Float[Tensor, "v w"]) -> Float[Tensor, "v d"]:

@@ -47,7 +47,8 @@ from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY, best_p
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
 from benchmarks.reconstruction.panel_net import NEVER, axes_of, rotation_of
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets
-from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, sizes_from, waves
+from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, waves
+from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
@@ -127,9 +128,13 @@ class EdgeTokens(PointLearner):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> EdgeTokens:
-    """The learner; ``options``: fields of ``TokenConfig``, ``points`` and ``stored_points``."""
-    sizes, own = sizes_from("edge_tokens", TokenConfig, {**(SMALL if smoke else {}), **options})
-    return EdgeTokens(sizes, **own)
+    """The learner; ``options``: fields of ``TokenConfig``, ``points`` and ``stored_points``.
+
+    Raises ``ConfigError`` for others.
+    """
+    given, own, least = {**(SMALL if smoke else {}), **options}, ("points", "stored_points"), {"seen": 0, "noise_mm": 0}
+    sizes, arguments = sizes_from("edge_tokens", TokenConfig, given, own=own, least=least, heads={"width": "heads"})
+    return EdgeTokens(sizes, **arguments)
 
 
 def _with_noise(true: PanelTargets, deviation: float) -> PanelTargets:

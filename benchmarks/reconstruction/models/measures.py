@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, TensorExamples, squared_distances, uploaded
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
 from benchmarks.reconstruction.wearers import dressed_scans
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.measurements import ANGLES, MEASURES
 
 __all__ = ["SMOKE", "TASKS", "USUAL", "MeasureConfig", "MeasureNet", "Scans", "build", "scans_of"]
@@ -163,13 +163,10 @@ class MeasureNet(Learner[Scans, np.ndarray]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> MeasureNet:
-    """The learner; ``options``: fields of ``MeasureConfig``."""
-    given = {**(SMALL if smoke else {}), **options}
-    unknown = set(given) - set(MeasureConfig.__dataclass_fields__)
-    if unknown:
-        known = ", ".join(MeasureConfig.__dataclass_fields__)
-        raise ConfigError(f"no size {min(unknown)} of a measures network: choose of {known}")
-    return MeasureNet(MeasureConfig(**given))
+    """The learner; ``options``: fields of ``MeasureConfig``. Raises ``ConfigError`` for others."""
+    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
+    sizes, _ = sizes_from("measures", MeasureConfig, given, least={"augmented": 0}, heads=heads)
+    return MeasureNet(sizes)
 
 
 def scans_of(garments: GarmentSet, *, workers: int = 0) -> Float[Tensor, "g n 7"]:

@@ -42,8 +42,8 @@ from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, best_pairs, 
 from benchmarks.reconstruction.panel_net import Edges, Predicted, edge_numbers
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.point_net import CHUNK, TOGETHER, DrawnPoints
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.tailor_net import LoopDecoder, PairNet, PointFeatures, SlotEncodings, TailorConfig, mlp
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.workers import parallel_map
@@ -337,13 +337,10 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> NeuralTailor:
-    """The learner; ``options``: fields of ``TailorConfig``."""
-    given = {**(SMALL if smoke else {}), **options}
-    unknown = set(given) - set(TailorConfig.__dataclass_fields__)
-    if unknown:
-        known = ", ".join(TailorConfig.__dataclass_fields__)
-        raise ConfigError(f"no size {min(unknown)} of a neural_tailor network: choose of {known}")
-    return NeuralTailor(TailorConfig(**given))
+    """The learner; ``options``: fields of ``TailorConfig``. Raises ``ConfigError`` for others."""
+    given, least = {**(SMALL if smoke else {}), **options}, {"loop": LEAST_EDGES, "named": 0}
+    sizes, _ = sizes_from("neural_tailor", TailorConfig, given, least=least)
+    return NeuralTailor(sizes)
 
 
 # ------------------------------------------------------------------------------------------------------ loops and seams

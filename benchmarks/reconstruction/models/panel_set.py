@@ -20,9 +20,12 @@ from benchmarks.reconstruction.assignment import least_cost
 from benchmarks.reconstruction.learners import mean_of, squared_distances
 from benchmarks.reconstruction.panel_net import Edges, NetConfig, PanelDecoder, Predicted, Sewn, axes_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
-from benchmarks.reconstruction.point_net import PointLearner, sizes_from
+from benchmarks.reconstruction.point_net import PointLearner
+from benchmarks.reconstruction.sizes import sizes_from
 
 __all__ = [
+    "HEADS",
+    "LEAST",
     "LEAST_EDGES",
     "SMALL",
     "SMOKE",
@@ -47,6 +50,9 @@ WEIGHTS = {
 }  # fmt: skip
 REFINED = 2.0  # weight of the moved loops, relative to those of all layers of the decoder
 LEAST_EDGES = 3
+LEAST = {"seen": 0, "edge_layers": 0, "slots": LEAST_EDGES}
+HEADS = {"width": "heads", "edge_width": "edge_heads"}
+"""Least sizes, and widths with the heads that share them; of ``picture_set``, too."""
 LEAST_EXTENT = 1e-3  # UNIT
 TINY = 1e-12  # keeps the slope of square roots finite
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
@@ -89,9 +95,13 @@ class PanelSet(PointLearner):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
-    """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``."""
-    sizes, own = sizes_from("panel_set", NetConfig, {**(SMALL if smoke else {}), **options})
-    return PanelSet(sizes, **own)
+    """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``.
+
+    Raises ``ConfigError`` for others.
+    """
+    given, own = {**(SMALL if smoke else {}), **options}, ("points", "stored_points")
+    sizes, arguments = sizes_from("panel_set", NetConfig, given, own=own, least=LEAST, heads=HEADS)
+    return PanelSet(sizes, **arguments)
 
 
 # ------------------------------------------------------------------------------------------------------------- the loss

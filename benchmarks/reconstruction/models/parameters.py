@@ -17,8 +17,8 @@ from benchmarks.reconstruction.design_net import DesignDecoder, DesignTargets, W
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT
-from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens
-from gcd_dataset.errors import ConfigError
+from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
+from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -94,9 +94,7 @@ class ParameterNet(Learner[Designs, Pattern]):
     def __init__(self, config: ParametersConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or ParametersConfig()
-        if not 1 <= config.tokens <= config.points or config.tokens & (config.tokens - 1):
-            given = f"{config.tokens} tokens of {config.points} points"
-            raise ConfigError(f"{given}: give a power of 2, at most the points")
+        require_tokens(config, config.points, config.stored_points)
         self.tokens = PointTokens(config)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
@@ -138,10 +136,7 @@ class ParameterNet(Learner[Designs, Pattern]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> ParameterNet:
-    """The learner; ``options``: fields of ``ParametersConfig``."""
-    given = {**(SMALL if smoke else {}), **options}
-    unknown = set(given) - set(ParametersConfig.__dataclass_fields__)
-    if unknown:
-        known = ", ".join(ParametersConfig.__dataclass_fields__)
-        raise ConfigError(f"no size {min(unknown)} of a parameters network: choose of {known}")
-    return ParameterNet(ParametersConfig(**given))
+    """The learner; ``options``: fields of ``ParametersConfig``. Raises ``ConfigError`` for others."""
+    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
+    sizes, _ = sizes_from("parameters", ParametersConfig, given, least={"seen": 0}, heads=heads)
+    return ParameterNet(sizes)

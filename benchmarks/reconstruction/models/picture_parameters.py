@@ -17,7 +17,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig
-from gcd_dataset.errors import ConfigError
+from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -97,9 +97,8 @@ def encoded(garments: GarmentSet) -> PictureDesigns:
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
     """The learner; ``options``: fields of ``EncoderConfig``, and ``views``. Raises ``ConfigError`` for others."""
     given = {**(SMALL if smoke else LARGE), **options}
-    views = int(given.pop("views", PICTURES))
-    unknown = set(given) - set(LARGE)
-    if unknown:
-        known = ", ".join([*LARGE, "views"])
-        raise ConfigError(f"no size {min(unknown)} of a picture_parameters network: choose of {known}")
-    return PictureParameters(EncoderConfig(**given), views=views)
+    points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
+    sizes, own = sizes_from(
+        "picture_parameters", EncoderConfig, given, own=("views",), without=points, least=least, heads=heads
+    )
+    return PictureParameters(sizes, **own)

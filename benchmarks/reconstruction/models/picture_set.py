@@ -5,7 +5,7 @@ Convolutions and attention turn the pictures into tokens (``picture_model``); pa
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, cast
 
@@ -16,11 +16,11 @@ from torch import Tensor
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
-from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
+from benchmarks.reconstruction.models.panel_set import HEADS, LEAST, answers_of, set_loss
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureNet, pictures_of, require_views
-from gcd_dataset.errors import ConfigError
+from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -115,9 +115,6 @@ class ToPictureTargets:
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureSet:
     """The learner; ``options``: fields of ``NetConfig``, and ``views``. Raises ``ConfigError`` for others."""
     given = {**(SMALL if smoke else LARGE), **options}
-    views = int(given.pop("views", PICTURES))
-    unknown = set(given) - {field.name for field in fields(NetConfig)}
-    if unknown:
-        known = ", ".join([*(field.name for field in fields(NetConfig)), "views"])
-        raise ConfigError(f"no size {min(unknown)} of a picture_set network: choose of {known}")
-    return PictureSet(NetConfig(**given), views=views)
+    points = ("tokens", "region_width")
+    sizes, own = sizes_from("picture_set", NetConfig, given, own=("views",), without=points, least=LEAST, heads=HEADS)
+    return PictureSet(sizes, **own)

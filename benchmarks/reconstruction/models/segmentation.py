@@ -20,6 +20,7 @@ from torch.nn import functional
 from benchmarks.reconstruction.derived import MIRRORED, MIRRORED_EDGES, PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
     Surface,
@@ -32,7 +33,6 @@ from benchmarks.reconstruction.surfaces import (
     vertex_normals,
 )
 from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
@@ -140,15 +140,14 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> Segmentation:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``."""
-    given = {**(SMALL if smoke else {}), **options}
-    names = ("panels", "seams", "decoder_layers", "mesh")
-    own = {name: given.pop(name) for name in names if name in given}
-    unknown = set(given) - set(SurfaceNetConfig.__dataclass_fields__)
-    if unknown:
-        known = ", ".join([*SurfaceNetConfig.__dataclass_fields__, *names])
-        raise ConfigError(f"no size {min(unknown)} of a segmentation network: choose of {known}")
-    return Segmentation(SurfaceNetConfig(**given), **own)
+    """The learner; ``options``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``.
+
+    Raises ``ConfigError`` for others.
+    """
+    given, own = {**(SMALL if smoke else {}), **options}, ("panels", "seams", "decoder_layers", "mesh")
+    least = {"convolutions": 0, "layers": 0, "decoder_layers": 0, "mesh": 0}
+    sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, given, own=own, least=least)
+    return Segmentation(sizes, **arguments)
 
 
 # --------------------------------------------------------------------------------------------------------- the examples

@@ -28,6 +28,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
 from benchmarks.reconstruction.learners import Learner, uploaded
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.edge_shapes import EdgeShapes, edges_before, feature_counts, rows_at
 from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import CUT_BINS, EdgeBatch, EdgeGraph, PackedGraphs, graph_of
@@ -59,6 +60,8 @@ WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
 VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
+ENCODERS = ("attention", "sage")
+LEAST = {"sinkhorn": 0, "relations": 0, "placed": 0, "foreign": 0}  # sizes; 1 for others
 MOST_FOREIGN = 0.25  # largest share of the fourth variant, which takes the place of the third
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
@@ -94,6 +97,8 @@ class StitchConfig:
     """Share of the training garments that are subdivided as another source might, at most 0.25."""
 
     def __post_init__(self) -> None:
+        if self.encoder not in ENCODERS:
+            raise ConfigError(f"encoder {self.encoder!r:.99}: give one of {', '.join(ENCODERS)}")
         if not 0.0 <= self.foreign <= MOST_FOREIGN:
             raise ConfigError(f"foreign is {self.foreign}: give a share between 0 and {MOST_FOREIGN}")
 
@@ -428,13 +433,9 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
     """The learner; ``options``: fields of ``StitchConfig``. Raises ``ConfigError`` for others."""
-    given = {**(SMALL if smoke else {}), **options}
-    unknown = set(given) - set(StitchConfig.__dataclass_fields__)
-    if unknown:
-        raise ConfigError(
-            f"no size {min(unknown)} of a stitch network: choose of {', '.join(StitchConfig.__dataclass_fields__)}"
-        )
-    return StitchLearner(StitchConfig(**given))
+    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
+    sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads=heads)
+    return StitchLearner(sizes)
 
 
 def _variants(job: tuple[int, Arrays, bool]) -> list[EdgeGraph]:

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
+from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchLearner
+from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
@@ -38,7 +39,7 @@ from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
 
-__all__ = ["main"]
+__all__ = ["SMOKE", "add_arguments", "configs_from", "main", "parsed"]
 
 DRAWS = 1000  # of the bootstrap
 CHECKED = 200  # patterns that choose how edges are subdivided
@@ -51,10 +52,9 @@ SMOKE: dict[str, Any] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code."""
-    parser = _parser()
-    if parser.parse_args(arguments).smoke:
-        parser.set_defaults(**SMOKE)
-    args = parser.parse_args(arguments)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_arguments(parser)
+    args = parsed(parser, arguments)
     try:
         run(args)
     except StoppedError as stopped:
@@ -72,13 +72,7 @@ def run(args: argparse.Namespace) -> None:
     Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
     device = torch.device(training_device(args.device))
-    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
-    for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
-        if not least <= getattr(args, name) < math.inf:
-            raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
-    if args.width < 1 or args.heads < 1 or args.layers < 1 or args.width % args.heads:
-        sizes = f"--width {args.width} --heads {args.heads} --layers {args.layers}"
-        raise ConfigError(f"{sizes}: give numbers of 1 or more, the width a multiple of the heads")
+    config, sizes = configs_from(args)
     if args.examples and not Path(args.examples).is_dir():
         raise ConfigError(f"--examples {args.examples}: no such folder: give one of specification files")
     out, began = make_folder(Path(args.out)), time.perf_counter()
@@ -91,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
     if args.make_only:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
-    learner = StitchLearner(_config(args))
+    learner = StitchLearner(sizes)
     examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
@@ -127,8 +121,8 @@ def run(args: argparse.Namespace) -> None:
     print(json.dumps({name: value for name, value in report.items() if name not in ("arguments", "config")}, indent=2))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a run."""
 
     def option(name: str, default: Any, text: str) -> None:
         parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
@@ -157,16 +151,27 @@ def _parser() -> argparse.ArgumentParser:
     option("--device", "auto", "auto, cpu or cuda:0")
     option("--data", "", "folder of the patterns; by default in the output folder")
     option("--examples", "", "folder whose specifications are scored, too")
-    return parser
 
 
-def _config(args: argparse.Namespace) -> StitchConfig:
+def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options, those of ``SMOKE`` where they are not given with ``--smoke``."""
+    if parser.parse_args(arguments).smoke:
+        parser.set_defaults(**SMOKE)
+    return parser.parse_args(arguments)
+
+
+def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
+    """The options of the training and of the network. Raises ``ConfigError`` for unusable options."""
+    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
+    for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
+        if not least <= getattr(args, name) < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
     if args.autosew:
-        return StitchConfig.autosew(placed=args.placed)
-    return StitchConfig(
-        width=args.width, heads=args.heads, layers=args.layers, pair_width=args.pair_width, placed=args.placed,
-        rounds=1 if args.one_round else StitchConfig().rounds, foreign=args.foreign,
-    )  # fmt: skip
+        return config, StitchConfig.autosew(placed=args.placed)
+    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "placed", "foreign")}
+    given |= {"rounds": 1} if args.one_round else {}
+    sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads={"width": "heads"})
+    return config, sizes
 
 
 # ----------------------------------------------------------------------------------------------------------- the scores

@@ -68,5 +68,5 @@ def test_a_scan_depends_on_its_garment_alone(draped: GarmentSet) -> None:
 
 
 def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a measures network"):
+    with pytest.raises(ConfigError, match="no size depth of measures"):
         build(smoke=True, options={"depth": 3})

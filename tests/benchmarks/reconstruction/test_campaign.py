@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.reconstruction import campaign
 from benchmarks.reconstruction.campaign import Planned, main, read_plan
+from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import add_arguments, options_from
@@ -36,6 +37,8 @@ minutes = 3
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A plan of toy programs."""
     monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
+    for name in ("short", "fails", "long", "endless"):
+        monkeypatch.setitem(MODELS, name, "tests.benchmarks.reconstruction.toy_program")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
     monkeypatch.setattr(campaign, "LEAVE", 0.5)
     path = tmp_path / "plan.toml"
@@ -65,14 +68,27 @@ def test_lists_hold_a_value_for_each_run(plan: Path) -> None:
         ("", "no runs"),
         ("a = 1", "a is no table"),
         ("[a]\ntask = 'T0'", "[a] has no model"),
-        ("[a]\nmodel = 'x'\ntask = 'T9'", "no task 'T9'"),
+        ("[a]\nmodel = 'nearest'\ntask = 'T9'", "no task 'T9'"),
         ("[a]\nprogram = 'rm'", "program 'rm'"),
-        ("[a]\nmodel = ['x', 'x']", "two runs a-x"),
-        ("[a]\nmodel = 'x'\ntrain = []", "[a] has an empty list"),
-        ("[a]\nmodel = 'x'\nminutes = 'abc'", "[a] minutes = 'abc': give a number"),
-        ("[a]\nmodel = 'x'\ntrain = -1", "[a] train = -1: give a number"),
-        ("['../../b']\nmodel = 'x'", "is no name for a folder"),
+        ("[a]\nmodel = ['nearest', 'nearest']", "two runs a-nearest"),
+        ("[a]\nmodel = 'nearest'\ntrain = []", "[a] has an empty list"),
+        ("[a]\nmodel = 'nearest'\nminutes = 'abc'", "[a] minutes = 'abc': give a number"),
+        ("[a]\nmodel = 'nearest'\ntrain = -1", "[a] train = -1: give a number"),
+        ("['../../b']\nmodel = 'nearest'", "is no name for a folder"),
         ("[a", "give a TOML file"),
+        ("[a]\nmodel = 'panel_sets'", "[a] no model 'panel_sets': choose one of panel_set"),
+        ("[a]\nmodel = 3", "[a] no model '3'"),
+        ("[a]\nmodel = 'nearest'\nfresh = 5000", "[a] nearest has no network and no training: leave out"),
+        ("[a]\nmodel = 'stitches'\ntask = 'T3'\nfresh = 5000", "[a] --fresh: needs a model that encodes garments"),
+        ("[a]\nmodel = 'panel_set'\nfresh = 50", "[a] --fresh 50: give room for the 4000 garments"),
+        ("[a]\nmodel = ['nearest', 'panel_set']\ntask = 'T4'", "[a] nearest does not answer T4"),
+        ("[a]\nmodel = 'panel_set'\nset = ['width=33']", "[a] width 33 is no multiple of heads 6"),
+        ("[a]\nmodel = 'panel_set'\nstep = 5", "[a] unrecognized arguments: --step 5"),
+        ("[a]\nmodel = 'panel_set'\nbatch = 'many'", "[a] argument --batch: invalid int value"),
+        ("[a]\nprogram = 'stitching.run'\nfresh = 5000", "[a] unrecognized arguments: --fresh 5000"),
+        ("[a]\nprogram = 'stitching.run'\nmodel = 'stitches'", "[a] unrecognized arguments: stitches"),
+        ("[a]\nprogram = 'stitching.run'\nfull = true\nwidth = 3", "[a] unrecognized arguments: --full"),
+        ("[a]\nprogram = 'stitching.run'\nwidth = 33", "[a] width 33 is no multiple of heads 8"),
     ],
 )
 def test_an_unusable_plan_is_refused(text: str, expected: str, tmp_path: Path) -> None:
@@ -162,18 +178,34 @@ def test_finished_runs_are_reported(plan: Path, tmp_path: Path) -> None:
     assert "toy_program short --task T0 --train 10 --minutes 1 --out runs/a-short-10`" in page
 
 
+@pytest.mark.parametrize("text", ['{"task": "T0", ', "", "[1]", "3"])
+def test_a_damaged_report_is_one_error(
+    text: str, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = [str(plan), "--out", str(tmp_path), "--gpus", "0", "--only", "a-short-10"]
+    assert main(call) == 0
+    (tmp_path / "a-short-10" / "report.json").write_text(text)
+    for flags in ([], ["--list"], ["--report", "--reports", str(tmp_path / "reports"), "--commit", "abc"]):
+        capsys.readouterr()
+        assert main([*call, *flags]) == 1
+        (error,) = capsys.readouterr().err.splitlines()
+        assert f"{tmp_path / 'a-short-10' / 'report.json'}" in error
+
+
 @pytest.mark.parametrize("name", ["smoke.toml", "h200.toml", "h200_short.toml"])
 def test_the_commands_of_the_committed_plans_are_valid(name: str) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("model")
     add_arguments(parser)
+    stitches = argparse.ArgumentParser()
+    stitching.add_arguments(stitches)
     for run in read_plan(PLANS / name):
         arguments = [*run.command[3:], "--out", "out"]
         if run.program == "train":
             args = parser.parse_args(arguments)
             options_from(args, args.model)
         else:
-            args = stitching._parser().parse_args(arguments)
+            args = stitching.parsed(stitches, arguments)
         assert not args.leave_out or args.leave_out in FAMILIES
     tasks = {run.task for run in read_plan(PLANS / name)}
     assert tasks >= set(TASKS) - ({"T7", "T1-scan"} if name == "h200_short.toml" else {"T7"})

@@ -108,5 +108,5 @@ def test_a_turned_batch_is_the_same_drape(draped: GarmentSet) -> None:
 
 
 def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a drape_surrogate network"):
+    with pytest.raises(ConfigError, match="no size depth of drape_surrogate"):
         build(smoke=True, options={"depth": 3})

@@ -160,20 +160,38 @@ def test_a_kind_is_left_out(six: GarmentSet) -> None:
         Split(named.select([0, 1]), named.select([2, 3]), named.select([4, 5])).without("pants")
 
 
-def test_garments_that_did_not_settle_are_left_out(tmp_path: Path) -> None:
+def write_folder(folder: Path, stage: str, *outcomes: Outcome) -> str:
+    """Write garments of a stage; the folder. Their drapes are box meshes."""
     config = MakeConfig(resolution=8.0, picture=0, points=64, stage="mesh", device="cpu")
-    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(replace(config, stage="drape"))) as writer:
-        for index, outcome in enumerate((Outcome.SETTLED, Outcome.SLID_OFF, Outcome.SETTLED)):
-            sample = make(5, index, config)
-            assert sample.box_mesh is not None
-            drape = Drape(sample.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
-            writer.write(replace(sample, drape=drape))
-    assert read_folder(str(tmp_path), points=64).keys == ("5_000000000", "5_000000002")
+    with ShardWriter(folder, seed=5, recipe=recipe_of(config)) as writer:
+        for index, outcome in enumerate(outcomes):
+            sample = make(5, index, config if stage != "pattern" else MakeConfig(stage="pattern"))
+            if stage == "drape":
+                assert sample.box_mesh is not None
+                drape = Drape(sample.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
+                sample = replace(sample, drape=drape)
+            writer.write(sample)
+    return str(folder)
+
+
+def test_garments_that_did_not_settle_are_left_out(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, "drape", Outcome.SETTLED, Outcome.SLID_OFF, Outcome.SETTLED)
+    assert read_folder(folder, points=64).keys == ("5_000000000", "5_000000002")
+
+
+@pytest.mark.parametrize(("stage", "tasks"), [("pattern", "T0 T1 T2 T6"), ("mesh", "T1 T1-scan T4"), ("drape", "T0")])
+def test_garments_of_another_stage_are_refused(stage: str, tasks: str, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, stage, *2 * [Outcome.SETTLED])
+    for name in tasks.split():
+        needed = "mesh" if name == "T0" else "drape"
+        with pytest.raises(ConfigError, match=f"garments of stage {stage}: give garments made with --stage {needed}$"):
+            task_named(name).read(folder, 1)
+    assert len(read_folder(folder, points=0)) == 2  # a task without points, T3, reads garments of any stage
 
 
 def test_a_stream_begins_at_any_garment() -> None:
     stream = fresh_garments(_key, 3, first=2, **PATTERNS)
-    assert [next(stream) for _ in range(3)] == ["3_000000002", "3_000000003", "3_000000004"]
+    assert [next(stream) for _ in range(3)] == [(k, f"3_{k:09d}") for k in (2, 3, 4)]
 
 
 def _key(garments: GarmentSet) -> str:

@@ -211,5 +211,5 @@ def test_the_loss_falls(six: GarmentSet) -> None:
 
 
 def test_an_unknown_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a neural_tailor network: choose of panels"):
+    with pytest.raises(ConfigError, match="no size depth of neural_tailor: choose of panels"):
         learner(depth=3)

@@ -122,8 +122,9 @@ def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.M
     monkeypatch.setattr(garments, "TOGETHER", 1)
     monkeypatch.setattr(garments, "_views_on_gpu", lambda extra: picture_views("cpu"))
     rendered_here = generated(2, 0, workers=1, **recipe)
-    streamed = fresh_garments(_whole, 0, first=0, **recipe)
-    for found in (rendered_here, GarmentSet.join(list(islice(streamed, len(rendered_here))))):
+    indices, streamed = zip(*islice(fresh_garments(_whole, 0, first=0, **recipe), len(rendered_here)), strict=True)
+    assert [f"0_{index:09d}" for index in indices] == list(rendered_here.keys)
+    for found in (rendered_here, GarmentSet.join(streamed)):
         assert found.keys == rendered_by_workers.keys
         assert np.array_equal(found.ragged["pictures"].rows, rendered_by_workers.ragged["pictures"].rows)
 

@@ -97,7 +97,7 @@ def test_the_nearest_garment_of_a_known_one_has_its_labels(draped: GarmentSet) -
 
 
 def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of a segmentation network"):
+    with pytest.raises(ConfigError, match="no size depth of segmentation"):
         build(smoke=True, options={"depth": 3})
     with pytest.raises(ConfigError, match="token_width 10 is no multiple of heads 8"):
         build(smoke=False, options={"token_width": 10})

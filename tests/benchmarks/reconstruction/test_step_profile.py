@@ -28,3 +28,5 @@ def test_a_step_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert int(said.splitlines()[1].split()[0]) > 100  # operations
     assert main(["nearest", *flags]) == 1
     assert "nearest has no training" in capsys.readouterr().err
+    assert main(["panel_set", "--smoke", "--steps", "1", "--device", "cpu", "--source", str(tmp_path / "none")]) == 1
+    assert "none" in capsys.readouterr().err

@@ -6,12 +6,20 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from benchmarks.reconstruction import train
+from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED, main
 from benchmarks.run import main as run_case
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator import MakeConfig
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.metrics import mean_scores, score_pattern
+from gcd_dataset.shards import ShardWriter
 from gcd_dataset.spec import read_pattern
 
 SMALL = ["--smoke", "--train", "4", "--test", "3", "--resolution", "6", "--device", "cpu"]
@@ -137,6 +145,45 @@ def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0
 
 
+def test_garments_of_a_folder_are_trained_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A smoke run keeps its sizes, and takes the garments as they are."""
+    config = MakeConfig(stage="mesh", resolution=8.0, picture=0, points=512)
+    with ShardWriter(tmp_path / "garments", seed=5, recipe=recipe_of(config)) as writer:
+        for index in range(12):
+            writer.write(make(5, index, config))
+    flags = ["panel_set", "--smoke", "--train", "4", "--test", "3", "--steps", "1", "--device", "cpu"]
+    flags += ["--source", str(tmp_path / "garments"), "--out", str(tmp_path / "out")]
+    drape = Mock(side_effect=ConfigError("not draped here"))
+    monkeypatch.setattr(train, "evaluate", drape)
+    assert main([*flags, "--drape"]) == 1
+    assert drape.call_args.args[0].resolution == TASKS["T0"].options["resolution"]
+    assert main(flags) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["data"]["train"]["recipe"]["source"] == str(tmp_path / "garments")
+    assert report["data"]["train"]["count"] == 4
+    assert main([*flags, "--resolution", "6"]) == 1
+    assert "--resolution 6: the garments of --source are made" in capsys.readouterr().err
+    assert main([*flags, "--task", "T1"]) == 1
+    assert "garments: garments of stage mesh: give garments made with --stage drape" in capsys.readouterr().err
+
+
+def test_a_reference_does_not_answer_into_the_folder_of_a_training(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["panel_set", *SMALL, "--steps", "1", "--out", str(out)]) == 0
+    before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+    for name in ("checkpoint.pt", "curves.csv"):
+        assert main(["nearest", *SMALL, "--out", str(out)]) == 1
+        assert f"out holds {name} of a training: give nearest another folder" in capsys.readouterr().err
+        assert {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()} == before
+        (out / name).unlink()
+        del before[out / name]
+    assert main(["nearest", *SMALL, "--out", str(out)]) == 0
+
+
 def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flags = [*SMALL, "--steps", "3", "--out", str(tmp_path / "out"), "--report", str(tmp_path / "report.md")]
     assert run_case(["reconstruction", *flags]) == 0
@@ -156,6 +203,11 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
         (["--steps", "3", "--minutes", "1"], "give one of them"),
         (["--steps", "3", "--minutes", "nan"], "give one of them"),
         (["--minutes", "inf"], "give one of them"),
+        (["--set", "width=0"], "width 0 of panel_set: give 1 or more"),
+        (["--set", "width=33"], "width 33 is no multiple of heads 6 of panel_set: change one"),
+        (["--set", "tables=3"], "no size tables of panel_set: choose of"),
+        (["--train", "20", "--fresh", "10"], "--fresh 10: give room for the 20 garments of --train"),
+        (["--fresh", "5000", "--leave-out", "skirt"], "--fresh: needs a model that encodes garments"),
         (["--set", "width=-4"], "--set width=-4: give numbers of 0 or more"),
         (["--seed", "-1"], "--seed -1: give 0 or more"),
         (["--steps", "3", "--lr", "-1"], "lr -1, checks 4: give a rate above 0"),
@@ -175,3 +227,4 @@ def test_unusable_options_are_refused(
 ) -> None:
     assert main(["panel_set", "--out", str(tmp_path / "out"), *flags]) == 1
     assert expected in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())  # neither garments nor results
