@@ -90,7 +90,8 @@ class PointLearner(Learner[PanelTargets, Pattern]):
         self.tokens = PointTokens(config)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
-        """Targets of the garments."""
+        """Targets of the garments. Raises ``ConfigError`` for garments of fewer points than tokens."""
+        require_tokens(self.config, self.points, garments.points.shape[1])
         bare = replace(garments, points=garments.points[:, :0])
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))

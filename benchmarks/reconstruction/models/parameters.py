@@ -99,7 +99,11 @@ class ParameterNet(Learner[Designs, Pattern]):
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnDesigns:
-        """Targets of the garments. The first set prepared, the training set, gives the range of the measures."""
+        """Targets of the garments. The first set prepared, the training set, gives the range of the measures.
+
+        Raises ``ConfigError`` for garments of fewer points than tokens.
+        """
+        require_tokens(self.config, self.config.points, garments.points.shape[1])
         bare = replace(garments, points=garments.points[:, :0])
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         whole = Designs.join(list(parallel_map(self.encoder(), parts, workers)))

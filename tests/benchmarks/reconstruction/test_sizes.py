@@ -1,9 +1,12 @@
 """Sizes of networks: an unusable one is one error that names it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
+from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.stitching.run import main as stitching
 from gcd_dataset.errors import ConfigError
@@ -41,6 +44,13 @@ def test_heads_share_the_width(model: str) -> None:
 def test_an_unknown_size_is_refused(model: str) -> None:
     with pytest.raises(ConfigError, match=rf"^no size tables of {model}: choose of \w+, "):
         load_model(model).build(smoke=True, options={"tables": 3})
+
+
+@pytest.mark.parametrize("model", ["panel_set", "edge_tokens", "parameters"])
+def test_garments_have_a_point_for_each_token(model: str, six: GarmentSet) -> None:
+    few = replace(six, points=six.points[:, :16])
+    with pytest.raises(ConfigError, match="32 tokens of 16 points: give a power of 2, at most the points"):
+        load_model(model).build(smoke=True, options={}).prepare(few, device=torch.device("cpu"))
 
 
 @pytest.mark.parametrize("model", ["picture_set", "picture_parameters"])
