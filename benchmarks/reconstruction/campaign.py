@@ -9,10 +9,11 @@ A plan is a TOML file with a table for each group of runs. Its keys are options 
 with ``program = "stitching.run"``; a list holds a value for each run, and several lists all their combinations. A run
 is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score.
 
-A run is finished if ``OUT/NAME/report.json`` exists. First the garments of the other runs are made, a set at a time;
-then the runs start, one for each GPU, the longest that fits into the time first. A call that ends early, or is killed,
-is repeated: trainings continue from their checkpoints. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if
-a run failed, else 0. ``--report`` starts nothing: it hands the finished reports to ``leaderboard``.
+A run is finished if ``OUT/NAME/report.json`` exists. The garments of the other runs are made, a set at a time. Runs
+whose garments are there start, one for each GPU, the longest that fits into the time first. With ``--at-once 2`` a GPU
+has two runs, which take turns to train: one loads or scores meanwhile. A call that ends early, or is killed, is
+repeated: trainings continue from their checkpoints. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a
+run failed, else 0. ``--report`` starts nothing: it hands the finished reports to ``leaderboard``.
 """
 
 import argparse
@@ -225,6 +226,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", default="*", metavar="GLOB", help="names of the runs to start (%(default)s)")
     parser.add_argument("--gpus", type=int, default=-1, help="runs at once, each on its GPU; 0: one, on the CPU "
                         "(default: the GPUs of this machine)")  # fmt: skip
+    parser.add_argument("--at-once", type=int, default=1, help="runs on a GPU, which take turns to train (%(default)s)")
     parser.add_argument("--limit-minutes", type=float, default=0.0, help="time of this call; 0: no limit (%(default)s)")
     parser.add_argument(
         "--examples", default="", help="folder of specifications that the runs of T3 are tested on, too"
@@ -263,6 +265,18 @@ class _Job:
     run: Planned
     process: subprocess.Popen[bytes]
     begun: float
+    makes: Sequence[Planned] = ()
+    """The runs whose garments it makes; none: it is a run."""
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """Where a run takes place."""
+
+    gpu: int | None
+    """``None``: on the CPU."""
+    place: int
+    """Of the runs at once."""
 
 
 class _Campaign:
@@ -272,13 +286,16 @@ class _Campaign:
         self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
         self.data = args.data or args.out / "garments"
         gpus = _gpus() if args.gpus < 0 else args.gpus
-        self.slots: list[int | None] = list(range(gpus)) or [None]
+        if args.at_once < 1:
+            raise ConfigError(f"--at-once {args.at_once}: give 1 or more")
+        self.at_once = args.at_once
+        self.slots = [_Slot(gpu, k) for k in range(self.at_once) for gpu in range(gpus) or [None]]
         self.begun = time.monotonic()
         if not 0 <= args.limit_minutes < float("inf"):
             raise ConfigError(f"--limit-minutes {args.limit_minutes:g}: give 0 or more")
         self.limit = 60.0 * args.limit_minutes or float("inf")
         self.states: dict[str, State] = {}
-        self.jobs: dict[int | None, _Job] = {}
+        self.jobs: dict[_Slot, _Job] = {}
         self.lock = -1
 
     def run(self, runs: Sequence[Planned]) -> int:
@@ -290,7 +307,7 @@ class _Campaign:
             with _locked(self.out / "lock") as self.lock:
                 before = signal.signal(signal.SIGTERM, _stop)
                 try:
-                    self._train(self._make(pending))
+                    self._work(pending)
                 finally:
                     self._end_all()
                     signal.signal(signal.SIGTERM, before)
@@ -311,53 +328,50 @@ class _Campaign:
             return State.DONE
         return State.UNFINISHED if (folder / "checkpoint.pt").exists() else State.WAITING
 
-    # ------------------------------------------------------------------------------------------------- the garments
+    # ----------------------------------------------------------------------------------------------------- the work
 
-    def _make(self, pending: Sequence[Planned]) -> list[Planned]:
-        """Make the garments of each data set, the largest set of it; the runs whose garments are there."""
+    def _work(self, pending: Sequence[Planned]) -> None:
+        """Make the garments of each data set, start its runs, and wait for them."""
+        sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
         ready: list[Planned] = []
-        for garments in dict.fromkeys(run.garments for run in pending):
-            sharing = [run for run in pending if run.garments == garments]
-            largest = max(sharing, key=lambda run: run.train)
-            if self._left() <= 0:
-                break
-            _say(f"garments of {', '.join(run.name for run in sharing)}")
-            log = self.out / f"garments_{largest.name}.txt"
-            self._start(self.slots[0], largest, log, ["--make-only"], workers=max(0, cores() - 1))
-            code = self._wait(self.slots[0])
-            if code == 0:
-                ready += sharing
-            elif code is not None:
-                _say(f"no garments, see {log}: {_last_line(log)}")
-                self.states |= {run.name: State.FAILED for run in sharing}
-        return ready
-
-    # -------------------------------------------------------------------------------------------------- the trainings
-
-    def _train(self, ready: list[Planned]) -> None:
-        """Start the runs, the longest that fits first, and wait for them."""
-        waiting = list(ready)
-        workers = max(0, cores() // len(self.slots) - 1)
-        while waiting or self.jobs:
-            for slot in self.slots:
-                if slot not in self.jobs and (run := self._next(waiting)) is not None:
-                    waiting.remove(run)
-                    left = self._left() / 60
-                    more = ["--limit-minutes", f"{max(0.1, left - 0.5):.2f}"] if left < float("inf") else []
-                    _say(f"{run.name} begins" + ("" if slot is None else f" on GPU {slot}"))
-                    folder = make_folder(self.out / run.name)
-                    write_whole(folder / PLANNED, json.dumps(run.command).encode())
-                    self._start(slot, run, folder / LOG, more, workers=workers)
-            if not self.jobs:
-                return
+        while sets or ready or self.jobs:
             if self._left() <= 0:
                 self._end_all()
+                return
+            for slot in self.slots:
+                if slot in self.jobs:
+                    continue
+                if sets and not any(job.makes for job in self.jobs.values()):
+                    self._make(slot, sets.pop(0))
+                elif (run := self._next(ready)) is not None:
+                    ready.remove(run)
+                    self._begin(slot, run)
+            if not self.jobs:
                 return
             time.sleep(0.2)
             for slot, job in list(self.jobs.items()):
                 if (code := job.process.poll()) is not None:
                     del self.jobs[slot]
-                    self._ended(job, code)
+                    ready += self._ended(job, code)
+
+    def _make(self, slot: _Slot, sharing: Sequence[Planned]) -> None:
+        """Start to make the largest set of garments of the runs that share them."""
+        largest = max(sharing, key=lambda run: run.train)
+        _say(f"garments of {', '.join(run.name for run in sharing)}")
+        workers = max(0, cores() - 1)
+        self._start(slot, largest, self._log_of_garments(largest), ["--make-only"], workers=workers, makes=sharing)
+
+    def _begin(self, slot: _Slot, run: Planned) -> None:
+        """Start a run."""
+        left = self._left() / 60
+        more = ["--limit-minutes", f"{max(0.1, left - 0.5):.2f}"] if left < float("inf") else []
+        _say(f"{run.name} begins" + ("" if slot.gpu is None else f" on GPU {slot.gpu}"))
+        folder = make_folder(self.out / run.name)
+        write_whole(folder / PLANNED, json.dumps(run.command).encode())
+        self._start(slot, run, folder / LOG, more, workers=max(0, cores() // len(self.slots) - 1))
+
+    def _log_of_garments(self, run: Planned) -> Path:
+        return self.out / f"garments_{run.name}.txt"
 
     def _next(self, waiting: Sequence[Planned]) -> Planned | None:
         """The longest run that fits into the time left; else the longest training, which a later call continues."""
@@ -371,7 +385,15 @@ class _Campaign:
         """Minutes that a run still takes."""
         return max(0.0, run.minutes - _trained_minutes(self.out / run.name)) + run.spare
 
-    def _ended(self, job: _Job, code: int) -> None:
+    def _ended(self, job: _Job, code: int) -> Sequence[Planned]:
+        """Note how a program ended. Returns the runs that can start now."""
+        if job.makes and code == 0:
+            return job.makes
+        if job.makes:
+            log = self._log_of_garments(job.run)
+            _say(f"no garments, see {log}: {_last_line(log)}")
+            self.states |= {run.name: State.FAILED for run in job.makes}
+            return ()
         name, log = job.run.name, self.out / job.run.name / LOG
         minutes = (time.monotonic() - job.begun) / 60
         if code == 0 and (self.out / name / REPORT).exists():
@@ -383,19 +405,31 @@ class _Campaign:
         else:
             self.states[name] = State.FAILED
             _say(f"{name} failed with exit code {code}, see {log}: {_last_line(log)}")
+        return ()
 
     # --------------------------------------------------------------------------------------------------- the programs
 
-    def _start(self, slot: int | None, run: Planned, log: Path, more: Sequence[str], *, workers: int) -> None:
+    def _start(
+        self,
+        slot: _Slot,
+        run: Planned,
+        log: Path,
+        more: Sequence[str],
+        *,
+        workers: int,
+        makes: Sequence[Planned] = (),
+    ) -> None:
         arguments = [*run.command[1:], "--out", str(self.out / run.name), "--data", str(self.data), *more]
         if "workers" not in run.options and not run.options.get("smoke"):
             arguments += ["--workers", str(workers)]
         if run.program == "stitching.run" and self.examples:
             arguments += ["--examples", self.examples]
+        if self.at_once > 1:
+            arguments += ["--turns", str(self.out / f"turns{'' if slot.gpu is None else slot.gpu}")]
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        if slot is not None:
-            cache = make_folder(self.data / "warp" / str(slot)).resolve()
-            environment |= {"CUDA_VISIBLE_DEVICES": str(slot), "WARP_CACHE_PATH": str(cache)}
+        if slot.gpu is not None:
+            cache = make_folder(self.data / "warp" / f"{slot.gpu}-{slot.place}").resolve()
+            environment |= {"CUDA_VISIBLE_DEVICES": str(slot.gpu), "WARP_CACHE_PATH": str(cache)}
         with log.open("ab") as file:
             file.write(f"$ {shlex.join(['python', *arguments])}\n".encode())
             file.flush()
@@ -407,18 +441,7 @@ class _Campaign:
                 start_new_session=True,
                 pass_fds=[self.lock],  # a program that a killed campaign leaves behind keeps the lock
             )
-        self.jobs[slot] = _Job(run, process, time.monotonic())
-
-    def _wait(self, slot: int | None) -> int | None:
-        """The exit code of the program; ``None`` if the time is over before."""
-        job = self.jobs[slot]
-        try:
-            code = job.process.wait(None if self._left() == float("inf") else max(0.0, self._left()))
-        except subprocess.TimeoutExpired:
-            self._end_all()
-            return None
-        del self.jobs[slot]
-        return code
+        self.jobs[slot] = _Job(run, process, time.monotonic(), makes)
 
     def _end_all(self) -> None:
         """End the programs and the processes that they started."""

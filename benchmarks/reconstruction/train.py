@@ -45,6 +45,7 @@ from benchmarks.reconstruction.training import (
     one_of_several_ranks,
     train,
     training_device,
+    turn,
 )
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
@@ -107,6 +108,8 @@ class Options:
     """Time of this call; 0: no limit."""
     drape: bool = False
     """Whether answers are draped and scored."""
+    turns: Path | None = None
+    """File that runs on one GPU share, which train in turn; ``None``: there are no others."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--checks", 0, "scores and pictures on the way; 0: the model's own, mostly 4")
     option("--seed", 0, "seed of weights and order")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
+    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--resolution", 0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
@@ -192,6 +196,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         make_only=args.make_only,
         limit_minutes=args.limit_minutes,
         drape=args.drape,
+        turns=Path(args.turns) if args.turns else None,
     )
 
 
@@ -217,7 +222,8 @@ def run(options: Options) -> Result | None:
         torch.set_num_threads(1)  # fastest for tiny networks
     module, out, judge = load_model(options.model), make_folder(options.out), judge_of(options.task)
     with one_of_several_ranks(options.device) as device:
-        split = load_split(options)
+        with turn(options.turns if options.make_only and options.task.options.get("drape") else None):
+            split = load_split(options)
         loaded = time.perf_counter()
         if options.make_only:
             print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")
@@ -230,7 +236,8 @@ def run(options: Options) -> Result | None:
         if dist.is_initialized() and dist.get_rank():
             return None
         trained_at = time.perf_counter()
-        answers = _answers(module, trained, split, options, device)
+        with turn(options.turns):
+            answers = _answers(module, trained, split, options, device)
         scores = judge.scores(answers, split.test, workers=options.workers)
         tested = time.perf_counter()
     checked, steps = (trained.checked, trained.seconds) if trained else (0.0, 0.0)
@@ -299,9 +306,10 @@ def _trained(
     check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
-    limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
-    arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
-    trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
+    with turn(options.turns):
+        limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
+        arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
+        trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 

@@ -6,6 +6,7 @@ the same steps as one that was never stopped. ``torchrun`` starts several ranks;
 
 import copy
 import csv
+import fcntl
 import importlib.util
 import math
 import os
@@ -45,6 +46,7 @@ __all__ = [
     "step_of",
     "train",
     "training_device",
+    "turn",
 ]
 
 Batch = TypeVar("Batch")
@@ -245,6 +247,27 @@ def _signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def turn(path: Path | None) -> Iterator[None]:
+    """Wait until no other process is in a turn of the file; ``None``: do not wait. Other ranks follow the first.
+
+    Raises ``ConfigError`` for a file that cannot be written.
+    """
+    if path is None or _rank():
+        yield
+        return
+    try:
+        file = path.open("a")
+    except OSError as error:
+        raise ConfigError(f"--turns {path}: {error.strerror}: give a file in a folder that exists") from error
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            fcntl.flock(file, fcntl.LOCK_UN)  # a worker that was forked meanwhile does not keep it
 
 
 @contextmanager

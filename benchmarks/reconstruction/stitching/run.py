@@ -33,7 +33,7 @@ from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_le
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
-from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device, turn
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
@@ -95,10 +95,11 @@ def run(args: argparse.Namespace) -> None:
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
-    limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
     of = {name: getattr(args, name) for name in ("placed", "autosew", "one_round", "leave_out", "foreign")}
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
-    trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit, of=of)
+    with turn(Path(args.turns) if args.turns else None):
+        limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
+        trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit, of=of)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
@@ -149,6 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
     option("--device", "auto", "auto, cpu or cuda:0")
+    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--data", "", "folder of the patterns; by default in the output folder")
     option("--examples", "", "folder whose specifications are scored, too")
 

@@ -37,7 +37,7 @@ minutes = 3
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A plan of toy programs."""
     monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
-    for name in ("short", "fails", "long", "endless"):
+    for name in ("short", "fails", "long", "endless", "beside"):
         monkeypatch.setitem(MODELS, name, "tests.benchmarks.reconstruction.toy_program")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
     monkeypatch.setattr(campaign, "LEAVE", 0.5)
@@ -129,6 +129,20 @@ def test_runs_at_once_have_gpus_of_their_own(plan: Path, tmp_path: Path, capsys:
     assert "a-2 begins on GPU 1" in said
 
 
+def test_a_gpu_has_several_runs_at_once(plan: Path, tmp_path: Path) -> None:
+    plan.write_text("[a]\nmodel = 'beside'\ntrain = 1\n[b]\ntask = 'T1'\nmodel = 'short'\ntrain = 1")
+    call = [str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--limit-minutes", "2"]
+    assert main([*call, "--at-once", "2"]) == 0
+    assert sorted(starts(tmp_path / "runs")) == ["a", "b", "make a", "make b"]
+    log = (tmp_path / "runs" / "a" / "log.txt").read_text()
+    assert f"--turns {tmp_path / 'runs' / 'turns'}" in log
+
+
+def test_runs_at_once_are_at_least_one(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(plan), "--out", str(tmp_path), "--at-once", "0"]) == 1
+    assert "--at-once 0: give 1 or more" in capsys.readouterr().err
+
+
 def test_the_limit_ends_what_runs(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan.write_text("[a]\ntask = 'T0'\nmodel = 'endless'\ntrain = 1\nminutes = 0.01\nspare = 0.01")
     begun = time.monotonic()
@@ -192,8 +206,16 @@ def test_a_damaged_report_is_one_error(
         assert f"{tmp_path / 'a-short-10' / 'report.json'}" in error
 
 
-@pytest.mark.parametrize("name", ["smoke.toml", "h200.toml", "h200_short.toml"])
-def test_the_commands_of_the_committed_plans_are_valid(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "without"),
+    [
+        ("smoke.toml", {"T7"}),
+        ("h200.toml", {"T7"}),
+        ("h200_short.toml", {"T7", "T1-scan"}),
+        ("h200_half_hour.toml", set(TASKS) - {"T0", "T1"}),
+    ],
+)
+def test_the_commands_of_the_committed_plans_are_valid(name: str, without: set[str]) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("model")
     add_arguments(parser)
@@ -207,8 +229,7 @@ def test_the_commands_of_the_committed_plans_are_valid(name: str) -> None:
         else:
             args = stitching.parsed(stitches, arguments)
         assert not args.leave_out or args.leave_out in FAMILIES
-    tasks = {run.task for run in read_plan(PLANS / name)}
-    assert tasks >= set(TASKS) - ({"T7", "T1-scan"} if name == "h200_short.toml" else {"T7"})
+    assert {run.task for run in read_plan(PLANS / name)} == set(TASKS) - without
 
 
 def test_short_trainings_have_equal_time_and_garments() -> None:

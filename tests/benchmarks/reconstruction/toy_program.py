@@ -1,4 +1,4 @@
-"""A program with the options that a campaign gives: it needs no time, fails, or stops at its limit.
+"""A program with the options that a campaign gives: it needs no time, fails, waits, or stops at its limit.
 
 Each start adds a line to ``starts.txt`` beside the runs.
 """
@@ -11,13 +11,16 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Run the command: ``fails`` fails, ``long`` stops at the limit of its first call, ``endless`` is killed."""
+    """Run the command: ``fails`` fails, ``long`` stops at the limit of its first call, ``endless`` is killed.
+
+    ``beside`` ends once ``b`` has begun.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("model")
     parser.add_argument("--make-only", action="store_true")
     for name in ("task", "train", "minutes", "workers", "limit-minutes"):
         parser.add_argument(f"--{name}", default="")
-    for name in ("out", "data"):
+    for name in ("out", "data", "turns"):
         parser.add_argument(f"--{name}", type=Path)
     args = parser.parse_args()
     with (args.out.parent / "starts.txt").open("a") as file:
@@ -27,6 +30,8 @@ def main() -> int:
     if args.model == "fails":
         print("the toy is broken", file=sys.stderr)
         return 1
+    while args.model == "beside" and "b" not in (args.out.parent / "starts.txt").read_text().splitlines():
+        time.sleep(0.05)
     if args.model == "endless":
         time.sleep(60)
     if args.model == "long" and not (args.out / "checkpoint.pt").exists():
