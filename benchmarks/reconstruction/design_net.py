@@ -5,13 +5,16 @@ choice has a logit for each option; a number has a value, and, where random desi
 it is the default. Parameters that have no effect on the garment are left out of the loss: only meta.bottom of a dress
 says that it has trousers, and nothing says how wide their legs would be.
 
+Choices come first. Further layers are told the choices, the true ones in a training, before numbers and measures are
+read from the queries: a skirt has another length with a waistband than without, and their mean would fit neither.
+
 Every answer can be sewn. Upper, waistband and bottom are chosen together, as the likeliest of the outfits that exist.
 Numbers are moved into their ranges. A design that cannot be drawn for the predicted measures is repaired as random
 designs are (``wearable``), and if that fails its numbers become defaults.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -91,17 +94,25 @@ class DesignDecoder(nn.Module):
     most: Tensor
 
     def __init__(self, width: int, *, heads: int, layers: int) -> None:
+        """``layers``: layers before the choices; half as many, rounded up, follow."""
         super().__init__()
         queries, options = len(PARAMETERS) + len(MEASURES), int(_TABLE.options.max())
         self.queries = nn.Parameter(torch.randn(queries, width))
         self.layers = nn.ModuleList(DecoderLayer(width, heads, 4 * width) for _ in range(layers))
-        self.norm = nn.LayerNorm(width)
+        self.options = nn.Parameter(torch.randn(len(PARAMETERS), options, width))
+        self.told = nn.ModuleList(DecoderLayer(width, heads, 4 * width) for _ in range((layers + 1) // 2))
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2))
         self.weights = nn.Parameter(torch.randn(queries, width, options) / width)
         self.biases = nn.Parameter(torch.zeros(queries, options))
         for name in ("mean", "deviation", "least", "most"):
             self.register_buffer(name, torch.zeros(len(MEASURES)))
         for name, column in vars(_TABLE).items():
             self.register_buffer(f"table_{name}", torch.from_numpy(column), persistent=False)
+
+    @property
+    def all_layers(self) -> list[nn.Module]:
+        """Its layers of attention."""
+        return [*self.layers, *self.told]
 
     def learn_range(self, garments: GarmentSet) -> None:
         """Take the range of the measures from garments, unless it is known.
@@ -118,15 +129,41 @@ class DesignDecoder(nn.Module):
         self.least.copy_(torch.from_numpy(known.min(axis=0)))
         self.most.copy_(torch.from_numpy(known.max(axis=0)))
 
-    def forward(self, tokens: Float[Tensor, "b t w"]) -> Words:
-        """What the queries say."""
+    def forward(self, tokens: Float[Tensor, "b t w"], true: DesignTargets) -> Words:
+        """What the queries say, told the true choices that have an effect."""
+        table = self._table()
+        queries, said = self._chosen(tokens)
+        rows = (true.codes.nan_to_num() - table.low).round().long()
+        words = self._sized(queries, tokens, rows, true.effective)
+        return replace(words, outputs=torch.where((table.options > 0)[:, None], said, words.outputs))
+
+    def _chosen(self, tokens: Float[Tensor, "b t w"]) -> tuple[Float[Tensor, "b q w"], Float[Tensor, "b d o"]]:
+        """The queries after the first layers, and what they say about the choices."""
         queries = self.queries.expand(len(tokens), -1, -1)
         for layer in self.layers:
             queries = layer(queries, tokens)
-        with torch.autocast(tokens.device.type, enabled=False):
-            found = torch.einsum("bqw,qwo->bqo", self.norm(queries.float()), self.weights) + self.biases
-        count = len(PARAMETERS)
-        return Words(found[:, :count], found[:, count:, 0])
+        return queries, self._read(queries, self.norms[0])[:, : len(PARAMETERS)]
+
+    def _sized(
+        self,
+        queries: Float[Tensor, "b q w"],
+        tokens: Float[Tensor, "b t w"],
+        rows: Int[Tensor, "b d"],
+        effective: Bool[Tensor, "b d"],
+    ) -> Words:
+        """What the queries say about numbers and measures; ``rows``: options that are chosen, where effective."""
+        is_told = effective & (self._table().options > 0)
+        chosen = self.options[torch.arange(rows.shape[1], device=rows.device), torch.where(is_told, rows, 0)]
+        parts = (queries[:, : len(PARAMETERS)] + is_told[..., None] * chosen, queries[:, len(PARAMETERS) :])
+        queries = torch.cat(parts, dim=1)
+        for layer in self.told:
+            queries = layer(queries, tokens)
+        found = self._read(queries, self.norms[1])
+        return Words(found[:, : len(PARAMETERS)], found[:, len(PARAMETERS) :, 0])
+
+    def _read(self, queries: Float[Tensor, "b q w"], norm: nn.Module) -> Float[Tensor, "b q o"]:
+        with torch.autocast(queries.device.type, enabled=False):
+            return torch.einsum("bqw,qwo->bqo", norm(queries.float()), self.weights) + self.biases
 
     def losses(self, words: Words, true: DesignTargets) -> dict[str, Tensor]:
         """The weighted loss terms."""
@@ -155,20 +192,27 @@ class DesignDecoder(nn.Module):
         return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
     @torch.no_grad()
-    def answers(self, words: Words) -> list["Answer"]:
-        """The likeliest parameters and measures of each garment, on the CPU."""
+    def answers(self, *seen: Float[Tensor, "b t w"]) -> list["Answer"]:
+        """The likeliest parameters and measures of each garment, on the CPU; ``seen``: tokens of several inputs of it,
+        whose outputs are averaged."""
         table = self._table()
-        logits = self._logits(words.outputs).log_softmax(dim=-1)
-        chosen = logits.argmax(dim=-1) + table.low
-        values = table.low + words.outputs[..., 0] * table.extent
-        values = torch.where((words.outputs[..., 1] > 0) & table.kept, table.default, values)
-        codes = torch.where(table.options > 0, chosen, values)
+        asked = [(*self._chosen(tokens), tokens) for tokens in seen]
+        logits = self._logits(torch.stack([said for _, said, _ in asked]).mean(dim=0)).log_softmax(dim=-1)
+        rows = logits.argmax(dim=-1)
         joint = _OUTFITS.to(logits.device)
         likelihood = logits[:, META[0], joint[:, 0]] + logits[:, META[1], joint[:, 1]] + logits[:, META[2], joint[:, 2]]
-        codes[:, list(META)] = joint[likelihood.argmax(dim=1)].to(codes.dtype)
-        measures = (words.measures * self.deviation + self.mean).clamp(self.least, self.most)
-        rows, usual = zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True), self.mean.double().cpu()
-        return [Answer(row, sizes, usual.numpy()) for row, sizes in rows]
+        rows[:, list(META)] = joint[likelihood.argmax(dim=1)]
+        codes = torch.where(table.options > 0, rows + table.low, torch.nan)
+        effective = np.array([have_effect(decode_design(row)) for row in codes.cpu().numpy()]).reshape(codes.shape)
+        told = torch.from_numpy(effective).to(codes.device)
+        said = [self._sized(queries, tokens, rows, told) for queries, _, tokens in asked]
+        outputs, sizes = (torch.stack([getattr(one, name) for one in said]).mean(dim=0) for name in vars(said[0]))
+        values = table.low + outputs[..., 0] * table.extent
+        values = torch.where((outputs[..., 1] > 0) & table.kept, table.default, values)
+        codes = torch.where(table.options > 0, codes, values)
+        measures = (sizes * self.deviation + self.mean).clamp(self.least, self.most)
+        usual = self.mean.double().cpu().numpy()
+        return [Answer(*pair, usual) for pair in zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True)]
 
     def _table(self) -> "Table":
         return Table(**{name: getattr(self, f"table_{name}") for name in vars(_TABLE)})

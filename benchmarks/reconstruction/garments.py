@@ -55,7 +55,7 @@ FIELDS = ("meta", "design", "measures", "body", *PATTERN)
 LOG_EVERY = 1000  # garments
 MOST_FRESH = 1_000_000  # garments of a stream
 TOGETHER = 16  # garments that a worker sends together
-PORTION = 2000  # garments that are made before the cache is written again
+PORTION = 4000  # garments that are made before the cache is written again
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,27 +226,43 @@ def generated(
     names, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
     stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
-    ahead = workers > 0 and options.get("drape") == "warp"
-    whole = GeneratedGarments(count, seed, transform=stream.transform(_itself) if ahead else None, **options)
+    whole = GeneratedGarments(count, seed, transform=stream.transform(_itself), **options)
     told = whole.recipe(0)
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
     recipe |= {"points": points, "fields": sorted(names)}
     path = None if cache is None else make_folder(cache) / f"generated-{_digest(recipe)}.npz"
     kept = None if path is None or not path.exists() else GarmentSet.load(path)
     made = 0 if kept is None else int(kept.recipe["made"])
-    portion = count if path is None else PORTION
-    while kept is None or made < count:
-        following = whole.select(range(made, made := min(count, made + portion)))
-        if ahead:
-            rest = _joined((one for _, one in stream.encoded(following, _itself)), following)
-        else:
-            rest = read_garments(following, points=points, extra=extra, workers=workers)
-        kept = rest if kept is None else GarmentSet.join([kept, rest])
-        kept = replace(kept, recipe={**recipe, "made": made})
-        if path is not None:
-            kept.save(path)
+    if kept is None or made < count:
+        following = stream.encoded(whole.select(range(made, count)), _itself, first=made)
+        for end, portion in _portions(following, made, count):
+            kept = portion if kept is None else GarmentSet.join([kept, portion])
+            kept = replace(kept, recipe={**recipe, "made": end})
+            if path is not None:
+                kept.save(path)
+    if kept is None:
+        raise ConfigError(f"{whole!r}: no garment that settled: give another data set")
     wanted = [k for k, key in enumerate(kept.keys) if int(key.rsplit("_", 1)[1]) < count]
     return kept.select(wanted) if len(wanted) < len(kept) else kept
+
+
+def _portions(found: Iterable[tuple[int, GarmentSet]], first: int, count: int) -> Iterator[tuple[int, GarmentSet]]:
+    """Sets of ``PORTION`` garments, and how many of the ``count`` are made then; prints the progress.
+
+    ``found``: index and garment of those from index ``first`` on that settled, in order.
+    """
+    parts: list[GarmentSet] = []
+    made = first
+    for k, one in found:
+        if (k + 1) // LOG_EVERY > made // LOG_EVERY:
+            print(f"{k + 1} of {count} garments", file=sys.stderr, flush=True)
+        made = k + 1
+        parts.append(one)
+        if len(parts) == PORTION and made < count:
+            yield made, GarmentSet.join(parts)
+            parts = []
+    if parts:
+        yield count, GarmentSet.join(parts)
 
 
 def _names(points: int, extra: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from benchmarks.reconstruction.design_net import DesignDecoder, DesignTargets, Words, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT
@@ -119,24 +119,24 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     def compile_parts(self) -> None:
         self.tokens.encoder.compile()
-        for layer in self.decoder.layers:
+        for layer in self.decoder.all_layers:
             layer.compile()
 
     def loss(self, batch: Designs) -> dict[str, Tensor]:
-        return self.decoder.losses(self.decoder(self.tokens(batch.points)), batch)
+        return self.decoder.losses(self.decoder(self.tokens(batch.points), batch), batch)
 
     def predict(self, batch: Designs) -> list[Pattern]:
-        return [drawn(one) for one in self.decoder.answers(self._said(batch))]
+        return [drawn(one) for one in self._said(batch)]
 
     def answers(self, examples: Examples[Designs], count: int, *, batch: int, workers: int = 0) -> Iterator[Pattern]:
         rows = torch.split(torch.arange(count), batch)
-        said = [one for part in rows for one in self.decoder.answers(self._said(examples.batch(part)))]
-        return parallel_map(drawn, said, workers)
+        return parallel_map(drawn, [one for part in rows for one in self._said(examples.batch(part))], workers)
 
     @torch.no_grad()
-    def _said(self, batch: Designs) -> Words:
-        said: Words = self.decoder(self.tokens(batch.points[:, : self.config.points]))
-        return said
+    def _said(self, batch: Designs) -> list[Answer]:
+        """What is said about all stored points, as many at once as in a step."""
+        several = torch.split(batch.points, self.config.points, dim=1)
+        return self.decoder.answers(*(self.tokens(part) for part in several if part.shape == several[0].shape))
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> ParameterNet:

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.design_net import DesignDecoder, DesignTargets, Words, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
@@ -67,26 +67,24 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
         return encoded
 
     def compile_parts(self) -> None:
-        for layer in (*self.tokens.encoder.layers, *self.decoder.layers):
+        for layer in (*self.tokens.encoder.layers, *self.decoder.all_layers):
             layer.compile()
 
     def loss(self, batch: PictureDesigns) -> dict[str, Tensor]:
-        return self.decoder.losses(self.decoder(self.tokens(batch.pictures)), batch)
+        return self.decoder.losses(self.decoder(self.tokens(batch.pictures), batch), batch)
 
     def predict(self, batch: PictureDesigns) -> list[Pattern]:
-        return [drawn(one) for one in self.decoder.answers(self._said(batch))]
+        return [drawn(one) for one in self._said(batch)]
 
     def answers(
         self, examples: Examples[PictureDesigns], count: int, *, batch: int, workers: int = 0
     ) -> Iterator[Pattern]:
         rows = torch.split(torch.arange(count), batch)
-        said = [one for part in rows for one in self.decoder.answers(self._said(examples.batch(part)))]
-        return parallel_map(drawn, said, workers)
+        return parallel_map(drawn, [one for part in rows for one in self._said(examples.batch(part))], workers)
 
     @torch.no_grad()
-    def _said(self, batch: PictureDesigns) -> Words:
-        said: Words = self.decoder(self.tokens(batch.pictures))
-        return said
+    def _said(self, batch: PictureDesigns) -> list[Answer]:
+        return self.decoder.answers(self.tokens(batch.pictures))
 
 
 def encoded(garments: GarmentSet) -> PictureDesigns:

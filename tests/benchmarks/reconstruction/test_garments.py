@@ -1,6 +1,8 @@
 """Garment sets: what is read is what was made, hashes tell sets apart, and splits share neither design nor body."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,6 @@ from benchmarks.reconstruction.garments import (
     fresh_garments,
     generated,
     read_folder,
-    read_garments,
     split_off,
 )
 from benchmarks.reconstruction.tasks import task_named
@@ -26,7 +27,6 @@ from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import recipe_of
-from gcd_dataset.loaders.base import Garments
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Drape, Outcome
@@ -80,21 +80,20 @@ def test_a_cached_set_grows_and_holds_the_smaller_ones(tmp_path: Path) -> None:
 
 def test_a_stopped_call_keeps_the_garments_that_it_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = generated(5, 3, **PATTERNS)
-    made: list[int] = []
+    portions, begun = garments._portions, list[int]()
 
-    def stopped(source: Garments, **options: Any) -> GarmentSet:
-        if made == [2, 2]:
+    def stopped(found: Any, first: int, count: int) -> Iterator[tuple[int, GarmentSet]]:
+        begun.append(first)
+        yield from islice(portions(found, first, count), 2)
+        if len(begun) == 1:
             raise KeyboardInterrupt
-        made.append(len(source))
-        return read_garments(source, **options)
 
     monkeypatch.setattr(garments, "PORTION", 2)
-    monkeypatch.setattr(garments, "read_garments", stopped)
+    monkeypatch.setattr(garments, "_portions", stopped)
     with pytest.raises(KeyboardInterrupt):
         generated(5, 3, cache=tmp_path, **PATTERNS)
-    made.clear()
     assert same(generated(5, 3, cache=tmp_path, **PATTERNS), whole)
-    assert made == [1]
+    assert begun == [0, 4]
 
 
 def test_workers_make_the_same_set() -> None:

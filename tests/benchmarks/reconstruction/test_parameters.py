@@ -43,7 +43,7 @@ def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet)
 
 
 def test_parameters_without_effect_change_no_loss(six: GarmentSet) -> None:
-    network = learner()
+    network = learner().eval()
     batch = network.prepare(six, device=CPU).batch(torch.arange(6))
     shirt = torch.tensor([path.startswith("shirt.") for path in PATHS])
     assert not batch.effective[:, shirt].any()
@@ -52,6 +52,16 @@ def test_parameters_without_effect_change_no_loss(six: GarmentSet) -> None:
     other = batch.codes.clone()
     other[:, bottom] = 3.0
     assert loss_of(network, replace(batch, codes=other)) != loss_of(network, batch)
+
+
+def test_numbers_are_told_the_choices(six: GarmentSet) -> None:
+    network = learner().eval()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    other = batch.codes.clone()
+    other[:, PATHS.index("meta.wb")] = 1.0 - other[:, PATHS.index("meta.wb")].clamp(max=1)
+    one, told = (network.loss(replace(batch, codes=codes)) for codes in (batch.codes, other))
+    assert one["numbers"].item() != told["numbers"].item()
+    assert one["measures"].item() != told["measures"].item()
 
 
 def test_measures_that_are_unknown_teach_nothing(six: GarmentSet) -> None:
@@ -95,7 +105,7 @@ def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -
         biases = network.decoder.biases
         biases[PATHS.index("meta.upper"), 4] = biases[PATHS.index("meta.bottom"), 8] = 50.0
         biases[PATHS.index("meta.bottom"), 3] = 40.0
-    for answer in network.decoder.answers(network._said(batch)):
+    for answer in network._said(batch):
         meta = decode_design(answer.codes).meta
         assert (meta.upper, meta.bottom.value if meta.bottom else "") == (None, "Pants")
 
