@@ -205,9 +205,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code."""
     args = _parser().parse_args(arguments)
     try:
-        runs = [run for run in read_plan(args.plan) if fnmatch(run.name, args.only)]
+        runs = [run for run in read_plan(args.plan) if any(fnmatch(run.name, glob) for glob in args.only)]
         if not runs:
-            raise ConfigError(f"{args.plan} has no run {args.only}: give --only a pattern such as 'T0-*'")
+            raise ConfigError(f"{args.plan} has no run {' '.join(args.only)}: give --only a pattern such as 'T0-*'")
         return _report(runs, args) if args.report else _Campaign(args).run(runs)
     except KeyboardInterrupt:
         print("campaign: interrupted: repeat the command to continue", file=sys.stderr)
@@ -223,7 +223,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("plan", type=Path, help="TOML file of runs")
     parser.add_argument("--out", type=Path, default=Path("runs"), help="folder of the runs (%(default)s)")
     parser.add_argument("--data", type=Path, help="folder of the garments (default: garments in --out)")
-    parser.add_argument("--only", default="*", metavar="GLOB", help="names of the runs to start (%(default)s)")
+    parser.add_argument("--only", nargs="+", default=["*"], metavar="GLOB", help="names of the runs to start (all)")
     parser.add_argument("--gpus", type=int, default=-1, help="runs at once, each on its GPU; 0: one, on the CPU "
                         "(default: the GPUs of this machine)")  # fmt: skip
     parser.add_argument("--at-once", type=int, default=1, help="runs on a GPU, which take turns to train (%(default)s)")

@@ -222,8 +222,7 @@ def run(options: Options) -> Result | None:
         torch.set_num_threads(1)  # fastest for tiny networks
     module, out, judge = load_model(options.model), make_folder(options.out), judge_of(options.task)
     with one_of_several_ranks(options.device) as device:
-        with turn(options.turns if options.make_only and options.task.options.get("drape") else None):
-            split = load_split(options)
+        split = load_split(options)
         loaded = time.perf_counter()
         if options.make_only:
             print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")

@@ -91,7 +91,7 @@ class TrainConfig:
     bf16: bool = True
     """Autocast to bfloat16 on a GPU."""
     compile: bool = False
-    """Compile the learner's parts."""
+    """Compile the learner's parts, before the time of the steps begins."""
     seed: int = 0
     log_every: int = 50
     """Steps of a row of the curves."""
@@ -170,6 +170,8 @@ def train(
     if out is not None and (out / CHECKPOINT).exists():
         run.restore(out / CHECKPOINT, examples)
         curves.resume(run.step)
+    if config.compile:
+        run.compile(examples)
     saved, mark = time.perf_counter(), time.perf_counter()
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
     with _signals() as is_signalled:
@@ -202,6 +204,8 @@ def step_of(
 ) -> Callable[[], None]:
     """A function that takes a training step, to measure it."""
     run = _Run(learner.to(device), config, device)
+    if config.compile:
+        run.compile(examples)
     return lambda: run.take_step(examples)
 
 
@@ -308,8 +312,6 @@ class _Run:
             torch.set_float32_matmul_precision("high")  # TF32 outside autocast
         self.averaged = copy.deepcopy(learner).requires_grad_(False)
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
-        if config.compile:
-            learner.compile_parts()
         matrices = [p for p in learner.parameters() if p.requires_grad and p.ndim > 1]
         vectors = [p for p in learner.parameters() if p.requires_grad and p.ndim <= 1]
         groups = [{"params": matrices, "weight_decay": config.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
@@ -332,24 +334,40 @@ class _Run:
         config = self.config
         if isinstance(examples, Growing):
             examples.advance(self.step)
-        chance = torch.Generator().manual_seed(_seed_of(config.seed, self.step))
-        rows = torch.randint(len(examples), (config.batch,), generator=chance)
-        batch = examples.batch(rows[_rank() :: _ranks()], chance)
         rate = config.lr * learning_rate(self._progress_after(), config.warm_up)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        self.model.train()
-        with self._autocast():
-            parts = self.model(batch)
-        losses = torch.stack([part.float() for part in parts.values()])
-        loss = losses.sum()
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
+        names, losses = self._with_gradients(examples)
         nn.utils.clip_grad_norm_(self.learner.parameters(), config.largest_gradient)
         self.optimizer.step()
         _average(self._pairs, config.ema, self.step)
         self.step += 1
-        self._add(list(parts), torch.cat([loss.detach()[None], losses.detach()]))
+        self._add(names, torch.cat([losses.sum()[None], losses]))
+
+    def compile(self, examples: Examples[Any]) -> None:
+        """Compile the learner's parts, by a pass that takes no step and draws no random number."""
+        self.learner.compile_parts()
+        random = torch.get_rng_state()
+        random_cuda = torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None
+        self._with_gradients(examples)
+        self.optimizer.zero_grad()
+        torch.set_rng_state(random)
+        if random_cuda is not None:
+            torch.cuda.set_rng_state(random_cuda, self.device)
+            torch.cuda.synchronize(self.device)
+
+    def _with_gradients(self, examples: Examples[Any]) -> tuple[list[str], Tensor]:
+        """Names and values of the loss terms of the step's batch, whose gradients the learner holds then."""
+        chance = torch.Generator().manual_seed(_seed_of(self.config.seed, self.step))
+        rows = torch.randint(len(examples), (self.config.batch,), generator=chance)
+        batch = examples.batch(rows[_rank() :: _ranks()], chance)
+        self.model.train()
+        with self._autocast():
+            parts = self.model(batch)
+        losses = torch.stack([part.float() for part in parts.values()])
+        self.optimizer.zero_grad()
+        torch.autograd.backward(losses.sum())
+        return list(parts), losses.detach()
 
     def _progress_after(self) -> float:
         """Progress after the step that begins, so that the first step has a learning rate above 0."""

@@ -116,7 +116,8 @@ class EdgeTokens(PointLearner):
         return ToCanonical(config.queries, config.slots, config.edges, self.stored_points)
 
     def compile_parts(self) -> None:
-        self.tokens.encoder.compile()
+        for part in (self.tokens.features, *self.tokens.encoder.layers):
+            part.compile()
         for layer in self.decoder.layers:
             layer.compile(dynamic=True)
 

@@ -118,9 +118,8 @@ class ParameterNet(Learner[Designs, Pattern]):
         return ToDesigns(self.config.stored_points)
 
     def compile_parts(self) -> None:
-        self.tokens.encoder.compile()
-        for layer in self.decoder.all_layers:
-            layer.compile()
+        for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.all_layers):
+            part.compile()
 
     def loss(self, batch: Designs) -> dict[str, Tensor]:
         return self.decoder.losses(self.decoder(self.tokens(batch.points), batch), batch)

@@ -4,6 +4,7 @@ import csv
 import itertools
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -74,6 +75,14 @@ def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
     assert same(trained(), trained())
     assert not same(trained(), trained(config=TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, seed=1)))
+
+
+def test_compiling_changes_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[LineLearner] = []
+    monkeypatch.setattr(LineLearner, "compile_parts", lambda self: compiled.append(self))
+    plain = trained(dropout=0.5)
+    assert same(trained(config=replace(CONFIG, compile=True), dropout=0.5), plain)
+    assert len(compiled) == 1
 
 
 def test_curves_hold_losses_and_checks_of_all_runs(tmp_path: Path) -> None:
