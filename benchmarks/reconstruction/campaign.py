@@ -426,10 +426,9 @@ class _Campaign:
             arguments += ["--examples", self.examples]
         if self.at_once > 1:
             arguments += ["--turns", str(self.out / f"turns{'' if slot.gpu is None else slot.gpu}")]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}  # all cores have processes
         if slot.gpu is not None:
-            cache = make_folder(self.data / "warp" / f"{slot.gpu}-{slot.place}").resolve()
-            environment |= {"CUDA_VISIBLE_DEVICES": str(slot.gpu), "WARP_CACHE_PATH": str(cache)}
+            environment["CUDA_VISIBLE_DEVICES"] = _visible(slot.gpu)
         with log.open("ab") as file:
             file.write(f"$ {shlex.join(['python', *arguments])}\n".encode())
             file.flush()
@@ -491,6 +490,13 @@ def _gpus() -> int:
     import torch
 
     return torch.cuda.device_count()
+
+
+def _visible(gpu: int) -> str:
+    """The GPUs of this process, one of them first: programs train on the first, and drape garments on all."""
+    given = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    names = given.split(",") if given else [str(k) for k in range(_gpus())]
+    return ",".join([*names[gpu:], *names[:gpu]])
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

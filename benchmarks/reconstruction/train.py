@@ -47,6 +47,7 @@ from benchmarks.reconstruction.training import (
     training_device,
     turn,
 )
+from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
@@ -101,6 +102,8 @@ class Options:
     """Changes of the task's recipe."""
     workers: int = 0
     device: str = "cpu"
+    make_device: str = "auto"
+    """Of the drapes of generated garments."""
     smoke: bool = False
     make_only: bool = False
     """Make the garments, nothing else."""
@@ -149,6 +152,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--resolution", 0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
+    option("--make-device", "auto", "device that drapes generated garments, such as cuda:1 beside a training; "
+           "auto: all GPUs, or the CPU without a GPU")  # fmt: skip
     parser.add_argument("--compile", action="store_true", help="compile the network")
     parser.add_argument("--make-only", action="store_true", help="make the garments of --data, then stop")
     parser.add_argument("--drape", action="store_true", help="also score drapes of the answers, at the resolution "
@@ -171,6 +176,8 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         chosen.pop("steps", None)
     if "steps" not in chosen:
         chosen.setdefault("minutes", MINUTES)
+    if args.make_device != "auto":
+        named_devices(args.make_device)
     recipe: dict[str, Any] = {"resolution": args.resolution} if args.resolution else {}
     if args.source and recipe:
         raise ConfigError(f"--resolution {args.resolution:g}: the garments of --source are made: leave it out")
@@ -192,6 +199,7 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         recipe=recipe,
         workers=workers,
         device=device,
+        make_device=args.make_device,
         smoke=args.smoke,
         make_only=args.make_only,
         limit_minutes=args.limit_minutes,
@@ -283,13 +291,19 @@ def load_split(options: Options) -> Split:
     """The garments; the first rank makes them, the others read its cache."""
     if dist.is_initialized() and dist.get_rank():
         dist.barrier()
-    load: Callable[..., Split] = partial(options.task.load, data=options.data, **(options.recipe or {}))
+    load: Callable[..., Split] = partial(options.task.load, data=options.data, **_recipe(options))
     if options.source:
         load = partial(options.task.read, options.source)
     split = load(options.train, workers=options.workers, tested=options.test)
     if dist.is_initialized() and not dist.get_rank():
         dist.barrier()
     return split.without(options.leave_out) if options.leave_out else split
+
+
+def _recipe(options: Options) -> dict[str, Any]:
+    """Changes of the task's recipe, and the device of its drapes."""
+    drapes = {"device": options.make_device} if options.task.stage == "drape" else {}
+    return {**drapes, **(options.recipe or {})}
 
 
 # --------------------------------------------------------------------------------------------------------- the training
@@ -337,7 +351,7 @@ def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, devic
     seed = FRESH_SEED + (dist.get_rank() if dist.is_initialized() else 0)
 
     def stream(first: int) -> Iterator[tuple[int, TensorExamples]]:
-        return fresh_garments(encode, seed, first=first, **{**make, **(options.recipe or {})})
+        return fresh_garments(encode, seed, first=first, **{**make, **_recipe(options)})
 
     return FreshPool(learner, encode(known).to(device), stream, room=options.fresh)
 

@@ -68,7 +68,8 @@ SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
 GLUED = 0.7  # share of the straight seams in the fourth variant whose panels become one
 FOREIGN_CUTS = 2  # most cuts of a seam in the fourth variant
-PARTS = 4  # a batch is computed in parts of garments of like size: less padding
+SMALLER = 0.75  # share of a batch, of the fewest edges, that is computed apart from the others: less padding
+LEAST_APART = 16  # garments of a batch that is computed in two parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,9 +323,11 @@ class StitchBatch:
     """Garments in parts of like size, with what the network is told of each part."""
 
     parts: tuple[EdgeBatch, ...]
-    shares: tuple[Float[Tensor, " b"], ...]
-    """Share of the seams that are given."""
-    draws: tuple[Float[Tensor, "b e"], ...]
+    given: tuple[Int[Tensor, " r"], ...]
+    """Garments of which seams are given."""
+    shares: tuple[Float[Tensor, " r"], ...]
+    """Share of their seams that are given."""
+    draws: tuple[Float[Tensor, "r e"], ...]
     """Random numbers in [0, 1) that vary which."""
     patterns: tuple[Pattern, ...]
     """The garments' panels, in the order of the request, without seams; empty for batches drawn by chance."""
@@ -350,31 +353,31 @@ class StitchExamples:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> StitchBatch:
         """Garments as drawn; with ``chance`` in a variant, mirrored, in another size, with a part of the seams."""
-        device = self.graphs.counts.device
-        at = uploaded(rows, device)
+        device = self.graphs.device
         if chance is None:
-            part = self.graphs[self.config.variety * at]
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
-            return StitchBatch(
-                (part,), (torch.zeros(len(at), device=device),), (torch.zeros_like(part.lengths),), patterns
-            )
-        seed = int(torch.randint(2**62, (1,), generator=chance))
-        there = torch.Generator(device).manual_seed(seed)  # as many numbers on each rank: for all, not for these rows
-        kind, flip, share = torch.rand(3, len(self), generator=there, device=device)[:, at]
-        sizes = torch.exp(SIZES * torch.randn(len(self), generator=there, device=device))[at]
+            none = torch.zeros(0, device=device)
+            part = self.graphs[self.config.variety * rows]
+            return StitchBatch((part,), (none.long(),), (none,), (none[:, None],), patterns)
+        # As many numbers on each rank: for all garments, not for these rows.
+        kind, flip, share = torch.rand(3, len(self), generator=chance)[:, rows]
+        sizes = torch.exp(SIZES * torch.randn(len(self), generator=chance))[rows]
+        there = torch.Generator(device).manual_seed(int(torch.randint(2**62, (1,), generator=chance)))
         draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
-        limits = (*VARIANTS, 1 - self.config.foreign)
-        kinds = torch.stack([kind > limit for limit in limits]).sum(dim=0)  # a tensor of limits would be uploaded
-        variants = self.config.variety * at + kinds
+        limits = torch.tensor([*VARIANTS, 1 - self.config.foreign])
+        variants = self.config.variety * rows + (kind > limits[:, None]).sum(dim=0)
         order = self.graphs.counts[variants].argsort()
-        parts, shares, draws = [], [], []
-        for chunk in order.chunk(PARTS) if len(order) >= 4 * PARTS else (order,):
-            part = scaled(mirrored(self.graphs[variants[chunk]], flip[chunk] < 0.5), sizes[chunk])
-            alone = (part.cuts >= 0).flatten(1).any(dim=1) | (self.config.rounds == 1)
+        share = torch.where(self.graphs.with_cuts[variants] | (self.config.rounds == 1), 0.0, 2 * share - 1)
+        parts, given, shares, draws = [], [], [], []
+        for chunk in order.tensor_split([int(SMALLER * len(order))]) if len(order) >= LEAST_APART else (order,):
+            flips, factors = uploaded(flip[chunk] < 0.5, device), uploaded(sizes[chunk], device)
+            part = scaled(mirrored(self.graphs[variants[chunk]], flips), factors)
+            some = (share[chunk] > 0).nonzero()[:, 0]
             parts.append(part)
-            shares.append(torch.where(alone, 0.0, (2 * share[chunk] - 1).clamp(min=0)))
-            draws.append(self.graphs.padded(draw, variants[chunk]))
-        return StitchBatch(tuple(parts), tuple(shares), tuple(draws), ())
+            given.append(uploaded(some, device))
+            shares.append(uploaded(share[chunk][some], device))
+            draws.append(self.graphs.padded(draw, variants[chunk])[given[-1]])
+        return StitchBatch(tuple(parts), tuple(given), tuple(shares), tuple(draws), ())
 
 
 class StitchLearner(Learner[StitchBatch, Pattern]):
@@ -404,8 +407,8 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
         """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
         terms = []
-        for part, shares, draw in zip(batch.parts, batch.shares, batch.draws, strict=True):
-            known = self._given(part, shares, draw)
+        for part, *given in zip(batch.parts, batch.given, batch.shares, batch.draws, strict=True):
+            known = self._given(part, *given)
             terms.append(stitch_loss(self.net(part, known), part, known, self.net.config))
         totals = {
             name: [torch.stack(column) for column in zip(*(t[name] for t in terms), strict=True)] for name in WEIGHTS
@@ -415,15 +418,16 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         }
 
     @torch.no_grad()
-    def _given(self, part: EdgeBatch, shares: Float[Tensor, " b"], draw: Float[Tensor, "b e"]) -> Int[Tensor, "b e"]:
+    def _given(
+        self, part: EdgeBatch, rows: Int[Tensor, " r"], shares: Float[Tensor, " r"], draw: Float[Tensor, "r e"]
+    ) -> Int[Tensor, "b e"]:
         """The seams that the network is given: first those that it finds most likely when none is given."""
         known = torch.full_like(part.partners, -1)
-        rows = (shares > 0).nonzero()[:, 0]
         if len(rows):
             some = part.select(rows)
             choices = self.net(some, known[rows]).log_probabilities(self.net.config)
             sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
-            known[rows] = revealed(some, shares[rows], sure, draw[rows])
+            known[rows] = revealed(some, shares, sure, draw)
         return known
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from benchmarks.reconstruction.learners import uploaded
 from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 from gcd_dataset.tensors import require_closed
@@ -102,11 +103,20 @@ class EdgeBatch:
 
 
 class PackedGraphs:
-    """The graphs of many patterns as flat tensors on one device; ``graphs[rows]`` is a padded batch."""
+    """The graphs of many patterns as flat tensors on one device; ``graphs[rows]`` is a padded batch.
 
-    def __init__(self, counts: Int[Tensor, " n"], flat: Mapping[str, Tensor]) -> None:
-        self.counts, self.flat = counts, dict(flat)
-        self.first = counts.cumsum(0) - counts
+    The numbers of edges are on the CPU, and so are rows: nothing waits for the device.
+    """
+
+    def __init__(self, counts: Int[Tensor, " n"], with_cuts: Bool[Tensor, " n"], flat: Mapping[str, Tensor]) -> None:
+        """``counts``: number of edges of each graph; ``with_cuts``: whether some of them are to be subdivided."""
+        self.counts, self.with_cuts, self.flat = counts, with_cuts, dict(flat)
+        self._first = counts.cumsum(0) - counts
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the edges."""
+        return self.flat["panels"].device
 
     @staticmethod
     def of(graphs: Sequence[EdgeGraph]) -> "PackedGraphs":
@@ -115,21 +125,21 @@ class PackedGraphs:
             field.name: torch.from_numpy(np.concatenate([getattr(graph, field.name) for graph in graphs]))
             for field in fields(EdgeGraph)
         }
-        return PackedGraphs(torch.tensor([len(graph.lengths) for graph in graphs]), flat)
+        with_cuts = torch.tensor([bool((graph.cuts >= 0).any()) for graph in graphs])
+        return PackedGraphs(torch.tensor([len(graph.lengths) for graph in graphs]), with_cuts, flat)
 
     def to(self, device: torch.device) -> "PackedGraphs":
-        return PackedGraphs(self.counts.to(device), {name: values.to(device) for name, values in self.flat.items()})
+        return PackedGraphs(self.counts, self.with_cuts, {name: flat.to(device) for name, flat in self.flat.items()})
 
     def __len__(self) -> int:
         return len(self.counts)
 
     def __getitem__(self, rows: Int[Tensor, " b"]) -> EdgeBatch:
-        rows = rows.to(self.counts.device)
         index, there = self._index(rows)
         values = {name: flat[index] for name, flat in self.flat.items()}
         values["panels"] = torch.where(there, values["panels"], -1)
         values["partners"] = torch.where(there, values["partners"], -1)
-        values["following"] = torch.where(there, values["following"], torch.arange(there.shape[1], device=rows.device))
+        values["following"] = torch.where(there, values["following"], torch.arange(there.shape[1], device=self.device))
         return EdgeBatch(**values)
 
     def padded(self, values: Float[Tensor, " all"], rows: Int[Tensor, " b"]) -> Float[Tensor, "b e"]:
@@ -138,11 +148,11 @@ class PackedGraphs:
 
     def _index(self, rows: Int[Tensor, " b"]) -> tuple[Int[Tensor, "b e"], Bool[Tensor, "b e"]]:
         """Flat rows of the edges, and which of them are not padding."""
-        counts = self.counts[rows]
-        width = -(-int(counts.max()) // ALIGNMENT) * ALIGNMENT
-        columns = torch.arange(width, device=rows.device)
+        width = -(-int(self.counts[rows].max()) // ALIGNMENT) * ALIGNMENT
+        first, counts = (uploaded(values[rows], self.device) for values in (self._first, self.counts))
+        columns = torch.arange(width, device=self.device)
         there = columns < counts[:, None]
-        return torch.where(there, self.first[rows][:, None] + columns, 0), there
+        return torch.where(there, first[:, None] + columns, 0), there
 
 
 def edge_refs(pattern: Pattern) -> list[EdgeRef]:

@@ -102,7 +102,7 @@ def _sewn(net: "StitchNet", patterns: Sequence[Pattern], rounds: int, batch: int
     found: dict[int, Pattern] = {}
     for rows in torch.split(graphs.counts.argsort(), batch):
         part = graphs[rows]
-        order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(rows.device)
+        order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(part.panels.device)
         stitches = predict_stitches(net, part.permuted(order), rounds)
         for row, own, places in zip(rows.tolist(), stitches, order.tolist(), strict=True):
             found[row] = with_seams(patterns[row], [(places[left], places[right], w) for left, right, w in own])

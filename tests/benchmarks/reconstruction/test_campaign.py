@@ -212,7 +212,8 @@ def test_a_damaged_report_is_one_error(
         ("smoke.toml", {"T7"}),
         ("h200.toml", {"T7"}),
         ("h200_short.toml", {"T7", "T1-scan"}),
-        ("h200_half_hour.toml", set(TASKS) - {"T0", "T1"}),
+        ("h200_half_hour.toml", {"T7", "T1-scan"}),
+        ("h200_families.toml", {"T7", "T1-scan"}),
     ],
 )
 def test_the_commands_of_the_committed_plans_are_valid(name: str, without: set[str]) -> None:
@@ -230,6 +231,22 @@ def test_the_commands_of_the_committed_plans_are_valid(name: str, without: set[s
             args = stitching.parsed(stitches, arguments)
         assert not args.leave_out or args.leave_out in FAMILIES
     assert {run.task for run in read_plan(PLANS / name)} == set(TASKS) - without
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"), [("", ["0,1,2", "1,2,0", "2,0,1"]), ("3,5,7", ["3,5,7", "5,7,3", "7,3,5"])]
+)
+def test_a_program_sees_its_own_gpu_first(given: str, shown: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", given)
+    monkeypatch.setattr(campaign, "_gpus", lambda: 3)
+    assert [campaign._visible(gpu) for gpu in range(3)] == shown
+
+
+def test_families_are_compared_with_a_training_on_all() -> None:
+    runs = read_plan(PLANS / "h200_families.toml")
+    left_out = {task: {run.options["leave_out"] for run in runs if run.task == task} for task in {r.task for r in runs}}
+    assert all(kinds == {"", *FAMILIES} for kinds in left_out.values())
+    assert {run.minutes for run in runs} == {1.0}
 
 
 def test_short_trainings_have_equal_time_and_garments() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
@@ -238,6 +239,17 @@ def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None
     assert (max(counts) > 20) == (foreign > 0)
     with pytest.raises(ConfigError, match="foreign"):
         replace(SMALL, foreign=0.5)
+
+
+def test_a_step_never_reads_a_value_of_the_device() -> None:
+    learner = StitchLearner(SMALL)
+    examples = learner.examples([encode(tube())] * 24, device=torch.device("cpu"))
+    batch = examples.batch(torch.arange(24), torch.Generator().manual_seed(0))
+    assert len(batch.parts) > 1
+    assert sum(len(rows) for rows in batch.given) > 0
+    with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
+        parts = learner.loss(batch)
+    assert all(part.shape == () for part in parts.values())
 
 
 def test_a_step_of_training_lowers_the_loss_of_the_same_batch() -> None:
