@@ -125,6 +125,8 @@ def _private_folder() -> Path:
 
 def to_host(array: wp.array) -> np.ndarray:
     """A copy in host memory, in the order of the current stream: ``array.numpy()`` would wait for other streams."""
+    if array.device.is_cpu:  # not by Warp, which looks for a capture that another thread may end meanwhile
+        return np.array(array.numpy())
     return wp.clone(array, device="cpu").numpy()
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import warp as wp
+from warp._src import context
 
 from gcd_dataset.generator.drape import (
     DrapeJob,
@@ -117,3 +118,14 @@ def test_closing_the_iterator_stops_running_drapes(monkeypatch: pytest.MonkeyPat
     drapes.close()
     assert set(threading.enumerate()) <= before
     assert sum(moment > closed for moment in frames) < 50  # one for each thread, more if this thread has to wait
+
+
+def test_a_copy_to_the_host_does_not_depend_on_captures_of_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warp keeps one capture for all threads of a CPU; another thread may end it between two looks."""
+    devices.resolve_device("cpu")
+    ones = wp.full(3, 1, dtype=int, device="cpu")
+    monkeypatch.setattr(context.runtime, "_apic_capture", object())
+    found = devices.to_host(ones)
+    monkeypatch.undo()
+    ones.fill_(2)
+    assert found.tolist() == [1, 1, 1]
