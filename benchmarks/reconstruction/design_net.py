@@ -153,8 +153,10 @@ class DesignDecoder(nn.Module):
     ) -> Words:
         """What the queries say about numbers and measures; ``rows``: options that are chosen, where effective."""
         is_told = effective & (self._table().options > 0)
-        chosen = self.options[torch.arange(rows.shape[1], device=rows.device), torch.where(is_told, rows, 0)]
-        parts = (queries[:, : len(PARAMETERS)] + is_told[..., None] * chosen, queries[:, len(PARAMETERS) :])
+        option = torch.arange(self.options.shape[1], device=rows.device)
+        chosen = (is_told[..., None] & (rows[..., None] == option)).to(queries.dtype)
+        told = torch.einsum("bdo,dow->bdw", chosen, self.options)  # an index would be added up slowly in the gradient
+        parts = (queries[:, : len(PARAMETERS)] + told, queries[:, len(PARAMETERS) :])
         queries = torch.cat(parts, dim=1)
         for layer in self.told:
             queries = layer(queries, tokens)
