@@ -8,7 +8,7 @@ frozen dataclass of tensors with one row for each example.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, cast
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -45,6 +45,10 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     The loop calls ``loss`` in bfloat16 autocast on a GPU; a loss that needs float32 disables autocast for itself. The
     loss of a batch is a mean over its examples, so that equal parts of a batch on several ranks give the same gradient.
     """
+
+    is_recordable: ClassVar[bool] = False
+    """Whether batches are ``TensorExamples`` of one shape whose loss waits for nothing on the device: a compiled
+    training on one GPU then records a step (``recorded``)."""
 
     @abstractmethod
     def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
@@ -138,6 +142,14 @@ class TensorExamples:
     def to(self, device: torch.device) -> Self:
         """The same examples on a device."""
         return type(self)(*(column.to(device) for column in self._columns()))
+
+    def copy_(self, others: Self) -> None:
+        """Replace all examples by as many others, in place. Raises ``ValueError`` for tensors of other shapes."""
+        shapes = [[tuple(column.shape) for column in some._columns()] for some in (self, others)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(f"tensors of the shapes {shapes[1]}, not {shapes[0]}: give a batch of the same shapes")
+        for column, values in zip(self._columns(), others._columns(), strict=True):
+            column.copy_(values, non_blocking=True)
 
     def put(self, rows: Int[Tensor, " b"], others: Self) -> None:
         """Replace the examples ``rows`` by others, in place."""

@@ -319,10 +319,10 @@ def _trained(
     check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
-    with turn(options.turns):
-        limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
-        arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
-        trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
+    limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
+    arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
+    arguments |= {"turns": options.turns, "of": _identity(options, split.train)}
+    trained = train(learner, examples, options.config, **arguments)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 

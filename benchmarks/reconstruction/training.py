@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from benchmarks.reconstruction.learners import Examples, Learner
+from benchmarks.reconstruction.recorded import RecordedStep
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder
@@ -91,7 +92,7 @@ class TrainConfig:
     bf16: bool = True
     """Autocast to bfloat16 on a GPU."""
     compile: bool = False
-    """Compile the learner's parts, before the time of the steps begins."""
+    """Compile the learner's parts, and record the step of a learner that allows it, before the time of the steps."""
     seed: int = 0
     log_every: int = 50
     """Steps of a row of the curves."""
@@ -154,12 +155,14 @@ def train(
     stop_after: int | None = None,
     limit: float = math.inf,
     of: Mapping[str, str | int] | None = None,
+    turns: Path | None = None,
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
-    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. Raises
+    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. ``turns``:
+    file of ``turn``; the steps are taken in one turn. Raises
     ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
     ``TrainingError`` for a loss that is not finite; ``ConfigError`` for a checkpoint of another training.
     """
@@ -172,11 +175,12 @@ def train(
         curves.resume(run.step)
     if config.compile:
         run.compile(examples)
-    saved, mark = time.perf_counter(), time.perf_counter()
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
-    with _signals() as is_signalled:
+    with turn(turns), _signals() as is_signalled:
+        saved, mark = time.perf_counter(), time.perf_counter()
         while run.progress < 1 and (stop_after is None or run.step < stop_after):
             run.take_step(examples)
+            run.wait()
             elapsed = time.perf_counter() - mark
             run.seconds, mark = run.seconds + elapsed, mark + elapsed
             is_over = run.agree_on_time(is_over=is_signalled() or mark - called > limit) and run.progress < 1
@@ -319,6 +323,8 @@ class _Run:
         self.model: nn.Module = learner
         if _ranks() > 1:
             self.model = DistributedDataParallel(learner, find_unused_parameters=False)
+        self._recorded: RecordedStep[Any] | None = None
+        self._ended: torch.cuda.Event | None = None
         self._names: list[str] = []
         self._sums: Tensor | None = None
         self._summed = 0
@@ -337,37 +343,63 @@ class _Run:
         rate = config.lr * learning_rate(self._progress_after(), config.warm_up)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        names, losses = self._with_gradients(examples)
+        losses = self._with_gradients(examples)
         nn.utils.clip_grad_norm_(self.learner.parameters(), config.largest_gradient)
         self.optimizer.step()
         _average(self._pairs, config.ema, self.step)
         self.step += 1
-        self._add(names, torch.cat([losses.sum()[None], losses]))
+        self._add(torch.cat([losses.sum()[None], losses]))
+
+    def wait(self) -> None:
+        """Wait until a GPU has taken the step before the last, or the last one of a row of the curves.
+
+        A recorded step starts in less time than it takes: without this, the steps that wait would not be timed.
+        """
+        if self.device.type != "cuda":
+            return
+        before, self._ended = self._ended, torch.cuda.Event()  # type: ignore[no-untyped-call]
+        self._ended.record(torch.cuda.current_stream(self.device))
+        last = self._ended if self.step % self.config.log_every == 0 else before
+        if last is not None:
+            last.synchronize()
 
     def compile(self, examples: Examples[Any]) -> None:
-        """Compile the learner's parts, by a pass that takes no step and draws no random number."""
+        """Compile the learner's parts and record its step, by passes that take no step and draw no random number."""
         self.learner.compile_parts()
         random = torch.get_rng_state()
         random_cuda = torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None
         self._with_gradients(examples)
         self.optimizer.zero_grad()
+        if self.learner.is_recordable and self.device.type == "cuda" and self.model is self.learner:
+            self._recorded = RecordedStep(self.learner, self._losses, self._batch(examples))
         torch.set_rng_state(random)
         if random_cuda is not None:
             torch.cuda.set_rng_state(random_cuda, self.device)
             torch.cuda.synchronize(self.device)
 
-    def _with_gradients(self, examples: Examples[Any]) -> tuple[list[str], Tensor]:
-        """Names and values of the loss terms of the step's batch, whose gradients the learner holds then."""
+    def _with_gradients(self, examples: Examples[Any]) -> Tensor:
+        """The loss terms of the step's batch, whose gradients the learner holds then."""
+        batch = self._batch(examples)
+        if self._recorded is not None:
+            return self._recorded(batch)
+        losses = self._losses(batch)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(losses.sum())
+        return losses.detach()
+
+    def _batch(self, examples: Examples[Any]) -> Any:
+        """The batch of the step, or this rank's part of it."""
         chance = torch.Generator().manual_seed(_seed_of(self.config.seed, self.step))
         rows = torch.randint(len(examples), (self.config.batch,), generator=chance)
-        batch = examples.batch(rows[_rank() :: _ranks()], chance)
+        return examples.batch(rows[_rank() :: _ranks()], chance)
+
+    def _losses(self, batch: Any) -> Tensor:
+        """The loss terms of a batch."""
         self.model.train()
         with self._autocast():
             parts = self.model(batch)
-        losses = torch.stack([part.float() for part in parts.values()])
-        self.optimizer.zero_grad()
-        torch.autograd.backward(losses.sum())
-        return list(parts), losses.detach()
+        self._names = list(parts)
+        return torch.stack([part.float() for part in parts.values()])
 
     def _progress_after(self) -> float:
         """Progress after the step that begins, so that the first step has a learning rate above 0."""
@@ -398,8 +430,8 @@ class _Run:
         rate = float(self.optimizer.param_groups[0]["lr"])
         return {"step": self.step, "seconds": round(self.seconds, 2), "lr": rate, **means, **checked}
 
-    def _add(self, names: list[str], losses: Tensor) -> None:
-        self._names, self._summed = names, self._summed + 1
+    def _add(self, losses: Tensor) -> None:
+        self._summed += 1
         self._sums = losses if self._sums is None else self._sums + losses
 
     def _autocast(self) -> AbstractContextManager[Any]:

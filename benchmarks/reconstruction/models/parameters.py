@@ -91,6 +91,8 @@ class DrawnDesigns:
 class ParameterNet(Learner[Designs, Pattern]):
     """Points and normals to a design and measures, and so to a pattern."""
 
+    is_recordable = True
+
     def __init__(self, config: ParametersConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or ParametersConfig()

@@ -44,6 +44,8 @@ class PictureDesigns(DesignTargets):
 class PictureParameters(Learner[PictureDesigns, Pattern]):
     """Pictures to a design and measures, and so to a pattern."""
 
+    is_recordable = True
+
     def __init__(self, config: EncoderConfig, *, views: int = PICTURES) -> None:
         """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
 

@@ -33,7 +33,7 @@ from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_le
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
-from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device, turn
+from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
@@ -97,9 +97,9 @@ def run(args: argparse.Namespace) -> None:
 
     of = {name: getattr(args, name) for name in ("placed", "autosew", "one_round", "leave_out", "foreign")}
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
-    with turn(Path(args.turns) if args.turns else None):
-        limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
-        trained = train(learner, examples, config, device=device, out=out, check=check, limit=limit, of=of)
+    limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
+    arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
+    trained = train(learner, examples, config, turns=Path(args.turns) if args.turns else None, **arguments)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
