@@ -10,7 +10,7 @@ from benchmarks.reconstruction.design_codes import encode_design
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
-from gcd_dataset.tensors import EDGE_LABELS
+from gcd_dataset.tensors import EDGE_LABELS, PanelColumn
 
 __all__ = [
     "CENTRE",
@@ -81,7 +81,12 @@ class Derived:
 
 
 def derived_arrays(item: Item, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Arrays of an item by name: derived ones, and fields of the item."""
+    """Arrays of an item by name: derived ones, and fields of the item.
+
+    Pictures that the item lacks are rendered on a CPU.
+    """
+    if "views" not in item and not {"pictures", "shown"}.isdisjoint(names):
+        item = picture_views("cpu")(item)
     return {name: DERIVED[name].of(item) if name in DERIVED else item[name].numpy() for name in names}
 
 
@@ -115,12 +120,20 @@ def _scan(item: Item) -> np.ndarray:
 
 def picture_views(device: str) -> Views:
     """Renders the pictures of items on a device; ``auto`` is a GPU where there is one."""
-    return Views(n=PICTURES, size=PICTURE_SIZE, maps=(), device=device)
+    from benchmarks.reconstruction.picture_labels import MAPS
+
+    return Views(n=PICTURES, size=PICTURE_SIZE, maps=MAPS, device=device)
 
 
 def _pictures(item: Item) -> np.ndarray:
-    shown = item if "views" in item else picture_views("cpu")(item)
-    return np.asarray(shown["views"].numpy())
+    return np.asarray(item["views"].numpy())
+
+
+def _shown(item: Item) -> np.ndarray:
+    from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
+
+    labels = item["panels"][:, PanelColumn.LABEL].int()
+    return pixel_labels({name: item[f"{name}_map"].numpy() for name in MAPS}, labels.numpy())
 
 
 DERIVED: Mapping[str, Derived] = {
@@ -130,9 +143,10 @@ DERIVED: Mapping[str, Derived] = {
     "pictures": Derived(VIEW_FIELDS, _pictures),
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
+    "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
 }
 """``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
-``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; the item's ``views``, or else
-rendered on a CPU;
+``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):
+what their pixels show, u8 as ``pixel_labels``;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

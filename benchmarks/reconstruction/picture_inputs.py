@@ -13,6 +13,7 @@ from itertools import count
 import numpy as np
 from jaxtyping import Int, UInt8
 
+from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.render import (
@@ -40,21 +41,19 @@ from gcd_dataset.generator.render import (
     fixed_camera,
     start_pictures,
 )
-from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, MapName, Picture
+from gcd_dataset.generator.render.pictures import Picture
 from gcd_dataset.generator.render.plain import SKIN, ColouredMesh
 from gcd_dataset.generator.render.plain_batch import PendingRender, start_render
 from gcd_dataset.generator.views import stored_body, stored_scene
 from gcd_dataset.prefetch import prefetch
-from gcd_dataset.records import Body, BodyPart
+from gcd_dataset.records import Body
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.tensors import PANEL_LABELS
 from gcd_dataset.workers import streams
 
 __all__ = [
-    "FIRST_PANEL",
     "HELD_OUT",
-    "SHOWN_CLASSES",
     "SIDES",
     "TRAINING",
     "Garment",
@@ -68,13 +67,6 @@ __all__ = [
 ]
 
 SIDES = 2  # pictures of a garment: front, back
-MAPS: tuple[MapName, ...] = ("part", "panel_id")
-_HAIR, _BACKGROUND = len(BodyPart), len(BodyPart) + 1
-FIRST_PANEL = len(BodyPart) + 2
-"""Label of a pixel of the first panel with ``PANEL_LABELS[0]``; below: body parts, hair, background."""
-SHOWN_CLASSES = FIRST_PANEL + len(PANEL_LABELS)
-"""What a pixel may show: parts of the body, hair, background, and panels by their label."""
-MOST_PANELS = (256 - FIRST_PANEL) // len(PANEL_LABELS)
 
 
 class Input(StrEnum):
@@ -165,7 +157,7 @@ class Rendered:
     positions: Int[np.ndarray, " b"]
     pictures: UInt8[np.ndarray, "b n h w 3"]
     labels: UInt8[np.ndarray, "b n h w"]
-    """What each pixel shows: ``FIRST_PANEL`` + number of labels × panel + row of ``PANEL_LABELS``, or less."""
+    """What each pixel shows, as ``pixel_labels``."""
 
 
 def load_garment(reader: ShardReader, position: int) -> Garment:
@@ -293,12 +285,9 @@ def _finished(started: _Started) -> Rendered:
 
 
 def _labels(picture: Picture, scene: Scene) -> UInt8[np.ndarray, "h w"]:
-    """What each pixel shows, as ``Rendered.labels``; panels beyond ``MOST_PANELS`` share their labels."""
-    rows = np.array([PANEL_LABELS.index(name) if name in PANEL_LABELS else 0 for name in scene.panel_labels])
-    part, panel = picture.maps["part"], np.maximum(picture.maps["panel_id"], 0)
-    of_panels = FIRST_PANEL + len(PANEL_LABELS) * (panel % MOST_PANELS) + rows[panel]
-    others = np.where(part == HAIR, _HAIR, np.where(part == BACKGROUND, _BACKGROUND, part))
-    return np.where(part == GARMENT, of_panels, others).astype(np.uint8)
+    """What each pixel shows."""
+    rows = [PANEL_LABELS.index(name) if name in PANEL_LABELS else 0 for name in scene.panel_labels]
+    return pixel_labels(picture.maps, rows)
 
 
 def _coloured(scene: Scene, body: Body) -> tuple[ColouredMesh, ColouredMesh]:

@@ -4,8 +4,8 @@ Convolutions turn each picture into a grid of tokens (Xiao et al., Early Convolu
 NeurIPS 2021); a transformer relates the tokens of all pictures; the decoder and the loss are those of the network for
 points (``models/panel_set``). The network knows which picture shows the front, but no camera.
 
-Besides, each token says what the pixels of its cell show, and where one panel borders on another: without this loss a
-network in front of which everything changes at each reading predicts the same panels for every picture.
+Besides, each token says what the pixels of its cell show, and where one panel borders on another. Without this loss
+networks predicted the same garment for every picture, when pictures were new at each reading, or unlike each other.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from benchmarks.reconstruction.derived import PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import uploaded
 from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
-from benchmarks.reconstruction.picture_inputs import FIRST_PANEL, SHOWN_CLASSES
+from benchmarks.reconstruction.picture_labels import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS
@@ -61,13 +61,41 @@ class PictureTokens(nn.Module):
         self.view = nn.Parameter(0.02 * torch.randn(views, width))
         self.encoder = encoder(config)
 
+        self.shown = nn.Linear(width, PARTS * PARTS * (SHOWN_CLASSES + 1))
+
     def forward(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
         """Tokens of the cells, related to each other."""
+        return self.seen_cells(pictures)[0]
+
+    def seen_cells(self, pictures: UInt8[Tensor, "b n h w 3"]) -> tuple[Float[Tensor, "b t w"], Int[Tensor, "b t"]]:
+        """Tokens of the cells that are seen, and their rows among all: picture by picture, line by line."""
         cells = self._cells(pictures)
+        rows = torch.arange(cells.shape[1], device=cells.device).expand(len(cells), -1)
         if self.training and self.seen:
-            cells = some_of(cells, self.seen)
-        tokens: Tensor = self.encoder(cells)
-        return tokens
+            rows = some_of(rows, self.seen)
+            cells = cells.gather(1, rows[..., None].expand(-1, -1, cells.shape[-1]))
+        return self.encoder(cells), rows
+
+    def pixel_losses(
+        self,
+        tokens: Float[Tensor, "b t w"],
+        labels: UInt8[Tensor, "b n h w"],
+        rows: Int[Tensor, "b t"] | None = None,
+    ) -> dict[str, Tensor]:
+        """Losses of what the parts of cells show; ``labels`` as ``pixel_labels``; ``rows``: of the cells, all without.
+
+        The truth of a part is the share of its pixels that show a class, and that lie at a border.
+        """
+        labels = labels.long()
+        panels = torch.where(labels < FIRST_PANEL, -1, (labels - FIRST_PANEL) // len(PANEL_LABELS))
+        classes = torch.where(labels < FIRST_PANEL, labels, FIRST_PANEL + (labels - FIRST_PANEL) % len(PANEL_LABELS))
+        classes, borders = (_by_part(pixels, rows) for pixels in (classes, _borders(panels)))
+        shares = torch.zeros(*classes.shape[:-1], SHOWN_CLASSES, device=labels.device)
+        shares.scatter_add_(-1, classes, torch.full_like(classes, 1 / classes.shape[-1], dtype=shares.dtype))
+        said = self.shown(tokens).float().unflatten(-1, (PARTS * PARTS, SHOWN_CLASSES + 1))
+        shown = functional.cross_entropy(said[..., :-1].flatten(0, -2), shares.flatten(0, -2))
+        at_border = functional.binary_cross_entropy_with_logits(said[..., -1], borders.float().mean(dim=-1))
+        return {"shown": SHOWN_WEIGHT * shown, "borders": BORDER_WEIGHT * at_border}
 
     def _cells(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
         """A token for each cell of each picture."""
@@ -83,31 +111,23 @@ class PictureNet(PictureTokens):
         super().__init__(config, views=views, size=size, seen=seen)
         self.config = config
         self.decoder = PanelDecoder(config)
-        self.shown = nn.Linear(config.width, PARTS * PARTS * (SHOWN_CLASSES + 1))
-
-    def pixel_losses(self, tokens: Float[Tensor, "b t w"], labels: UInt8[Tensor, "b n h w"]) -> dict[str, Tensor]:
-        """Losses of what the parts of all cells show; ``labels`` as ``Rendered.labels``."""
-        labels = labels.flatten(0, 1).long()
-        panels = (labels - FIRST_PANEL) // len(PANEL_LABELS)
-        shown = torch.where(labels < FIRST_PANEL, labels, FIRST_PANEL + (labels - FIRST_PANEL) % len(PANEL_LABELS))
-        classes = functional.one_hot(shown, SHOWN_CLASSES).permute(0, 3, 1, 2).float()
-        truth = torch.cat([classes, _borders(torch.where(labels < FIRST_PANEL, -1, panels))], dim=1)
-        truth = functional.avg_pool2d(truth, STRIDE // PARTS)
-        side = labels.shape[-1] // STRIDE
-        said = self.shown(tokens).float().unflatten(1, (-1, side, side)).flatten(0, 1).permute(0, 3, 1, 2)
-        said = functional.pixel_shuffle(said, PARTS)
-        return {
-            "shown": SHOWN_WEIGHT * functional.cross_entropy(said[:, :-1], truth[:, :-1]),
-            "borders": BORDER_WEIGHT * functional.binary_cross_entropy_with_logits(said[:, -1], truth[:, -1]),
-        }
 
 
-def _borders(panels: Int[Tensor, "b h w"]) -> Float[Tensor, "b 1 h w"]:
+def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) -> Int[Tensor, "b t p c"]:
+    """The pixels of each part of the cells ``rows``."""
+    side = STRIDE // PARTS
+    lines, columns = pixels.shape[2] // STRIDE, pixels.shape[3] // STRIDE
+    parts = pixels.view(*pixels.shape[:2], lines, PARTS, side, columns, PARTS, side)
+    cells = parts.permute(0, 1, 2, 5, 3, 6, 4, 7).reshape(len(pixels), -1, PARTS * PARTS, side * side)
+    return cells if rows is None else cells.gather(1, rows[..., None, None].expand(-1, -1, *cells.shape[2:]))
+
+
+def _borders(panels: Int[Tensor, "b n h w"]) -> Int[Tensor, "b n h w"]:
     """1 for pixels of a panel (others are -1) whose right or lower neighbour shows another panel."""
-    right = functional.pad(panels, (0, 1), value=-1)[:, :, 1:]
-    lower = functional.pad(panels, (0, 0, 0, 1), value=-1)[:, 1:]
+    right = functional.pad(panels, (0, 1), value=-1)[..., 1:]
+    lower = functional.pad(panels, (0, 0, 0, 1), value=-1)[..., 1:, :]
     borders = [(panels >= 0) & (other >= 0) & (panels != other) for other in (right, lower)]
-    return (borders[0] | borders[1])[:, None].float()
+    return (borders[0] | borders[1]).long()
 
 
 def _halved(channels: int, width: int) -> list[nn.Module]:
@@ -122,7 +142,12 @@ class ShownGarments(Protocol):
     """Garments with their pictures; a frozen dataclass."""
 
     @property
-    def pictures(self) -> UInt8[Tensor, "b n h w 3"]: ...
+    def pictures(self) -> UInt8[Tensor, "b n h w 3"]:
+        """sRGB"""
+
+    @property
+    def shown(self) -> UInt8[Tensor, "b n h w"]:
+        """What pixels show, as ``pixel_labels``."""
 
     @property
     def device(self) -> torch.device: ...
@@ -148,33 +173,43 @@ class DrawnPictures(Generic[Shown]):
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Shown:
         found = self.whole.batch(rows)
         if chance is None:
-            return replace(found, pictures=found.pictures[:, : self.views])  # type: ignore[type-var]
+            return replace(found, pictures=found.pictures[:, : self.views], shown=found.shown[:, : self.views])  # type: ignore[type-var]
         chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
-        pictures = found.pictures[:, uploaded(chosen, found.device)]
         numbers = torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows]
-        return replace(found, pictures=distorted(pictures, 2 * numbers - 1))  # type: ignore[type-var]
+        chosen = uploaded(chosen, found.device)
+        pictures, shown = distorted(found.pictures[:, chosen], found.shown[:, chosen], 2 * numbers - 1)
+        return replace(found, pictures=pictures, shown=shown)  # type: ignore[type-var]
 
 
-def distorted(pictures: UInt8[Tensor, "b n h w 3"], numbers: Float[Tensor, "b n 6"]) -> UInt8[Tensor, "b n h w 3"]:
+def distorted(
+    pictures: UInt8[Tensor, "b n h w 3"], shown: UInt8[Tensor, "b n h w"], numbers: Float[Tensor, "b n 6"]
+) -> tuple[UInt8[Tensor, "b n h w 3"], UInt8[Tensor, "b n h w"]]:
     """The pictures turned, enlarged and shifted, their channels weighted; at the border its pixels are repeated.
 
-    ``numbers``: turn, growth, two shifts, two weights of each picture in [-1, 1], on the CPU.
+    ``shown``: labels of the pixels, which move alike. ``numbers``: turn, growth, two shifts, two weights of each
+    picture in [-1, 1], on the CPU.
     """
     turn, growth, right, down, red, blue = uploaded(numbers.flatten(0, 1), pictures.device).unbind(-1)
     scale = torch.exp(MOST_GROWTH * growth)
     cosine, sine = scale * torch.cos(MOST_TURN * turn), scale * torch.sin(MOST_TURN * turn)
     rows = [cosine, -sine, MOST_SHIFT * right, sine, cosine, MOST_SHIFT * down]
-    shown = pictures.flatten(0, 1).permute(0, 3, 1, 2).float()
-    grid = functional.affine_grid(torch.stack(rows, dim=-1).view(-1, 2, 3), list(shown.shape), align_corners=False)
-    moved = functional.grid_sample(shown, grid, padding_mode="border", align_corners=False)
+    seen = pictures.flatten(0, 1).permute(0, 3, 1, 2).float()
+    grid = functional.affine_grid(torch.stack(rows, dim=-1).view(-1, 2, 3), list(seen.shape), align_corners=False)
+    moved = functional.grid_sample(seen, grid, padding_mode="border", align_corners=False)
     weights = torch.exp(MOST_WEIGHT * torch.stack([red, -0.5 * (red + blue), blue], dim=-1))
     found = (moved * weights[:, :, None, None]).clamp(0, 255).round().to(torch.uint8)
-    return found.permute(0, 2, 3, 1).reshape(pictures.shape)
+    labels = functional.grid_sample(
+        shown.flatten(0, 1)[:, None].float(), grid, mode="nearest", padding_mode="border", align_corners=False
+    )
+    return found.permute(0, 2, 3, 1).reshape(pictures.shape), labels.to(torch.uint8).reshape(shown.shape)
 
 
-def pictures_of(garments: GarmentSet) -> UInt8[Tensor, "b n h w 3"]:
-    """The stored pictures of all garments."""
-    return torch.from_numpy(np.stack([garments.ragged["pictures"][k] for k in range(len(garments))]))
+def pictures_of(garments: GarmentSet) -> dict[str, Tensor]:
+    """The stored ``pictures`` of all garments, and what they have ``shown``."""
+    names = ("pictures", "shown")
+    return {
+        name: torch.from_numpy(np.stack([garments.ragged[name][k] for k in range(len(garments))])) for name in names
+    }
 
 
 def require_views(views: int) -> int:

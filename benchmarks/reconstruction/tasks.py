@@ -104,7 +104,7 @@ TASKS = {
         Task(
             "T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE,
             points=512,  # no input: the reference ``typical`` compares training garments by them
-            extra=(*POSE, "design", "pictures"), sizes=(1000, 4000),
+            extra=(*POSE, "design", "pictures", "shown"), sizes=(1000, 4000),
         ),
         Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
         Task(

@@ -14,9 +14,7 @@ import torch
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
-    FIRST_PANEL,
     HELD_OUT,
-    SHOWN_CLASSES,
     SIDES,
     TRAINING,
     Input,
@@ -27,6 +25,7 @@ from benchmarks.reconstruction.picture_inputs import (
     rendering,
     views_of,
 )
+from benchmarks.reconstruction.picture_labels import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.picture_model import PictureNet
 from benchmarks.reconstruction.picture_results import gaps
 from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, load, pool_of, run, train
@@ -166,8 +165,8 @@ def test_pixel_losses_are_least_for_the_truth() -> None:
         with torch.no_grad():
             net.shown.weight.zero_()
             net.shown.bias.copy_(torch.full_like(net.shown.bias, -4.0))
-            of_parts = net.shown.bias.view(SHOWN_CLASSES + 1, 2, 2)
-            of_parts[0, :, 0] = of_parts[shown, :, 1] = 4.0
+            of_parts = net.shown.bias.view(2, 2, SHOWN_CLASSES + 1)
+            of_parts[:, 0, 0] = of_parts[:, 1, shown] = 4.0
             found.append(net.pixel_losses(torch.zeros(1, 1, 32), labels))
     assert found[1]["shown"] < 0.1 < 1.0 < found[0]["shown"]
     assert found[1]["borders"] < 0.1

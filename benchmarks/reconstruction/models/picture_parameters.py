@@ -39,6 +39,8 @@ class PictureDesigns(DesignTargets):
 
     pictures: UInt8[Tensor, "b n h w 3"]
     """sRGB"""
+    shown: UInt8[Tensor, "b n h w"]
+    """What their pixels show, as ``pixel_labels``."""
 
 
 class PictureParameters(Learner[PictureDesigns, Pattern]):
@@ -73,7 +75,9 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
             layer.compile()
 
     def loss(self, batch: PictureDesigns) -> dict[str, Tensor]:
-        return self.decoder.losses(self.decoder(self.tokens(batch.pictures), batch), batch)
+        tokens, rows = self.tokens.seen_cells(batch.pictures)
+        told = self.decoder.losses(self.decoder(tokens, batch), batch)
+        return {**told, **self.tokens.pixel_losses(tokens, batch.shown, rows)}
 
     def predict(self, batch: PictureDesigns) -> list[Pattern]:
         return [drawn(one) for one in self._said(batch)]
@@ -91,7 +95,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
 def encoded(garments: GarmentSet) -> PictureDesigns:
     """Pictures and targets of garments with the fields ``design`` and ``pictures``, on a CPU."""
-    return PictureDesigns(**vars(DesignTargets.of(garments)), pictures=pictures_of(garments))
+    return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:

@@ -49,7 +49,9 @@ class PictureTargets(PanelTargets):
     """Pictures of garments and their targets."""
 
     pictures: UInt8[Tensor, "b n h w 3"]
-    """sRGB; targets of garments that hold no pictures have n = 0."""
+    """sRGB"""
+    shown: UInt8[Tensor, "b n h w"]
+    """What their pixels show, as ``pixel_labels``."""
 
 
 class PictureSet(Learner[PictureTargets, Pattern]):
@@ -63,7 +65,6 @@ class PictureSet(Learner[PictureTargets, Pattern]):
         super().__init__()
         self.views = require_views(views)
         self.net = PictureNet(config, views=views, size=PICTURE_SIZE, seen=config.seen)
-        self.net.shown.requires_grad_(False)  # pictures without labels of their pixels do not train it
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureTargets]:
         """Pictures and targets of the garments."""
@@ -82,7 +83,8 @@ class PictureSet(Learner[PictureTargets, Pattern]):
             layer.compile()
 
     def loss(self, batch: PictureTargets) -> dict[str, Tensor]:
-        return set_loss(self.net.decoder, self.net(batch.pictures), batch)
+        tokens, rows = self.net.seen_cells(batch.pictures)
+        return {**set_loss(self.net.decoder, tokens, batch), **self.net.pixel_losses(tokens, batch.shown, rows)}
 
     def predict(self, batch: PictureTargets) -> list[Pattern]:
         return patterns_from(self._said(batch))
@@ -109,7 +111,7 @@ class ToPictureTargets:
     def __call__(self, garments: GarmentSet) -> PictureTargets:
         """Pictures and targets of all garments."""
         targets = self.to_targets(garments)
-        return PictureTargets(**vars(targets), pictures=pictures_of(garments))
+        return PictureTargets(**vars(targets), **pictures_of(garments))
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureSet:
