@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reconstruction.evaluate import figures_of, row_of
+from benchmarks.reconstruction.evaluate import UNITS
 from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
 from benchmarks.reconstruction.train import options_from
@@ -34,10 +34,9 @@ def run(options: argparse.Namespace) -> Measured:
     options.data = options.data or str(out / "garments")
     for model in options.models.split(","):
         options.out = str(out / model)
-        result = run_model(options_from(options, model))
-        assert result is not None  # one process
-        report = result.report
-        if result.trained is not None:
+        report = run_model(options_from(options, model))
+        assert report is not None  # one process
+        if report["steps"]:
             figures += [
                 Figure("steps", report["steps"], "optimiser steps"),
                 Figure("train_minutes", report["minutes"], "min"),
@@ -46,6 +45,8 @@ def run(options: argparse.Namespace) -> Measured:
                 Figure("last_loss", report["last_loss"], "a step, the last row of the curves"),
             ]
         figures += [Figure(f"{model}_load_s", report["load_s"], "s"), Figure(f"{model}_test_s", report["test_s"], "s")]
-        figures += figures_of(model, result.scores, seams=True)
-        rows.append(row_of(model, result.scores, seams=True))
+        scores = report["scores"]
+        figures += [Figure(f"{model}_{name}", scores[name][0], UNITS.get(name, "share")) for name in scores]
+        shown = {name: f"{mean:.3g} ({low:.3g} to {high:.3g})" for name, (mean, low, high) in scores.items()}
+        rows.append({"answer": model, **shown})
     return Measured(figures, rows)

@@ -7,13 +7,18 @@
 
 A plan is a TOML file with a table for each group of runs. Its keys are options of ``train``, or of ``stitching.run``
 with ``program = "stitching.run"``; a list holds a value for each run, and several lists all their combinations. A run
-is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score.
+is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score,
+without drapes.
 
-A run is finished if ``OUT/NAME/report.json`` exists. The garments of the other runs are made, a set at a time. Runs
+A run is trained if ``OUT/NAME/report.json`` exists. The garments of the other runs are made, a set at a time. Runs
 whose garments are there start, one for each GPU, the longest that fits into the time first. With ``--at-once 2`` a GPU
-has two runs, which take turns to train: one loads or scores meanwhile. A call that ends early, or is killed, is
-repeated: trainings continue from their checkpoints. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a
-run failed, else 0. ``--report`` starts nothing: it hands the finished reports to ``leaderboard``.
+has two runs, which take turns to train: one loads or scores meanwhile. A run with ``drape = true`` is started twice:
+without ``--drape``, and again to drape its answers, which starts when no garments are to be made and no training that
+fits into the time waits, on each GPU one such run at a time. It is finished when its report has the scores of drapes.
+
+A call that ends early, or is killed, is repeated: trainings continue from their checkpoints, and answers whose drapes
+were stopped are draped again. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a run failed, else 0.
+``--report`` starts nothing: it hands the reports to ``leaderboard``, also those without the scores of drapes.
 """
 
 import argparse
@@ -29,7 +34,7 @@ import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from fnmatch import fnmatch
@@ -40,7 +45,15 @@ from typing import Any, NoReturn
 from benchmarks.reconstruction import leaderboard
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
-from benchmarks.reconstruction.train import MINUTES, SMOKE, UNFINISHED, add_arguments, options_from, require_usable
+from benchmarks.reconstruction.train import (
+    MINUTES,
+    SMOKE,
+    UNFINISHED,
+    add_arguments,
+    is_draped,
+    options_from,
+    require_usable,
+)
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
@@ -51,16 +64,20 @@ PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchm
 OWN = ("program", "model", "spare")
 """Keys of a plan that are no options of the program."""
 SPARE = 1.0  # minutes
+DRAPING = 0.8  # minutes to drape the answers of a run
 LEAST = 1.5  # minutes; a training that cannot be finished is not begun with less
 INTERRUPTED = 130  # exit code
 LEAVE = 15.0  # s that a program has to write its checkpoint
 REPORT, LOG, PLANNED = "report.json", "log.txt", "planned.json"
+NOT_DRAPED = "Drapes of the answers are not scored yet."
 
 
 class State(StrEnum):
     """What is known of a run."""
 
     DONE = "done"
+    TO_DRAPE = "to be draped"
+    """Trained, answered and scored; the drapes of its answers are missing."""
     FAILED = "failed"
     UNFINISHED = "unfinished"
     WAITING = "waiting"
@@ -77,12 +94,22 @@ class Planned:
     """First argument of ``train``; empty for ``stitching.run``."""
     options: Mapping[str, Any] = field(default_factory=dict)
     spare: float = SPARE
-    """Minutes to load and to score."""
+    """Minutes to load and to score, without drapes."""
 
     @property
     def command(self) -> list[str]:
         """The command without the options that the campaign adds."""
         return ["python", "-m", PROGRAMS[self.program], *([self.model] if self.model else []), *_flags(self.options)]
+
+    @property
+    def drapes(self) -> bool:
+        """Whether its answers are draped."""
+        return bool(self.options.get("drape"))
+
+    @property
+    def training(self) -> list[str]:
+        """The command without ``--drape``."""
+        return replace(self, options={key: value for key, value in self.options.items() if key != "drape"}).command
 
     @property
     def minutes(self) -> float:
@@ -232,26 +259,29 @@ def _parser() -> argparse.ArgumentParser:
         "--examples", default="", help="folder of specifications that the runs of T3 are tested on, too"
     )
     parser.add_argument("--list", action="store_true", help="print state and time of the runs, start nothing")
-    parser.add_argument("--report", action="store_true", help="add the finished reports to the leaderboard")
+    parser.add_argument("--report", action="store_true", help="add the reports to the leaderboard, draped or not")
     parser.add_argument("--reports", type=Path, default=leaderboard.REPORTS, help="folder of the leaderboard")
     parser.add_argument("--commit", default="", help="commit of the runs, with --report (default: the present one)")
     return parser
 
 
 def _report(runs: Sequence[Planned], args: argparse.Namespace) -> int:
-    """Add the finished reports to the leaderboard, with the commands of the plan."""
-    done = [run for run in runs if (args.out / run.name / REPORT).exists()]
-    if not done:
+    """Add the reports to the leaderboard, with the commands of the plan."""
+    trained = [run for run in runs if (args.out / run.name / REPORT).exists()]
+    if not trained:
         raise ConfigError(f"{args.out} has no finished run of {args.plan}: run the campaign first")
-    commit = args.commit or leaderboard.commit_here()
-    for run in done:
+    commit, undraped = args.commit or leaderboard.commit_here(), 0
+    for run in trained:
         path = args.out / run.name / REPORT
         date = datetime.fromtimestamp(path.stat().st_mtime, UTC).strftime("%Y-%m-%d")
-        command = shlex.join([*run.command, "--out", f"runs/{run.name}"])
-        leaderboard.add(path, args.reports / leaderboard.RESULTS, command=command, commit=commit, date=date)
+        told = {"command": shlex.join([*run.command, "--out", f"runs/{run.name}"]), "commit": commit, "date": date}
+        is_undraped = _is_to_drape(run, path)
+        undraped += is_undraped
+        remark = NOT_DRAPED if is_undraped else ""
+        leaderboard.add(path, args.reports / leaderboard.RESULTS, **told, remark=remark)
     for path in leaderboard.write_pages(args.reports):
         print(path)
-    print(f"{len(done)} of {len(runs)} runs reported")
+    print(f"{len(trained)} of {len(runs)} runs reported" + (f", {undraped} of them not draped" if undraped else ""))
     return 0
 
 
@@ -324,16 +354,16 @@ class _Campaign:
         if planned != run.command:
             raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
         if (folder / REPORT).exists():
-            _report_in(folder / REPORT)
-            return State.DONE
+            return State.TO_DRAPE if _is_to_drape(run, folder / REPORT) else State.DONE
         return State.UNFINISHED if (folder / "checkpoint.pt").exists() else State.WAITING
 
     # ----------------------------------------------------------------------------------------------------- the work
 
     def _work(self, pending: Sequence[Planned]) -> None:
-        """Make the garments of each data set, start its runs, and wait for them."""
-        sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
-        ready: list[Planned] = []
+        """Make the garments of each data set, start its runs, drape their answers, and wait for them."""
+        ready = [run for run in pending if self.states[run.name] is State.TO_DRAPE]
+        others = [run for run in pending if self.states[run.name] is not State.TO_DRAPE]
+        sets = [[run for run in others if run.garments == one] for one in dict.fromkeys(r.garments for r in others)]
         while sets or ready or self.jobs:
             if self._left() <= 0:
                 self._end_all()
@@ -341,9 +371,10 @@ class _Campaign:
             for slot in self.slots:
                 if slot in self.jobs:
                     continue
-                if sets and not any(job.makes for job in self.jobs.values()):
+                is_making = any(job.makes for job in self.jobs.values())
+                if sets and not is_making:
                     self._make(slot, sets.pop(0))
-                elif (run := self._next(ready)) is not None:
+                elif (run := self._next(slot, ready, drapes=not sets and not is_making)) is not None:
                     ready.remove(run)
                     self._begin(slot, run)
             if not self.jobs:
@@ -359,31 +390,49 @@ class _Campaign:
         largest = max(sharing, key=lambda run: run.train)
         _say(f"garments of {', '.join(run.name for run in sharing)}")
         workers = max(0, cores() - 1)
-        self._start(slot, largest, self._log_of_garments(largest), ["--make-only"], workers=workers, makes=sharing)
+        command = [*largest.training, "--make-only"]
+        self._start(slot, largest, command, self._log_of_garments(largest), workers=workers, makes=sharing)
 
     def _begin(self, slot: _Slot, run: Planned) -> None:
-        """Start a run."""
-        left = self._left() / 60
+        """Start the training of a run, or the drapes of its answers."""
+        left, is_drape = self._left() / 60, self.states[run.name] is State.TO_DRAPE
+        command = run.command if is_drape else run.training
         more = ["--limit-minutes", f"{max(0.1, left - 0.5):.2f}"] if left < float("inf") else []
-        _say(f"{run.name} begins" + ("" if slot.gpu is None else f" on GPU {slot.gpu}"))
+        _say(f"{run.name} {'drapes' if is_drape else 'begins'}" + ("" if slot.gpu is None else f" on GPU {slot.gpu}"))
         folder = make_folder(self.out / run.name)
         write_whole(folder / PLANNED, json.dumps(run.command).encode())
-        self._start(slot, run, folder / LOG, more, workers=max(0, cores() // len(self.slots) - 1))
+        places = len({place.gpu for place in self.slots})  # each drapes the answers of one run at a time
+        workers = max(1, (cores() - 1) // places) if is_drape else max(0, cores() // len(self.slots) - 1)
+        self._start(slot, run, [*command, *more], folder / LOG, workers=workers)
 
     def _log_of_garments(self, run: Planned) -> Path:
         return self.out / f"garments_{run.name}.txt"
 
-    def _next(self, waiting: Sequence[Planned]) -> Planned | None:
-        """The longest run that fits into the time left; else the longest training, which a later call continues."""
+    def _next(self, slot: _Slot, waiting: Sequence[Planned], *, drapes: bool) -> Planned | None:
+        """What starts in a slot: the longest training that fits into the time left; else a run to be draped; else the
+        longest training, which a later call continues.
+
+        ``drapes``: whether answers may be draped; a GPU drapes those of one run at a time.
+        """
         left = self._left() / 60
-        ranked = sorted(waiting, key=self._expected, reverse=True)
+        trainings = [run for run in waiting if self.states[run.name] is not State.TO_DRAPE]
+        ranked = sorted(trainings, key=self._expected, reverse=True)
         fitting = [run for run in ranked if self._expected(run) <= left]
+        beside = [self.states[job.run.name] for other, job in self.jobs.items() if other.gpu == slot.gpu]
+        may_drape = drapes and left >= DRAPING and State.TO_DRAPE not in beside
+        undraped = [run for run in waiting if self.states[run.name] is State.TO_DRAPE] if may_drape else []
         begun = [run for run in ranked if run.minutes] if left >= LEAST else []
-        return next(iter([*fitting, *begun]), None)
+        return next(iter([*fitting, *undraped, *begun]), None)
 
     def _expected(self, run: Planned) -> float:
-        """Minutes that a run still takes."""
+        """Minutes that the training and the scores of a run still take."""
         return max(0.0, run.minutes - _trained_minutes(self.out / run.name)) + run.spare
+
+    def _minutes_left(self, run: Planned) -> float:
+        """Minutes that a run still takes, drapes included."""
+        state = self._known(run)
+        training = 0.0 if state in (State.DONE, State.TO_DRAPE) else self._expected(run)
+        return training + (DRAPING if run.drapes and state is not State.DONE else 0.0)
 
     def _ended(self, job: _Job, code: int) -> Sequence[Planned]:
         """Note how a program ended. Returns the runs that can start now."""
@@ -396,9 +445,14 @@ class _Campaign:
             return ()
         name, log = job.run.name, self.out / job.run.name / LOG
         minutes = (time.monotonic() - job.begun) / 60
-        if code == 0 and (self.out / name / REPORT).exists():
+        before, found = self.states[name], self._known(job.run) if code == 0 else State.FAILED
+        if found is State.DONE:
             self.states[name] = State.DONE
             _say(f"{name} done after {minutes:.1f} min")
+        elif found is State.TO_DRAPE and before is not State.TO_DRAPE:
+            self.states[name] = State.TO_DRAPE
+            _say(f"{name} trained and scored after {minutes:.1f} min, to be draped")
+            return [job.run]
         elif code == UNFINISHED:
             self.states[name] = State.UNFINISHED
             _say(f"{name} stopped after {minutes:.1f} min, to be continued")
@@ -413,13 +467,13 @@ class _Campaign:
         self,
         slot: _Slot,
         run: Planned,
+        command: Sequence[str],
         log: Path,
-        more: Sequence[str],
         *,
         workers: int,
         makes: Sequence[Planned] = (),
     ) -> None:
-        arguments = [*run.command[1:], "--out", str(self.out / run.name), "--data", str(self.data), *more]
+        arguments = [*command[1:], "--out", str(self.out / run.name), "--data", str(self.data)]
         if "workers" not in run.options and not run.options.get("smoke"):
             arguments += ["--workers", str(workers)]
         if run.program == "stitching.run" and self.examples:
@@ -465,13 +519,13 @@ class _Campaign:
         rows = [["run", "state", "minutes left", "headline"]]
         for run in runs:
             state = self.states[run.name]
-            left = "" if state is State.DONE else f"{self._expected(run):.1f}"
+            left = "" if state is State.DONE else f"{self._minutes_left(run):.1f}"
             rows.append([run.name, str(state), left, _headline(self.out / run.name / REPORT, run.task)])
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         for row in rows:
             print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
         counts = [f"{sum(s is state for s in self.states.values())} {state}" for state in State]
-        total = sum(self._expected(run) for run in runs if self.states[run.name] is not State.DONE)
+        total = sum(self._minutes_left(run) for run in runs)
         print(", ".join(counts) + (f"; {total:.0f} minutes left on one device" if total else ""))
 
 
@@ -528,6 +582,12 @@ def _report_in(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ConfigError(f"{path}: no report: delete it, the run is scored again")
     return found
+
+
+def _is_to_drape(run: Planned, path: Path) -> bool:
+    """Whether the report at ``path`` lacks scores of drapes. Raises ``ConfigError`` for a damaged file."""
+    found = _report_in(path)
+    return run.drapes and not is_draped(found)
 
 
 def _headline(path: Path, task: str) -> str:

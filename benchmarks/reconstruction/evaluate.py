@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure
 from benchmarks.reconstruction.scoring.files import match_folders
 from benchmarks.reconstruction.scoring.garments import SPACING, Scored, score_cases
 from benchmarks.reconstruction.scoring.table import (
@@ -33,7 +32,7 @@ from benchmarks.reconstruction.scoring.table import (
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
 from gcd_dataset.files import write_whole
-from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
+from gcd_dataset.metrics import PatternScore, score_pattern
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.bodies import Wearers
     from benchmarks.reconstruction.scoring.distances import Shape
 
-__all__ = ["PRESETS", "SEAMS", "UNITS", "evaluate", "evaluator", "figures_of", "main", "row_of", "scores_of"]
+__all__ = ["PRESETS", "UNITS", "evaluate", "evaluator", "main", "scores_of"]
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
@@ -49,11 +48,6 @@ OF_DRAPES = ("bodies", "inputs", "resolution", "device")
 """Options with an effect on drapes only."""
 BY_NAME = {"neuraltailor", "aipparel"}
 """Presets that match panels, or the panels of seams, by name."""
-SEAMS = (
-    "stitch_p", "stitch_r", "stitch_f1", "stitch_nm_p", "stitch_nm_r", "stitch_nm_f1", "garment_perfect",
-    "topology_exact", "seam_mismatch",
-)  # fmt: skip
-"""Scores without meaning for an answer that has no seams."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -281,29 +275,6 @@ def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers:
 
 def _score_pair(pair: tuple[Pattern, Pattern]) -> PatternScore:
     return score_pattern(*pair)
-
-
-def figures_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> list[Figure]:
-    """Mean scores as ``answer_metric``; without seam scores for an answer that has no seams."""
-    means = mean_scores(scores)
-    return [
-        Figure(f"{answer}_{metric}", float(getattr(means, metric)), UNITS.get(metric, "share"))
-        for metric in PatternScore.__dataclass_fields__
-        if seams or metric not in SEAMS
-    ]
-
-
-def row_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> Mapping[str, str]:
-    """A table row: mean scores with 95 % intervals."""
-    means, (low, high) = mean_scores(scores), bootstrap_interval(scores, np.random.default_rng(0))
-
-    def cell(metric: str) -> str:
-        if metric in SEAMS and not seams:
-            return "no seams"
-        value, least, most = (float(getattr(score, metric)) for score in (means, low, high))
-        return f"{value:.3g} ({least:.3g} to {most:.3g})"
-
-    return {"answer": answer, **{metric: cell(metric) for metric in PatternScore.__dataclass_fields__}}
 
 
 if __name__ == "__main__":

@@ -47,8 +47,9 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     """
 
     is_recordable: ClassVar[bool] = False
-    """Whether batches are ``TensorExamples`` of one shape whose loss waits for nothing on the device: a compiled
-    training on one GPU then records a step (``recorded``)."""
+    """Whether batches ``of_one_shape`` are dataclasses whose tensors are of one shape, and whose other fields are the
+    same, and the loss waits for nothing on the device: a compiled training on one GPU then records a step
+    (``recorded``)."""
 
     @abstractmethod
     def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
@@ -77,6 +78,10 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         """The answers to the first ``count`` examples; ``workers`` processes may share work that needs no network."""
         rows = torch.split(torch.arange(count), batch)
         return [answer for part in rows for answer in self.predict(examples.batch(part))]
+
+    def of_one_shape(self, examples: Examples[Batch]) -> Examples[Batch]:
+        """The examples, whose batches of a number of rows have one shape; by default all have."""
+        return examples
 
     def forward(self, batch: Batch) -> dict[str, Tensor]:
         """``loss``: the call that ``DistributedDataParallel`` watches."""
@@ -142,14 +147,6 @@ class TensorExamples:
     def to(self, device: torch.device) -> Self:
         """The same examples on a device."""
         return type(self)(*(column.to(device) for column in self._columns()))
-
-    def copy_(self, others: Self) -> None:
-        """Replace all examples by as many others, in place. Raises ``ValueError`` for tensors of other shapes."""
-        shapes = [[tuple(column.shape) for column in some._columns()] for some in (self, others)]
-        if shapes[0] != shapes[1]:
-            raise ValueError(f"tensors of the shapes {shapes[1]}, not {shapes[0]}: give a batch of the same shapes")
-        for column, values in zip(self._columns(), others._columns(), strict=True):
-            column.copy_(values, non_blocking=True)
 
     def put(self, rows: Int[Tensor, " b"], others: Self) -> None:
         """Replace the examples ``rows`` by others, in place."""

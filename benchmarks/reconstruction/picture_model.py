@@ -4,8 +4,8 @@ Convolutions turn each picture into a grid of tokens (Xiao et al., Early Convolu
 NeurIPS 2021); a transformer relates the tokens of all pictures; the decoder and the loss are those of the network for
 points (``models/panel_set``). The network knows which picture shows the front, but no camera.
 
-Besides, each token says what the pixels of its cell show, and where one panel borders on another. Without this loss
-networks predicted the same garment for every picture, when pictures were new at each reading, or unlike each other.
+Besides, each token says what the pixels of its cell show, and where one panel borders on another. Without this loss a
+network to which all pictures were new predicted the same panels for every picture.
 """
 
 from dataclasses import dataclass, replace

@@ -7,12 +7,17 @@
 ``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too
 (answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
 with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
-truth; and the checkpoint, from which a repeated call continues. ``--drape`` also drapes the answers, as ``evaluate
---drape`` does, beside the points that they were told from (T1) or the draped true patterns: ``evaluation.json``.
+truth; and the checkpoint, from which a repeated call continues. ``--drape`` then drapes the answers, as ``evaluate
+--drape`` does, beside the points that they were told from (T1) or the draped true patterns: ``evaluation.json``; the
+scores of the drapes are added to ``report.json``.
+
+A call whose run has a ``report.json`` in ``--out`` does not answer again: with ``--drape`` it drapes the answers that
+are there, unless the report has the scores of drapes. Delete the report to answer again.
 """
 
 import argparse
 import csv
+import hashlib
 import json
 import math
 import sys
@@ -45,7 +50,6 @@ from benchmarks.reconstruction.training import (
     one_of_several_ranks,
     train,
     training_device,
-    turn,
 )
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
@@ -56,8 +60,8 @@ from gcd_dataset.generator.drawing import png_bytes
 __all__ = [
     "UNFINISHED",
     "Options",
-    "Result",
     "add_arguments",
+    "is_draped",
     "load_split",
     "main",
     "options_from",
@@ -115,17 +119,6 @@ class Options:
     """File that runs on one GPU share, which train in turn; ``None``: there are no others."""
 
 
-@dataclass(frozen=True)
-class Result:
-    """The scores of a run."""
-
-    scores: list[Any]
-    """Of the test garments, in order: ``PatternScore``, or the task's own dataclass."""
-    report: Mapping[str, Any]
-    trained: Trained | None
-    """``None`` for a reference."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a run, besides the model."""
 
@@ -157,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compile", action="store_true", help="compile the network")
     parser.add_argument("--make-only", action="store_true", help="make the garments of --data, then stop")
     parser.add_argument("--drape", action="store_true", help="also score drapes of the answers, at the resolution "
-                        "of the garments; with --source at the task's own")  # fmt: skip
+                        "of the garments, with --source at the task's own; a finished run is only draped")  # fmt: skip
     parser.add_argument("--smoke", action="store_true", help="few coarse garments and a tiny network, for two cores")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=NUMBER", help="sizes of the network")
 
@@ -218,46 +211,83 @@ def _sizes(texts: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def run(options: Options) -> Result | None:
-    """Make the garments, train, answer, score. ``None`` on ranks other than the first, and with ``make_only``.
+def run(options: Options) -> dict[str, Any] | None:
+    """Make the garments, train, answer, score, drape; the report, or ``None`` on other ranks and with ``make_only``.
 
-    Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
+    A report of the same run in the folder is kept, and only drapes that it lacks are scored. Otherwise the report is
+    written before the answers are draped. Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a
+    training that the time limit ends.
     """
     require_usable(options)
     _require_own_folder(options)
     begun = time.perf_counter()
     if options.smoke:
         torch.set_num_threads(1)  # fastest for tiny networks
-    module, out, judge = load_model(options.model), make_folder(options.out), judge_of(options.task)
+    path = make_folder(options.out) / REPORT
     with one_of_several_ranks(options.device) as device:
         split = load_split(options)
         loaded = time.perf_counter()
         if options.make_only:
             print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")
             return None
-        trained, received = None, 0
-        if hasattr(module, "build"):
-            torch.manual_seed(options.config.seed)
-            learner = module.build(smoke=options.smoke, options=options.sizes)
-            trained, received = _trained(learner, split, options, device, begun)
-        if dist.is_initialized() and dist.get_rank():
+        report = _kept(options, split)
+        if report is not None and not _rank():
+            print(f"{path} is of this run: delete it to answer again", file=sys.stderr)
+        if report is None:
+            report = _answered(options, split, device, begun=begun, loaded=loaded)
+        if report is None or _rank():
             return None
-        trained_at = time.perf_counter()
-        with turn(options.turns):
-            answers = _answers(module, trained, split, options, device)
-        scores = judge.scores(answers, split.test, workers=options.workers)
-        tested = time.perf_counter()
+    if options.drape and not is_draped(report):
+        report = _with_drapes(report, options)
+        write_whole(path, json.dumps(report, indent=1).encode())
+    return report
+
+
+def is_draped(report: Mapping[str, Any]) -> bool:
+    """Whether a report has the scores of drapes."""
+    return all(name in report.get("scores", ()) for name in DRAPED)
+
+
+def _kept(options: Options, split: Split) -> dict[str, Any] | None:
+    """The report in the folder; ``None`` if it is of another run, or if files of answers are missing."""
+    try:
+        found = json.loads((options.out / REPORT).read_text())
+    except (FileNotFoundError, ValueError):
+        return None
+    if not isinstance(found, dict) or found.get("identity") != _identity_of_answers(options, split):
+        return None
+    names = [SCORES, *judge_of(options.task).files(split.test)]
+    return found if all((options.out / name).exists() for name in names) else None
+
+
+def _answered(
+    options: Options, split: Split, device: torch.device, *, begun: float, loaded: float
+) -> dict[str, Any] | None:
+    """Train, answer, score, and write the results; the report, or ``None`` on ranks other than the first.
+
+    The call began at ``begun``, and had the garments at ``loaded`` [s].
+    """
+    module, judge = load_model(options.model), judge_of(options.task)
+    trained, received = None, 0
+    if hasattr(module, "build"):
+        torch.manual_seed(options.config.seed)
+        learner = module.build(smoke=options.smoke, options=options.sizes)
+        trained, received = _trained(learner, split, options, device, begun)
+    if _rank():
+        return None
+    trained_at = time.perf_counter()
+    answers = _answers(module, trained, split, options, device)
+    scores = judge.scores(answers, split.test, workers=options.workers)
+    tested = time.perf_counter()
     checked, steps = (trained.checked, trained.seconds) if trained else (0.0, 0.0)
     times = {"load_s": loaded - begun, "train_s": trained_at - loaded, "check_s": checked}
     times["test_s"] = tested - trained_at
     shown = f"{steps:.0f} s of steps so far; this call: {loaded - begun:.0f} s to load, {checked:.0f} s of checks, "
     print(f"{shown}{tested - trained_at:.0f} s to answer and score, {tested - begun:.0f} s in all", file=sys.stderr)
     report = _report(options, split, scores, trained, {**times, "fresh": received})
-    _write(out, judge, split.test, answers, scores)
-    if options.drape:
-        report = _with_drapes(report, options)
-    write_whole(out / REPORT, json.dumps(report, indent=1).encode())
-    return Result(scores, report, trained)
+    _write(options.out, judge, split.test, answers, scores)
+    write_whole(options.out / REPORT, json.dumps(report, indent=1).encode())
+    return report
 
 
 def require_usable(options: Options) -> None:
@@ -289,7 +319,7 @@ def _require_own_folder(options: Options) -> None:
 
 def load_split(options: Options) -> Split:
     """The garments; the first rank makes them, the others read its cache."""
-    if dist.is_initialized() and dist.get_rank():
+    if _rank():
         dist.barrier()
     load: Callable[..., Split] = partial(options.task.load, data=options.data, **_recipe(options))
     if options.source:
@@ -304,6 +334,10 @@ def _recipe(options: Options) -> dict[str, Any]:
     """Changes of the task's recipe, and the device of its drapes."""
     drapes = {"device": options.make_device} if options.task.stage == "drape" else {}
     return {**drapes, **(options.recipe or {})}
+
+
+def _rank() -> int:
+    return dist.get_rank() if dist.is_initialized() else 0
 
 
 # --------------------------------------------------------------------------------------------------------- the training
@@ -343,12 +377,19 @@ def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
     }
 
 
+def _identity_of_answers(options: Options, split: Split) -> str:
+    """SHA-256 of what the answers depend on: the training, or the reference, and the test garments."""
+    test = {"tested": len(split.test), "test_ids": split.test.ids_hash, "test_patterns": split.test.patterns_hash}
+    of = {**_identity(options, split.train), **options.config.identity, **test}
+    return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
+
+
 def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, device: torch.device) -> FreshPool[Any]:
     """Examples that fresh garments renew."""
     encode, task = learner.encoder(), options.task
     assert encode is not None  # ``require_usable``
     make = {"points": task.points, "extra": task.extra, "workers": options.workers, **task.options}
-    seed = FRESH_SEED + (dist.get_rank() if dist.is_initialized() else 0)
+    seed = FRESH_SEED + _rank()
 
     def stream(first: int) -> Iterator[tuple[int, TensorExamples]]:
         return fresh_garments(encode, seed, first=first, **{**make, **_recipe(options)})
@@ -396,6 +437,7 @@ def _report(
         "model": options.model,
         "task": options.task.name,
         "headline": options.task.headline,
+        "identity": _identity_of_answers(options, split),
         "scores": intervals(scores),
         "scores_of_kinds": {kind: means_of(of_kind) for kind, of_kind in sorted(kinds.items())},
         "data": {
@@ -477,15 +519,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_arguments(parser)
     args = parser.parse_args(arguments)
     try:
-        result = run(options_from(args, args.model))
+        report = run(options_from(args, args.model))
     except StoppedError as stopped:
         print(f"train {args.model}: {stopped}", file=sys.stderr)
         return UNFINISHED
     except GcdError as error:
         print(f"train {args.model}: {error}", file=sys.stderr)
         return 1
-    if result is not None:
-        for name, (mean, low, high) in result.report["scores"].items():
+    if report is not None:
+        for name, (mean, low, high) in report["scores"].items():
             print(f"{args.task}.{args.model}.{name} {mean:.4g} ({low:.4g} to {high:.4g})")
     return 0
 

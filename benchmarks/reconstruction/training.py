@@ -174,7 +174,7 @@ def train(
         run.restore(out / CHECKPOINT, examples)
         curves.resume(run.step)
     if config.compile:
-        run.compile(examples)
+        examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
     with turn(turns), _signals() as is_signalled:
         saved, mark = time.perf_counter(), time.perf_counter()
@@ -209,7 +209,7 @@ def step_of(
     """A function that takes a training step, to measure it."""
     run = _Run(learner.to(device), config, device)
     if config.compile:
-        run.compile(examples)
+        examples = run.compile(examples)
     return lambda: run.take_step(examples)
 
 
@@ -363,19 +363,26 @@ class _Run:
         if last is not None:
             last.synchronize()
 
-    def compile(self, examples: Examples[Any]) -> None:
-        """Compile the learner's parts and record its step, by passes that take no step and draw no random number."""
+    def compile(self, examples: Examples[Any]) -> Examples[Any]:
+        """Compile the learner's parts and record its step, by passes that take no step and draw no random number.
+
+        Returns the examples for the steps.
+        """
         self.learner.compile_parts()
         random = torch.get_rng_state()
         random_cuda = torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None
+        is_recorded = self.learner.is_recordable and self.device.type == "cuda" and self.model is self.learner
+        if is_recorded:
+            examples = self.learner.of_one_shape(examples)
         self._with_gradients(examples)
         self.optimizer.zero_grad()
-        if self.learner.is_recordable and self.device.type == "cuda" and self.model is self.learner:
+        if is_recorded:
             self._recorded = RecordedStep(self.learner, self._losses, self._batch(examples))
         torch.set_rng_state(random)
         if random_cuda is not None:
             torch.cuda.set_rng_state(random_cuda, self.device)
             torch.cuda.synchronize(self.device)
+        return examples
 
     def _with_gradients(self, examples: Examples[Any]) -> Tensor:
         """The loss terms of the step's batch, whose gradients the learner holds then."""

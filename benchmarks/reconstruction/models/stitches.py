@@ -13,10 +13,12 @@ points of subdivision (``cuts``), which then move to agree with the lengths of t
 ``StitchConfig.autosew()`` is the baseline: GraphSAGE over the loops, Sinkhorn, one round (AutoSew, WACV 2026).
 """
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any
 
@@ -27,12 +29,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
-from benchmarks.reconstruction.learners import Learner, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, uploaded
 from benchmarks.reconstruction.sizes import sizes_from
-from benchmarks.reconstruction.stitching.edge_shapes import EdgeShapes, edges_before, feature_counts, rows_at
+from benchmarks.reconstruction.stitching.edge_shapes import EdgeInputs, edges_before, feature_counts, rows_at
 from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import CUT_BINS, EdgeBatch, EdgeGraph, PackedGraphs, graph_of
 from benchmarks.reconstruction.stitching.merging import merged, split, subdivided
+from benchmarks.reconstruction.stitching.parts import Part, fixed_parts, ordered, parts_of, shares_above
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
@@ -68,8 +71,6 @@ SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
 FOREIGN_SHARES = (0.2, 0.4, 0.7)  # shares of the edges that are subdivided in the fourth variant, one by chance
 GLUED = 0.7  # share of the straight seams in the fourth variant whose panels become one
 FOREIGN_CUTS = 2  # most cuts of a seam in the fourth variant
-SMALLER = 0.75  # share of a batch, of the fewest edges, that is computed apart from the others: less padding
-LEAST_APART = 16  # garments of a batch that is computed in two parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,17 +174,24 @@ class StitchNet(nn.Module):
 
     def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> Scores:
         """``known``: partners of the edges that are already sewn, -1 for the others."""
-        config, valid = self.config, batch.valid
-        shapes = EdgeShapes.of(batch)
-        edges = self.enter(shapes.features(placed=config.placed)) + self.sewn((known >= 0).long())
+        return self.scores(self.inputs(batch), known)
+
+    def inputs(self, batch: EdgeBatch) -> EdgeInputs:
+        """What the network sees of a batch, whichever seams are known."""
+        return EdgeInputs.of(batch, placed=self.config.placed, with_pairs=self.config.encoder == "attention")
+
+    def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> Scores:
+        """The scores of a batch, given its ``inputs``."""
+        config, valid = self.config, seen.valid
+        # A lookup in a table of two rows; its gradient needs no sort.
+        edges = self.enter(seen.edges) + torch.where((known >= 0)[..., None], *self.sewn.weight.flip(0))
         related: Tensor | None = None
         if config.encoder == "sage":
-            back = edges_before(batch.following)
             for layer in self.sage:
-                around = 0.5 * (rows_at(edges, batch.following) + rows_at(edges, back))
+                around = 0.5 * (rows_at(edges, seen.following) + rows_at(edges, seen.before))
                 edges = functional.normalize(functional.gelu(layer(torch.cat([edges, around], dim=-1))), dim=-1)
         else:
-            related = self.relate(shapes.relations(known, placed=config.placed))
+            related = self.relate(seen.relations(known))
             biases = self.bias(related).unflatten(-1, (config.layers, config.heads)).permute(3, 0, 4, 1, 2)
             biases = (biases + torch.where(valid, 0.0, NEVER)[None, :, None, None, :].to(biases)).contiguous()
             for block, bias in zip(self.blocks, biases, strict=True):
@@ -278,6 +286,14 @@ def revealed(
     return torch.where(shown & shown.gather(1, partner), partners, -1)
 
 
+def edge_noise(seeds: Int[Tensor, " r"], count: int) -> Float[Tensor, "r e"]:
+    """Random numbers in [0, 1) for each of the seeds, which are below 2**31; a hash, the same on every device."""
+    mixed = seeds[:, None] + 0x9E3779B1 * torch.arange(1, count + 1, device=seeds.device) & 0xFFFFFFFF
+    for _ in range(2):  # https://nullprogram.com/blog/2018/07/31
+        mixed = ((mixed >> 16) ^ mixed) * 0x45D9F3B & 0xFFFFFFFF
+    return (((mixed >> 16) ^ mixed) >> 8).float() / 2**24
+
+
 def stitch_loss(
     scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig
 ) -> dict[str, tuple[Tensor, Tensor]]:
@@ -320,17 +336,33 @@ def _sum(values: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class StitchBatch:
-    """Garments in parts of like size, with what the network is told of each part."""
+    """Garments of a set in the order of the parts, their changes, and the seams that are given.
 
-    parts: tuple[EdgeBatch, ...]
-    given: tuple[Int[Tensor, " r"], ...]
-    """Garments of which seams are given."""
-    shares: tuple[Float[Tensor, " r"], ...]
-    """Share of their seams that are given."""
-    draws: tuple[Float[Tensor, "r e"], ...]
-    """Random numbers in [0, 1) that vary which."""
+    The edges are looked up in a step: then preparing a batch takes little time, and a recorded step does the rest.
+    """
+
+    graphs: PackedGraphs
+    """All graphs of the set."""
+    parts: tuple[Part, ...]
     patterns: tuple[Pattern, ...]
     """The garments' panels, in the order of the request, without seams; empty for batches drawn by chance."""
+    first: Int[Tensor, " b"]
+    """Flat row of the first edge of each garment."""
+    counts: Int[Tensor, " b"]
+    """Number of edges; 0 for a garment that is left out."""
+    flips: Bool[Tensor, " b"]
+    """Garments that are mirrored."""
+    sizes: Float[Tensor, " b"]
+    """Factors of the garments' sizes."""
+    shares: Float[Tensor, " b"]
+    """Share of the seams that are given; 0 or less for none."""
+    seeds: Int[Tensor, " b"]
+    """Of the random numbers that vary which."""
+
+    def edges(self, rows: slice, part: Part) -> EdgeBatch:
+        """The edges of a part, whose garments are these rows."""
+        found = self.graphs.padded(self.first[rows], self.counts[rows], part.width)
+        return scaled(mirrored(found, self.flips[rows]), self.sizes[rows])
 
 
 @dataclass(frozen=True)
@@ -347,41 +379,68 @@ class StitchExamples:
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
+    one_shape: bool = False
+    """Whether all batches of a number of rows have one shape, as recorded steps need.
+
+    A batch with more large garments than there is room for, one in a million, leaves some out.
+    """
 
     def __len__(self) -> int:
         return len(self.arrays)
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> StitchBatch:
         """Garments as drawn; with ``chance`` in a variant, mirrored, in another size, with a part of the seams."""
-        device = self.graphs.device
         if chance is None:
             patterns = tuple(replace(pattern_of(self.arrays[row]), seams=()) for row in rows.tolist())
-            none = torch.zeros(0, device=device)
-            part = self.graphs[self.config.variety * rows]
-            return StitchBatch((part,), (none.long(),), (none,), (none[:, None],), patterns)
+            unchanged, ones = torch.zeros(len(rows), dtype=torch.long), torch.ones(len(rows))
+            return self._batch(self.config.variety * rows, unchanged > 0, ones, 0 * ones, unchanged, patterns)
         # As many numbers on each rank: for all garments, not for these rows.
         kind, flip, share = torch.rand(3, len(self), generator=chance)[:, rows]
         sizes = torch.exp(SIZES * torch.randn(len(self), generator=chance))[rows]
-        there = torch.Generator(device).manual_seed(int(torch.randint(2**62, (1,), generator=chance)))
-        draw = torch.rand(len(self.graphs.flat["panels"]), generator=there, device=device)
-        limits = torch.tensor([*VARIANTS, 1 - self.config.foreign])
+        seeds = torch.randint(2**31, (len(self),), generator=chance)[rows]
+        limits = torch.tensor(self._chances).cumsum(0)[:-1]
         variants = self.config.variety * rows + (kind > limits[:, None]).sum(dim=0)
-        order = self.graphs.counts[variants].argsort()
-        share = torch.where(self.graphs.with_cuts[variants] | (self.config.rounds == 1), 0.0, 2 * share - 1)
-        parts, given, shares, draws = [], [], [], []
-        for chunk in order.tensor_split([int(SMALLER * len(order))]) if len(order) >= LEAST_APART else (order,):
-            flips, factors = uploaded(flip[chunk] < 0.5, device), uploaded(sizes[chunk], device)
-            part = scaled(mirrored(self.graphs[variants[chunk]], flips), factors)
-            some = (share[chunk] > 0).nonzero()[:, 0]
-            parts.append(part)
-            given.append(uploaded(some, device))
-            shares.append(uploaded(share[chunk][some], device))
-            draws.append(self.graphs.padded(draw, variants[chunk])[given[-1]])
-        return StitchBatch(tuple(parts), tuple(given), tuple(shares), tuple(draws), ())
+        shares = torch.where(self.graphs.with_cuts[variants] | (self.config.rounds == 1), 0.0, 2 * share - 1)
+        return self._batch(variants, flip < 0.5, sizes, shares, seeds, ())
+
+    def _batch(
+        self,
+        variants: Int[Tensor, " b"],
+        flips: Bool[Tensor, " b"],
+        sizes: Float[Tensor, " b"],
+        shares: Float[Tensor, " b"],
+        seeds: Int[Tensor, " b"],
+        patterns: tuple[Pattern, ...],
+    ) -> StitchBatch:
+        """The batch of graphs and their changes, in the order of its parts, on the device."""
+        first, counts = self.graphs.first[variants], self.graphs.counts[variants]
+        parts = self._fixed_parts(len(variants)) if self.one_shape else parts_of(counts, shares)
+        order = ordered(parts, counts, shares)
+        widths = torch.tensor([part.width for part in parts for _ in range(part.rows)])
+        counts[order] = torch.where(counts[order] <= widths, counts[order], 0)
+        columns = (first, counts, flips, sizes, shares, seeds)
+        return StitchBatch(
+            self.graphs, parts, patterns, *(uploaded(column[order], self.graphs.device) for column in columns)
+        )
+
+    def _fixed_parts(self, rows: int) -> tuple[Part, ...]:
+        return fixed_parts(rows, self._above, garments=len(self), is_given=self.config.rounds > 1)
+
+    @property
+    def _chances(self) -> list[float]:
+        """Of each variant."""
+        limits = [0.0, *VARIANTS, *([1 - self.config.foreign] if self.config.foreign else []), 1.0]
+        return [high - low for low, high in pairwise(limits)]
+
+    @functools.cached_property
+    def _above(self) -> tuple[float, ...]:
+        return shares_above(self.graphs.counts.view(len(self), -1), self._chances)
 
 
 class StitchLearner(Learner[StitchBatch, Pattern]):
     """Panels to a pattern with seams (task T3)."""
+
+    is_recordable = True
 
     def __init__(self, config: StitchConfig, *, subdivide: bool = False) -> None:
         super().__init__()
@@ -404,30 +463,40 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         graphs = [graph for variants in found for graph in variants]
         return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
+    def of_one_shape(self, examples: Examples[StitchBatch]) -> StitchExamples:
+        """The examples in batches of fixed parts."""
+        assert isinstance(examples, StitchExamples)
+        return replace(examples, one_shape=True)
+
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
         """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
-        terms = []
-        for part, *given in zip(batch.parts, batch.given, batch.shares, batch.draws, strict=True):
-            known = self._given(part, *given)
-            terms.append(stitch_loss(self.net(part, known), part, known, self.net.config))
-        totals = {
-            name: [torch.stack(column) for column in zip(*(t[name] for t in terms), strict=True)] for name in WEIGHTS
-        }
-        return {
-            name: WEIGHTS[name] * values.sum() / counts.sum().clamp(min=1) for name, (values, counts) in totals.items()
-        }
+        terms, begin = [], 0
+        for part in batch.parts:
+            rows = slice(begin, begin := begin + part.rows)
+            edges = batch.edges(rows, part)
+            seen = self.net.inputs(edges)
+            known = self._given(seen, edges, part.given, batch.shares[rows], batch.seeds[rows])
+            found = stitch_loss(self.net.scores(seen, known), edges, known, self.net.config)
+            terms.append(torch.stack([torch.stack(found[name]) for name in WEIGHTS]))
+        sums, counts = torch.stack(terms).sum(dim=0).unbind(-1)
+        means = (sums / counts.clamp(min=1)).unbind()
+        return {name: weight * mean for (name, weight), mean in zip(WEIGHTS.items(), means, strict=True)}
 
     @torch.no_grad()
     def _given(
-        self, part: EdgeBatch, rows: Int[Tensor, " r"], shares: Float[Tensor, " r"], draw: Float[Tensor, "r e"]
+        self, seen: EdgeInputs, edges: EdgeBatch, count: int, shares: Float[Tensor, " b"], seeds: Int[Tensor, " b"]
     ) -> Int[Tensor, "b e"]:
-        """The seams that the network is given: first those that it finds most likely when none is given."""
-        known = torch.full_like(part.partners, -1)
-        if len(rows):
-            some = part.select(rows)
-            choices = self.net(some, known[rows]).log_probabilities(self.net.config)
-            sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
-            known[rows] = revealed(some, shares, sure, draw)
+        """The seams that the network is given: first those that it finds most likely when none is given.
+
+        ``count``: most garments, the first ones, that are given some.
+        """
+        known = torch.full_like(edges.partners, -1)
+        if not count:
+            return known
+        some = edges.select(slice(count))
+        choices = self.net.scores(seen.first(count), known[:count]).log_probabilities(self.net.config)
+        sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
+        known[:count] = revealed(some, shares[:count], sure, edge_noise(seeds[:count], sure.shape[1]))
         return known
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:

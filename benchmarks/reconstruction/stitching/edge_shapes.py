@@ -6,27 +6,70 @@ No number depends on where a panel is drawn or how it is turned, nor on the orde
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.stitching.graphs import SAMPLES, EdgeBatch
 
-__all__ = ["EdgeShapes", "edges_before", "feature_counts", "next_on_boundary", "rows_at"]
+__all__ = ["EdgeInputs", "edges_before", "feature_counts", "next_on_boundary", "rows_at"]
 
 USUAL_LENGTH = 20.0  # cm
 PLACED_UNIT = 50.0  # cm
 LOOP_STEPS = 3  # neighbours in the loop that are told apart, each way
+SAME_LOOP = 1 + 2 * LOOP_STEPS  # relations by panel and loop, which come before those by known seams
 WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.3)  # scales on which differences are compared
 WAVES = 4
 SEAMS_AT_CORNER = 4  # most seams that end in a corner of the partly sewn garment
 
 
 @dataclass(frozen=True)
-class EdgeShapes:
+class EdgeInputs:
+    """What a network sees of the edges of a batch and of their pairs, whichever seams are known."""
+
+    valid: Bool[Tensor, "b e"]
+    """Rows that are edges."""
+    following: Int[Tensor, "b e"]
+    before: Int[Tensor, "b e"]
+    edges: Float[Tensor, "b e f"]
+    pairs: Float[Tensor, "b e e r"] | None
+    """All relations but those by known seams; ``None`` for a network that sees no pairs."""
+
+    @staticmethod
+    @torch.no_grad()
+    def of(batch: EdgeBatch, *, placed: bool, with_pairs: bool) -> "EdgeInputs":
+        """``placed``: with the place of the edges in space."""
+        shapes = _EdgeShapes.of(batch)
+        pairs = shapes.pairs(placed=placed) if with_pairs else None
+        return EdgeInputs(batch.valid, batch.following, shapes.before, shapes.features(placed=placed), pairs)
+
+    def first(self, count: int) -> "EdgeInputs":
+        """Those of the first garments."""
+        return EdgeInputs(
+            valid=self.valid[:count],
+            following=self.following[:count],
+            before=self.before[:count],
+            edges=self.edges[:count],
+            pairs=None if self.pairs is None else self.pairs[:count],
+        )
+
+    @torch.no_grad()
+    def relations(self, known: Int[Tensor, "b e"]) -> Float[Tensor, "b e e r"]:
+        """What a network sees of each pair; ``known``: partners of the edges that are sewn, -1 for the others."""
+        assert self.pairs is not None
+        found = _is_row(torch.stack([next_on_boundary(self.following, known), known], dim=-1))
+        meeting, sewn = found[..., :1], found[..., 1:]
+        before, after = self.pairs[..., :SAME_LOOP], self.pairs[..., SAME_LOOP:]
+        return torch.cat([before, meeting, meeting.transpose(1, 2), sewn, after], dim=-1)
+
+
+@dataclass(frozen=True)
+class _EdgeShapes:
     """Measures of the edges that do not change when a panel is moved or turned, or the edges reordered."""
 
     batch: EdgeBatch
+    before: Int[Tensor, "b e"]
+    """Row of the edge before."""
     log_length: Float[Tensor, "b e"]
     forward: Float[Tensor, "b e k"]
     """Points along the edge, in the frame of its chord, by length."""
@@ -38,38 +81,38 @@ class EdgeShapes:
     """Turn of the outline at start and end [rad]."""
 
     @staticmethod
-    def of(batch: EdgeBatch) -> "EdgeShapes":
-        points, lengths = batch.points, batch.lengths.clamp(min=1e-2)
+    def of(batch: EdgeBatch) -> "_EdgeShapes":
+        points, lengths, before = batch.points, batch.lengths.clamp(min=1e-2), edges_before(batch.following)
         steps = points.diff(dim=2)
         turns = _turn(steps[:, :, :-1], steps[:, :, 1:])
         first = -3 * points[:, :, 0] + 4 * points[:, :, 1] - points[:, :, 2]
         last = 3 * points[:, :, -1] - 4 * points[:, :, -2] + points[:, :, -3]
         at_end = _turn(last, rows_at(first, batch.following))
-        at_start = rows_at(at_end[..., None], edges_before(batch.following))[..., 0]
-        return EdgeShapes(
+        return _EdgeShapes(
             batch=batch,
+            before=before,
             log_length=(lengths / USUAL_LENGTH).log(),
             forward=_profile(points, lengths),
             backward=_profile(points.flip(2), lengths),
             bend=turns.sum(dim=-1),
-            corners=torch.stack([at_start, at_end], dim=-1),
+            corners=torch.stack([at_end.gather(1, before), at_end], dim=-1),
         )
 
     def features(self, *, placed: bool) -> Float[Tensor, "b e f"]:
         """What a network sees of each edge; ``placed``: of its place in space, too."""
         batch = self.batch
         x, y = batch.points.unbind(-1)
-        area = self._of_panel(0.5 * (x[..., :-1] * y[..., 1:] - x[..., 1:] * y[..., :-1]).sum(-1)).abs().clamp(min=1e-2)
-        perimeter = self._of_panel(batch.lengths).clamp(min=1e-2)
-        count = self._of_panel(torch.ones_like(batch.lengths))
+        areas = 0.5 * (x[..., :-1] * y[..., 1:] - x[..., 1:] * y[..., :-1]).sum(-1)
+        sums = self._of_panel(torch.stack([areas, batch.lengths, torch.ones_like(areas)], dim=-1))
+        area, perimeter = sums[..., :2].abs().clamp(min=1e-2).unbind(-1)
         middle, chord = batch.points[:, :, SAMPLES // 2], batch.points[:, :, -1] - batch.points[:, :, 0]
         size = area.sqrt()
         around = torch.stack([self.log_length, self.bend], dim=-1)
-        neighbours = [rows_at(around, rows) for rows in (batch.following, edges_before(batch.following))]
+        neighbours = [rows_at(around, rows) for rows in (batch.following, self.before)]
         waves = self.log_length[..., None] * 2.0 ** torch.arange(WAVES, device=x.device)
         inputs = [
             torch.stack([self.log_length, self.bend, (size / USUAL_LENGTH).log(), (perimeter / USUAL_LENGTH).log(),
-                         count / 8, size / perimeter, batch.lengths / perimeter, middle.norm(dim=-1) / size,
+                         sums[..., 2] / 8, size / perimeter, batch.lengths / perimeter, middle.norm(dim=-1) / size,
                          _cross(middle, chord) / size / batch.lengths.clamp(min=1e-2)], dim=-1),
             self.corners.sin(), self.corners.cos(), waves.sin(), waves.cos(), self.forward, *neighbours,
         ]  # fmt: skip
@@ -77,38 +120,37 @@ class EdgeShapes:
             inputs.append(_waves(batch.placed.flatten(2) / PLACED_UNIT))
         return torch.cat(inputs, dim=-1)
 
-    def relations(self, known: Int[Tensor, "b e"], *, placed: bool) -> Float[Tensor, "b e e r"]:
-        """What a network sees of each pair; ``known``: partners of the edges that are sewn, -1 for the others."""
-        batch = self.batch
+    def pairs(self, *, placed: bool) -> Float[Tensor, "b e e r"]:
+        """The relations of each pair, apart from those by known seams."""
+        batch, rows = self.batch, [self.batch.following]
         same = batch.panels[:, :, None] == batch.panels[:, None]
-        hops, row = [], torch.arange(same.shape[1], device=same.device).expand_as(known)
-        for _ in range(LOOP_STEPS):
-            row = batch.following.gather(1, row)
-            hops.append(_one_hot(row))
-        meeting = _one_hot(next_on_boundary(batch.following, known))
-        sewn = _one_hot(known.clamp(min=0)) * (known >= 0)[..., None]
+        for _ in range(LOOP_STEPS - 1):
+            rows.append(batch.following.gather(1, rows[-1]))
+        hops = _is_row(torch.stack(rows, dim=-1))
         difference = self.log_length[:, :, None] - self.log_length[:, None]
-        alike = torch.cdist(self.forward, self.backward)
-        flip = 1.0 - 2.0 * (torch.arange(self.forward.shape[-1], device=alike.device) % 2)
-        mirrored_alike = torch.cdist(self.forward, self.backward * flip)
+        flip = 1.0 - 2.0 * (torch.arange(self.forward.shape[-1], device=difference.device) % 2)
+        others = torch.stack([self.backward, self.backward * flip], dim=1)
+        alike = torch.cdist(self.forward[:, None].expand_as(others), others)
         start, end = self.corners.unbind(-1)
-        meet = [start[:, :, None] + end[:, None], end[:, :, None] + start[:, None]]
+        meet = (start[:, :, None] + end[:, None])[..., None]
+        sine, cosine = meet.sin(), meet.cos()
         parts = [
-            same.float(), *hops, *(hop.transpose(1, 2) for hop in hops), meeting, meeting.transpose(1, 2), sewn,
-            difference.clamp(-3, 3), *_near(difference), *_near(alike), *_near(mirrored_alike),
-            *(angle.sin() for angle in meet), *(angle.cos() for angle in meet),
+            same.float()[..., None], hops, hops.transpose(1, 2), difference.clamp(-3, 3)[..., None],
+            _near(torch.stack([difference, *alike.unbind(1)], dim=-1)),
+            sine, sine.transpose(1, 2), cosine, cosine.transpose(1, 2),
         ]  # fmt: skip
         if placed:
             first, middle, last = (batch.placed[:, :, k] / PLACED_UNIT for k in range(3))
             gaps = [torch.cdist(first, last), torch.cdist(last, first), torch.cdist(middle, middle)]
             gaps.append(torch.cdist(first, first) + torch.cdist(last, last))
-            parts += [*gaps, *(near for gap in gaps for near in _near(gap))]
-        return torch.stack(parts, dim=-1)
+            apart = torch.stack(gaps, dim=-1)
+            parts += [apart, _near(apart)]
+        return torch.cat(parts, dim=-1)
 
-    def _of_panel(self, values: Float[Tensor, "b e"]) -> Float[Tensor, "b e"]:
-        """The sum over each edge's panel."""
-        panels = self.batch.panels.clamp(min=0)
-        values = torch.where(self.batch.valid, values, 0.0)
+    def _of_panel(self, values: Float[Tensor, "b e k"]) -> Float[Tensor, "b e k"]:
+        """Sums over the panel of each edge."""
+        panels = self.batch.panels.clamp(min=0)[..., None].expand_as(values)
+        values = torch.where(self.batch.valid[..., None], values, 0.0)
         return torch.zeros_like(values).scatter_add_(1, panels, values).gather(1, panels)
 
 
@@ -137,8 +179,9 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _near(difference: Tensor) -> list[Tensor]:
-    return [torch.exp(-((difference / width) ** 2)) for width in WIDTHS]
+def _near(differences: Float[Tensor, "b e e k"]) -> Float[Tensor, "b e e n"]:
+    """Likeness on each scale, from 0 to 1, of each of the differences in turn."""
+    return torch.stack([differences / width for width in WIDTHS], dim=-1).square_().neg_().exp_().flatten(-2)
 
 
 def _waves(values: Tensor) -> Tensor:
@@ -150,8 +193,10 @@ def rows_at(values: Float[Tensor, "b e k"], rows: Int[Tensor, "b e"]) -> Float[T
     return values.gather(1, rows[..., None].expand(*rows.shape, values.shape[-1]))
 
 
-def _one_hot(rows: Int[Tensor, "b e"]) -> Float[Tensor, "b e e"]:
-    return functional.one_hot(rows, rows.shape[1]).float()
+def _is_row(rows: Int[Tensor, "b e k"]) -> Float[Tensor, "b e e k"]:
+    """For each edge and row, whether the row is one of ``rows``, each apart; -1 is none."""
+    columns = torch.arange(rows.shape[1], device=rows.device)
+    return (rows[:, :, None] == columns[:, None]).float()
 
 
 def edges_before(following: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
@@ -162,8 +207,9 @@ def edges_before(following: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
 
 def next_on_boundary(following: Int[Tensor, "b e"], known: Int[Tensor, "b e"]) -> Int[Tensor, "b e"]:
     """The unsewn edge that starts where each edge ends, once the known seams are sewn (start meets end)."""
+    rows = torch.arange(following.shape[1], device=following.device)
+    across = torch.where(known >= 0, following.gather(1, known.clamp(min=0)), rows)
     row = following
     for _ in range(SEAMS_AT_CORNER):
-        partner = known.gather(1, row)
-        row = torch.where(partner >= 0, following.gather(1, partner.clamp(min=0)), row)
+        row = across.gather(1, row)
     return row

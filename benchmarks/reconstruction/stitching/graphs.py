@@ -25,6 +25,7 @@ __all__ = [
     "EdgeBatch",
     "EdgeGraph",
     "PackedGraphs",
+    "aligned",
     "edge_refs",
     "graph_of",
     "with_seams",
@@ -82,7 +83,7 @@ class EdgeBatch:
     def to(self, device: torch.device) -> "EdgeBatch":
         return EdgeBatch(*(getattr(self, field.name).to(device) for field in fields(self)))
 
-    def select(self, rows: Int[Tensor, " r"]) -> "EdgeBatch":
+    def select(self, rows: Int[Tensor, " r"] | slice) -> "EdgeBatch":
         """Some of the graphs."""
         return EdgeBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
@@ -111,7 +112,7 @@ class PackedGraphs:
     def __init__(self, counts: Int[Tensor, " n"], with_cuts: Bool[Tensor, " n"], flat: Mapping[str, Tensor]) -> None:
         """``counts``: number of edges of each graph; ``with_cuts``: whether some of them are to be subdivided."""
         self.counts, self.with_cuts, self.flat = counts, with_cuts, dict(flat)
-        self._first = counts.cumsum(0) - counts
+        self.first = counts.cumsum(0) - counts
 
     @property
     def device(self) -> torch.device:
@@ -135,24 +136,24 @@ class PackedGraphs:
         return len(self.counts)
 
     def __getitem__(self, rows: Int[Tensor, " b"]) -> EdgeBatch:
-        index, there = self._index(rows)
-        values = {name: flat[index] for name, flat in self.flat.items()}
-        values["panels"] = torch.where(there, values["panels"], -1)
-        values["partners"] = torch.where(there, values["partners"], -1)
-        values["following"] = torch.where(there, values["following"], torch.arange(there.shape[1], device=self.device))
-        return EdgeBatch(**values)
+        first, counts = (uploaded(values[rows], self.device) for values in (self.first, self.counts))
+        return self.padded(first, counts, aligned(int(self.counts[rows].max())))
 
-    def padded(self, values: Float[Tensor, " all"], rows: Int[Tensor, " b"]) -> Float[Tensor, "b e"]:
-        """One value for each edge of the patterns ``rows``, out of one for each edge of all patterns."""
-        return values[self._index(rows)[0]]
-
-    def _index(self, rows: Int[Tensor, " b"]) -> tuple[Int[Tensor, "b e"], Bool[Tensor, "b e"]]:
-        """Flat rows of the edges, and which of them are not padding."""
-        width = -(-int(self.counts[rows].max()) // ALIGNMENT) * ALIGNMENT
-        first, counts = (uploaded(values[rows], self.device) for values in (self._first, self.counts))
+    def padded(self, first: Int[Tensor, " b"], counts: Int[Tensor, " b"], width: int) -> EdgeBatch:
+        """Graphs of ``counts`` edges from the flat rows ``first`` on; both are on the device of the edges."""
         columns = torch.arange(width, device=self.device)
         there = columns < counts[:, None]
-        return torch.where(there, first[:, None] + columns, 0), there
+        index = torch.where(there, first[:, None] + columns, 0)
+        values = {name: flat[index] for name, flat in self.flat.items()}
+        for name in ("panels", "partners"):
+            values[name] = torch.where(there, values[name], -1)
+        values["following"] = torch.where(there, values["following"], columns)
+        return EdgeBatch(**values)
+
+
+def aligned(count: int) -> int:
+    """The number of rows of a batch for ``count`` edges."""
+    return -(-count // ALIGNMENT) * ALIGNMENT
 
 
 def edge_refs(pattern: Pattern) -> list[EdgeRef]:

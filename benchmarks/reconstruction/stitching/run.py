@@ -134,6 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
     parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
+    parser.add_argument("--compile", action="store_true", help="record the step on a GPU, which then takes less time")
     option("--train", 24_000, "patterns to train on")
     option("--test", 500, "patterns to test on, of another seed")
     option("--seed", 0, "seed of the network and the order")
@@ -164,7 +165,8 @@ def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> 
 
 def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
     """The options of the training and of the network. Raises ``ConfigError`` for unusable options."""
-    config = TrainConfig(minutes=args.minutes, batch=args.batch, lr=args.lr, seed=args.seed, checks=args.checks)
+    names = ("minutes", "batch", "lr", "seed", "checks", "compile")
+    config = TrainConfig(**{name: getattr(args, name) for name in names})
     for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
         if not least <= getattr(args, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")

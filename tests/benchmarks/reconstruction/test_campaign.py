@@ -2,6 +2,7 @@
 
 import argparse
 import fcntl
+import json
 import subprocess
 import time
 from pathlib import Path
@@ -37,7 +38,7 @@ minutes = 3
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A plan of toy programs."""
     monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
-    for name in ("short", "fails", "long", "endless", "beside"):
+    for name in ("short", "fails", "long", "endless", "beside", "slow", "hangs", "breaks"):
         monkeypatch.setitem(MODELS, name, "tests.benchmarks.reconstruction.toy_program")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
     monkeypatch.setattr(campaign, "LEAVE", 0.5)
@@ -111,7 +112,9 @@ def test_a_repeated_call_starts_what_is_not_finished(
     said = capsys.readouterr()
     assert "a-fails-10 failed with exit code 1" in said.err
     assert "the toy is broken" in said.err
-    assert "2 done, 2 failed, 1 unfinished, 0 waiting; 7 minutes left" in said.out  # 2 + 1, and twice 1 + 1
+    assert (
+        "2 done, 0 to be draped, 2 failed, 1 unfinished, 0 waiting; 7 minutes left" in said.out
+    )  # 2 + 1, and twice 1 + 1
     assert "the toy is broken" in (out / "a-fails-10" / "log.txt").read_text()
 
     assert main([*call, "--only", "[!a]*"]) == 0
@@ -148,13 +151,123 @@ def test_the_limit_ends_what_runs(plan: Path, tmp_path: Path, capsys: pytest.Cap
     begun = time.monotonic()
     assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--limit-minutes", "0.03"]) == 0
     assert time.monotonic() - begun < 20
-    assert "0 done, 0 failed, 0 unfinished, 1 waiting" in capsys.readouterr().out
+    assert "0 done, 0 to be draped, 0 failed, 0 unfinished, 1 waiting" in capsys.readouterr().out
 
 
 def test_a_run_that_cannot_be_finished_in_time_is_not_begun(plan: Path, tmp_path: Path) -> None:
     out = tmp_path / "runs"
     assert main([str(plan), "--out", str(out), "--gpus", "0", "--only", "b", "--limit-minutes", "1"]) == 0
     assert starts(out) == ["make b"]
+
+
+def test_answers_are_draped_after_the_trainings(plan: Path, tmp_path: Path) -> None:
+    """In a second start, with all cores but one; what is planned and reported is the command with ``--drape``."""
+    plan.write_text(
+        "[a]\nmodel = 'short'\ntrain = [1, 2]\nminutes = 1\ndrape = true\n"
+        "[b]\ntask = 'T1'\nmodel = 'slow'\ntrain = 1\nminutes = 1"
+    )
+    out = tmp_path / "runs"
+    call = [str(plan), "--out", str(out), "--gpus", "0"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "cores", lambda: 9)
+        assert main(call) == 0
+    began = starts(out)
+    assert began[:2] == ["make a-2", "make b"]
+    assert sorted(began[2:5]) == ["a-1", "a-2", "b"]
+    assert sorted(began[5::2]) == ["drape a-1", "drape a-2"]
+    trained, draped = (line for line in (out / "a-1" / "log.txt").read_text().splitlines() if line.startswith("$ "))
+    assert ("--drape" in trained, "--drape" in draped) == (False, True)
+    assert "--workers 8" in draped
+    assert "--drape" in json.loads((out / "a-1" / "planned.json").read_text())
+    assert main(call) == 0
+    assert not (out / "starts.txt").exists()
+
+
+def test_a_gpu_drapes_the_answers_of_one_run_at_a_time(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text("[a]\nmodel = 'short'\ntrain = [1, 2, 3]\nminutes = 1\ndrape = true")
+    monkeypatch.setattr(campaign, "cores", lambda: 9)
+    out = tmp_path / "runs"
+    call = [str(plan), "--out", str(out), "--at-once", "2"]
+    assert main([*call, "--gpus", "1"]) == 0
+    drapes = [line for line in starts(out) if line.startswith("drape")]
+    assert [line.split()[0] for line in drapes] == ["drape", "draped"] * 3
+    for k in (1, 2, 3):
+        path = out / f"a-{k}" / "report.json"
+        report = json.loads(path.read_text())
+        path.write_text(json.dumps(report | {"scores": {"topology_exact": report["scores"]["topology_exact"]}}))
+    capsys.readouterr()
+    assert main([*call, "--gpus", "2"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[:2] == ["campaign: a-1 drapes on GPU 0", "campaign: a-2 drapes on GPU 1"]
+    assert "--workers 4" in (out / "a-3" / "log.txt").read_text().splitlines()[-1]  # 8 for two GPUs
+
+
+def test_drapes_wait_for_garments(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """While they are made, their trainings are about to need the GPU."""
+    plan.write_text(
+        "[a]\nmodel = 'short'\ntrain = 1\ndrape = true\n[b]\ntask = 'T1'\nmodel = 'slow'\ntrain = 1\nminutes = 1"
+    )
+    assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--at-once", "2"]) == 0
+    said = capsys.readouterr().err
+    assert said.index("b begins") < said.index("a drapes")
+
+
+def test_drapes_do_not_wait_for_a_training_that_needs_more_time(plan: Path, tmp_path: Path) -> None:
+    """It is begun after them, for a later call to continue."""
+    plan.write_text(
+        "[a]\nmodel = 'short'\ntrain = 1\nminutes = 0.01\nspare = 0.01\ndrape = true\n"
+        "[b]\nmodel = 'long'\ntrain = 1\nminutes = 8"
+    )
+    out = tmp_path / "runs"
+    assert main([str(plan), "--out", str(out), "--gpus", "0", "--limit-minutes", "2"]) == 0
+    assert starts(out) == ["make a", "a", "drape a", "draped a", "b"]
+
+
+def test_drapes_that_the_limit_ends_are_repeated(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text("[a]\ntask = 'T0'\nmodel = 'hangs'\ntrain = 1\nminutes = 0.01\nspare = 0.01\ndrape = true")
+    monkeypatch.setattr(campaign, "DRAPING", 0.01)
+    out, reports = tmp_path / "runs", tmp_path / "reports"
+    call = [str(plan), "--out", str(out), "--gpus", "0"]
+    report = [*call, "--report", "--reports", str(reports), "--commit", "abc"]
+    assert main([*call, "--limit-minutes", "0.15"]) == 0
+    assert starts(out) == ["make a", "a", "drape a"]
+    said = capsys.readouterr().out
+    assert "a    to be draped  0.0           topology_exact 0.500" in said
+    assert "0 done, 1 to be draped, 0 failed" in said
+    assert json.loads((out / "a" / "report.json").read_text())["scores"] == {"topology_exact": [0.5, 0.4, 0.6]}
+    assert main(report) == 0
+    assert "1 of 1 runs reported, 1 of them not draped" in capsys.readouterr().out
+    page = (reports / "learning_T0.md").read_text()
+    assert "| hangs | 1 | 1.0 | 0.5 (0.4 to 0.6) |" in page
+    assert campaign.NOT_DRAPED in page
+    assert "--drape --out runs/a`" in page
+
+    assert main(call) == 0
+    assert starts(out) == ["drape a", "draped a"]
+    assert "1 done, 0 to be draped" in capsys.readouterr().out
+    assert main(report) == 0
+    page = (reports / "learning_T0.md").read_text()
+    assert "| hangs | 1 | 1.0 | 0.5 (0.4 to 0.6) | 0.25 (0.2 to 0.3) | 0.25 (0.2 to 0.3) | 0.25 (0.2 to 0.3) |" in page
+    assert campaign.NOT_DRAPED not in page
+
+
+def test_drapes_that_fail_are_tried_again_by_the_next_call(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text("[a]\nmodel = 'breaks'\ntrain = 1\nminutes = 1\ndrape = true")
+    out = tmp_path / "runs"
+    call = [str(plan), "--out", str(out), "--gpus", "0"]
+    assert main(call) == 1
+    assert starts(out) == ["make a", "a", "drape a"]
+    assert "the drapes are broken" in capsys.readouterr().err
+    assert main([*call, "--list"]) == 0
+    assert "a    to be draped  0.8 " in capsys.readouterr().out
+    assert main(call) == 1
+    assert starts(out) == ["drape a"]
 
 
 def test_a_folder_has_one_campaign_at_a_time(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,6 +38,10 @@ def vars_of(score: PatternScore) -> dict[str, float]:
     return {name: getattr(score, name) for name in PatternScore.__dataclass_fields__}
 
 
+def files_in(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
 def test_labels_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
     answers, judge = nearest_labels.answers(draped, draped, device=CPU), judge_of(task_named("T4"))
     right, wrong = (
@@ -49,6 +53,7 @@ def test_labels_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> Non
     assert right.shape == wrong.shape
     assert not np.array_equal(right, wrong)
     judge.write(answers, draped, tmp_path)
+    assert sorted(judge.files(draped)) == files_in(tmp_path)
     stored = np.load(tmp_path / "predictions" / f"{draped.keys[0]}.npz")
     assert np.array_equal(stored["panels"], answers[0].panels)
 
@@ -57,6 +62,7 @@ def test_measures_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> N
     answers, judge = mean_measures.answers(draped, draped, device=CPU), judge_of(task_named("T5"))
     assert judge.picture(answers, draped).ndim == 3
     judge.write(answers, draped, tmp_path)
+    assert sorted(judge.files(draped)) == files_in(tmp_path)
     stored = json.loads((tmp_path / "predictions" / f"{draped.keys[1]}.json").read_text())
     assert list(stored) == list(MEASURES)
     assert [score.error_cm for score in judge.scores(answers, draped)] == pytest.approx(
@@ -68,6 +74,7 @@ def test_drapes_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> Non
     answers, judge = box_mesh.answers(draped, draped, device=CPU), judge_of(task_named("T6"), watching=True)
     assert judge.picture(answers, draped).ndim == 3
     judge.write(answers, draped, tmp_path)
+    assert sorted(judge.files(draped)) == files_in(tmp_path)
     stored = np.load(tmp_path / "predictions" / f"{draped.keys[0]}.npz")
     assert np.allclose(stored["vertices"], draped.ragged["box"][0])
     assert {score.self_crossings for score in judge.scores(answers, draped)} == {0}
@@ -84,6 +91,7 @@ def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path
     garments = generated(2, 0, points=512, extra=("pose",), drape=None, resolution=8.0, design=SKIRTS)
     truth = [garments.pattern(k) for k in range(2)]
     Patterns(draped=True).write(truth, garments, tmp_path)
+    assert sorted(Patterns(draped=True).files(garments)) == files_in(tmp_path)
     wearers = wearers_of(str(tmp_path / "bodies"))
     for key, pattern in zip(garments.keys, truth, strict=True):
         assert read_pattern(tmp_path / "truth" / f"{key}.json").extra["properties"]["kind"] == "skirt"
@@ -94,3 +102,4 @@ def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path
         assert 140.0 < wearers.wearer(key, legs_apart=False)[1].height < 210.0
     Patterns().write(truth, garments, tmp_path / "flat")
     assert not (tmp_path / "flat" / "inputs").exists()
+    assert sorted(Patterns().files(garments)) == files_in(tmp_path / "flat")

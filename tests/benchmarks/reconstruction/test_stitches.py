@@ -1,23 +1,30 @@
 """Stitches from panels: the network's invariances, n to m by subdivision, and scores up to symmetry."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
+    StitchExamples,
     StitchLearner,
     StitchNet,
+    edge_noise,
     mirrored,
     revealed,
     scaled,
 )
+from benchmarks.reconstruction.recorded import replace_tensors, tensors_of
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
@@ -233,23 +240,123 @@ def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None
     counts = {
         count
         for seed in range(8)
-        for part in examples.batch(torch.arange(12), torch.Generator().manual_seed(seed)).parts
-        for count in part.valid.sum(dim=1).tolist()
+        for count in examples.batch(torch.arange(12), torch.Generator().manual_seed(seed)).counts.tolist()
     }
     assert (max(counts) > 20) == (foreign > 0)
     with pytest.raises(ConfigError, match="foreign"):
         replace(SMALL, foreign=0.5)
 
 
-def test_a_step_never_reads_a_value_of_the_device() -> None:
+@pytest.mark.parametrize("one_shape", [False, True])
+def test_a_step_never_reads_a_value_of_the_device(one_shape: bool) -> None:
     learner = StitchLearner(SMALL)
-    examples = learner.examples([encode(tube())] * 24, device=torch.device("cpu"))
-    batch = examples.batch(torch.arange(24), torch.Generator().manual_seed(0))
+    examples = replace(many(learner), one_shape=one_shape)
+    batch = examples.batch(torch.arange(48), torch.Generator().manual_seed(0))
     assert len(batch.parts) > 1
-    assert sum(len(rows) for rows in batch.given) > 0
+    assert sum(part.given for part in batch.parts) > 0
     with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
         parts = learner.loss(batch)
     assert all(part.shape == () for part in parts.values())
+
+
+def test_a_step_copies_nothing_from_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a recorded step must not; the device is one without values, for which autocast does not exist."""
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
+    learner, meta = StitchLearner(SMALL), torch.device("meta")
+    batch = learner.of_one_shape(many(learner)).batch(torch.arange(48), torch.Generator().manual_seed(0))
+    there: dict[str, Any] = {name: column.to(meta) for name, column in tensors_of(batch).items()}
+    there_too = replace(batch, graphs=batch.graphs.to(meta), **there)
+    learner.to(meta)
+    with Devices() as used:
+        torch.autograd.backward(torch.stack(list(learner.loss(there_too).values())).sum())
+    assert used.kinds == {"meta"}
+
+
+class Devices(TorchDispatchMode):
+    """The kinds of devices of the tensors that operations in its context read or write."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.kinds: set[str] = set()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        found = func(*args, **(kwargs or {}))
+        self.kinds |= {one.device.type for one in tree_leaves((args, kwargs, found)) if isinstance(one, torch.Tensor)}
+        return found
+
+
+def many(learner: StitchLearner, *, large: int = 12) -> StitchExamples:
+    """Garments of 16 edges, and a few of 26."""
+    arrays = [encode(t_shirt() if k < large else tube()) for k in range(240)]
+    return learner.examples(arrays, device=torch.device("cpu"))
+
+
+def test_batches_of_one_shape_can_replace_each_other() -> None:
+    """As a recorded step needs; the last of these batches has as many large garments as the set."""
+    learner = StitchLearner(SMALL)
+    examples = learner.of_one_shape(many(learner))
+    drawn = torch.stack([torch.randint(240, (48,), generator=torch.Generator().manual_seed(k)) for k in range(8)])
+    batches = [examples.batch(rows, torch.Generator().manual_seed(k)) for k, rows in enumerate(drawn)]
+    assert len({batch.parts for batch in batches}) == 1
+    assert [part.rows for part in batches[0].parts] != [48]
+    assert len({tuple(batch.counts.tolist()) for batch in batches}) > 1
+    for batch in batches[1:]:
+        replace_tensors(batches[0], batch)
+        assert all(torch.equal(ours, tensors_of(batch)[name]) for name, ours in tensors_of(batches[0]).items())
+    with pytest.raises(ValueError, match="shapes"):
+        replace_tensors(batches[0], examples.batch(drawn[0, :40], torch.Generator()))
+    other = replace(examples, one_shape=False).batch(drawn[0], torch.Generator())
+    with pytest.raises(ValueError, match="parts"):
+        replace_tensors(batches[0], other)
+
+
+@pytest.mark.parametrize("config", [SMALL, replace(StitchConfig.autosew(), width=32, layers=2)], ids=["ours", "sage"])
+def test_wider_parts_change_no_loss(config: StitchConfig) -> None:
+    torch.manual_seed(0)
+    learner = StitchLearner(config)
+    examples = many(learner)
+    rows = torch.randint(240, (48,), generator=torch.Generator().manual_seed(0))
+    ours, padded = (
+        learner.loss(replace(examples, one_shape=one_shape).batch(rows, torch.Generator().manual_seed(1)))
+        for one_shape in (False, True)
+    )
+    assert {name: value.item() for name, value in padded.items()} == pytest.approx(
+        {name: value.item() for name, value in ours.items()}, rel=1e-4
+    )
+
+
+def test_a_garment_without_room_in_a_batch_of_one_shape_is_left_out() -> None:
+    learner = StitchLearner(SMALL)
+    examples = replace(many(learner), one_shape=True)
+    rows = torch.arange(48) % 12  # the large ones only
+    batch = examples.batch(rows, torch.Generator().manual_seed(0))
+    small = sum(part.rows for part in batch.parts if part.width < 26)
+    assert 0 < (batch.counts == 0).sum() <= small
+    assert all(value.isfinite() for value in learner.loss(batch).values())
+    everything = replace(many(learner, large=120), one_shape=True).batch(rows, torch.Generator().manual_seed(0))
+    assert (everything.counts > 0).all()
+
+
+def test_what_is_drawn_for_a_garment_does_not_depend_on_the_others_of_its_batch() -> None:
+    """So that two ranks, each with half of a batch, learn what one process learns."""
+    examples = many(StitchLearner(SMALL))
+    rows = torch.randperm(240, generator=torch.Generator().manual_seed(0))[:48]
+    whole, *halves = (
+        sorted(torch.stack([column.double() for column in tensors_of(batch).values()], dim=1).tolist())
+        for some in (rows, rows[::2], rows[1::2])
+        for batch in [examples.batch(some, torch.Generator().manual_seed(1))]
+    )
+    assert sorted([*halves[0], *halves[1]]) == whole
+
+
+def test_numbers_that_vary_the_order_of_seams_are_uniform_and_independent() -> None:
+    numbers = edge_noise(torch.arange(2000) * 7919, 64).double()
+    assert numbers.min() >= 0 and numbers.max() < 1
+    counts = torch.histc(numbers, 64, 0, 1)
+    assert ((counts - 2000).square() / 2000).sum() < 120  # chi square of 63 degrees
+    centred = numbers - 0.5
+    for other in (centred.roll(1, 0), centred.roll(1, 1)):
+        assert abs((centred * other).mean() * 12) < 0.015
 
 
 def test_a_step_of_training_lowers_the_loss_of_the_same_batch() -> None:

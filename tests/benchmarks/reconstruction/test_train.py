@@ -1,6 +1,7 @@
 """The command: what it writes can be read and scored again, and a repeated call continues."""
 
 import csv
+import fcntl
 import json
 import signal
 import subprocess
@@ -46,9 +47,49 @@ def test_answers_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert (out / "pictures" / "test.png").stat().st_size > 1000
     assert [read_pattern(other).extra["properties"]["kind"] for _, other in pairs] == ["skirt"] * 3
 
-    written = (out / "report.json").read_text()
-    assert main(["panel_set", *SMALL, "--steps", "4", "--out", str(out)]) == 0
-    assert json.loads((out / "report.json").read_text())["scores"] == json.loads(written)["scores"]
+
+@pytest.mark.parametrize(("model", "given"), [("panel_set", ["--steps", "1"]), ("typical", [])])
+def test_a_finished_run_is_not_answered_again(
+    model: str, given: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless a file that the evaluator needs is missing."""
+    out = tmp_path / "out"
+    call = [model, *SMALL, *given, "--out", str(out)]
+    assert main(call) == 0
+    first = capsys.readouterr()
+    written = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.rglob("*") if path.is_file()}
+    with monkeypatch.context() as patch:
+        for name in ("train", "_answers"):
+            patch.setattr(train, name, Mock(side_effect=AssertionError))
+        assert main(call) == 0
+    again = capsys.readouterr()
+    assert again.out == first.out
+    assert f"{out / 'report.json'} is of this run" in again.err
+    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in written} == written
+    for folder in ("predictions", "truth", "bodies"):
+        removed = next((out / folder).iterdir())
+        removed.unlink()
+        assert main(call) == 0
+        assert removed.exists()
+
+
+def test_a_report_of_other_test_garments_is_overwritten(tmp_path: Path) -> None:
+    call = ["typical", *SMALL, "--out", str(tmp_path / "out")]
+    for count in (3, 2):
+        assert main([*call, "--test", str(count)]) == 0
+        assert json.loads((tmp_path / "out" / "report.json").read_text())["data"]["test"]["count"] == count
+    (tmp_path / "out" / "report.json").write_text("{")
+    assert main(call) == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["data"]["test"]["count"] == 3
+
+
+def test_answers_wait_for_no_turn(tmp_path: Path) -> None:
+    """Nothing but steps is taken in turn."""
+    given = ["typical", *SMALL, "--out", str(tmp_path / "out"), "--turns", str(tmp_path / "turns")]
+    with (tmp_path / "turns").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        called = subprocess.run([sys.executable, "-m", "benchmarks.reconstruction.train", *given], timeout=120)
+    assert called.returncode == 0
 
 
 def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
@@ -106,6 +147,7 @@ def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tm
 def test_a_damaged_checkpoint_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flags = ["panel_set", *SMALL, "--steps", "1", "--out", str(tmp_path)]
     assert main(flags) == 0
+    (tmp_path / "report.json").unlink()
     path = tmp_path / "checkpoint.pt"
     for data in (path.read_bytes()[:1000], b"", b"PK"):
         path.write_bytes(data)
@@ -113,16 +155,41 @@ def test_a_damaged_checkpoint_is_one_error(tmp_path: Path, capsys: pytest.Captur
         assert "checkpoint.pt: no checkpoint" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_answers_are_draped(tmp_path: Path) -> None:
-    """The truth, draped again, is the drape that the points are of."""
+def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The truth, draped again, is the drape that the points are of; a later call drapes, and drapes once."""
     out = tmp_path / "out"
-    assert main(["ceiling", "--task", "T1", *SMALL, "--drape", "--out", str(out)]) == 0
+    call = ["ceiling", "--task", "T1", *SMALL, "--out", str(out)]
+    assert main(call) == 0
+    plain = json.loads((out / "report.json").read_text())
+    assert not train.is_draped(plain)
+    monkeypatch.setattr(train, "_answers", Mock(side_effect=AssertionError))
+    assert main([*call, "--drape"]) == 0
     report = json.loads((out / "report.json").read_text())
+    assert report["scores"].items() >= plain["scores"].items()
+    assert train.is_draped(report)
+    monkeypatch.setattr(train, "evaluate", Mock(side_effect=AssertionError))
+    for flags in ([], ["--drape"]):
+        assert main([*call, *flags]) == 0
+    assert json.loads((out / "report.json").read_text()) == report
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert [garment["name"] for garment in evaluation["garments"]] == [f"1_{k:09d}" for k in range(3)]
     assert report["scores"]["within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
     assert 0 < report["scores"]["redrape_cd_cm"][0] < 0.7
     assert report["scores_of_kinds"]["skirt"]["redrape_cd_cm"] == pytest.approx(report["scores"]["redrape_cd_cm"][0])
+
+
+def test_the_report_is_written_before_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drapes that are killed leave it as it is, and the next call drapes the answers."""
+    call = ["typical", *SMALL, "--drape", "--out", str(tmp_path)]
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(train, "evaluate", Mock(side_effect=SystemExit))
+        main(call)
+    plain = json.loads((tmp_path / "report.json").read_text())
+    assert "iou" in plain["scores"]
+    assert not train.is_draped(plain)
+    monkeypatch.setattr(train, "_answers", Mock(side_effect=AssertionError))
+    assert main(call) == 0
+    assert train.is_draped(json.loads((tmp_path / "report.json").read_text()))
 
 
 def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
