@@ -15,8 +15,8 @@ from pathlib import Path
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.reconstruction.evaluate import UNITS
 from benchmarks.reconstruction.models import MODELS
+from benchmarks.reconstruction.train import REPORT, options_from
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
-from benchmarks.reconstruction.train import options_from
 from benchmarks.reconstruction.train import run as run_model
 
 __all__ = ["add_arguments", "run"]
@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> Measured:
     options.data = options.data or str(out / "garments")
     for model in options.models.split(","):
         options.out = str(out / model)
+        (out / model / REPORT).unlink(missing_ok=True)  # answer, score and time again
         report = run_model(options_from(options, model))
         assert report is not None  # one process
         if report["steps"]:

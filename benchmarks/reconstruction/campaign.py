@@ -10,8 +10,9 @@ with ``program = "stitching.run"``; a list holds a value for each run, and sever
 is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score,
 without drapes.
 
-A run is trained if ``OUT/NAME/report.json`` exists. The garments of the other runs are made, a set at a time. Runs
-whose garments are there start, one for each GPU, the longest that fits into the time first. With ``--at-once 2`` a GPU
+A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time. Runs whose
+garments are there start, one for each GPU, the longest that fits into the time first; those with ``fresh`` garments
+when all sets are made. With ``--at-once 2`` a GPU
 has two runs, which take turns to train: one loads or scores meanwhile. A run with ``drape = true`` is started twice:
 without ``--drape``, and again to drape its answers, which starts when no garments are to be made and no training that
 fits into the time waits, on each GPU one such run at a time. It is finished when its report has the scores of drapes.
@@ -63,6 +64,8 @@ __all__ = ["Planned", "State", "main", "read_plan"]
 PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}
 OWN = ("program", "model", "spare")
 """Keys of a plan that are no options of the program."""
+OF_FRESH = ("workers", "make_device", "fresh")
+"""Options of garments that are made during a training; all cores and GPUs make the others."""
 SPARE = 1.0  # minutes
 DRAPING = 0.8  # minutes to drape the answers of a run
 LEAST = 1.5  # minutes; a training that cannot be finished is not begun with less
@@ -361,9 +364,8 @@ class _Campaign:
 
     def _work(self, pending: Sequence[Planned]) -> None:
         """Make the garments of each data set, start its runs, drape their answers, and wait for them."""
-        ready = [run for run in pending if self.states[run.name] is State.TO_DRAPE]
-        others = [run for run in pending if self.states[run.name] is not State.TO_DRAPE]
-        sets = [[run for run in others if run.garments == one] for one in dict.fromkeys(r.garments for r in others)]
+        ready: list[Planned] = []
+        sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
         while sets or ready or self.jobs:
             if self._left() <= 0:
                 self._end_all()
@@ -374,7 +376,7 @@ class _Campaign:
                 is_making = any(job.makes for job in self.jobs.values())
                 if sets and not is_making:
                     self._make(slot, sets.pop(0))
-                elif (run := self._next(slot, ready, drapes=not sets and not is_making)) is not None:
+                elif (run := self._next(slot, ready, are_made=not sets and not is_making)) is not None:
                     ready.remove(run)
                     self._begin(slot, run)
             if not self.jobs:
@@ -390,6 +392,8 @@ class _Campaign:
         largest = max(sharing, key=lambda run: run.train)
         _say(f"garments of {', '.join(run.name for run in sharing)}")
         workers = max(0, cores() - 1)
+        kept = {key: value for key, value in largest.options.items() if key not in OF_FRESH}
+        largest = replace(largest, options=kept)
         command = [*largest.training, "--make-only"]
         self._start(slot, largest, command, self._log_of_garments(largest), workers=workers, makes=sharing)
 
@@ -408,18 +412,20 @@ class _Campaign:
     def _log_of_garments(self, run: Planned) -> Path:
         return self.out / f"garments_{run.name}.txt"
 
-    def _next(self, slot: _Slot, waiting: Sequence[Planned], *, drapes: bool) -> Planned | None:
+    def _next(self, slot: _Slot, waiting: Sequence[Planned], *, are_made: bool) -> Planned | None:
         """What starts in a slot: the longest training that fits into the time left; else a run to be draped; else the
         longest training, which a later call continues.
 
-        ``drapes``: whether answers may be draped; a GPU drapes those of one run at a time.
+        ``are_made``: whether all garments are made. Before, nothing starts that also drapes: neither the drapes of
+        answers, of which a GPU has one run at a time, nor a training on fresh garments.
         """
         left = self._left() / 60
         trainings = [run for run in waiting if self.states[run.name] is not State.TO_DRAPE]
+        trainings = [run for run in trainings if are_made or not run.options.get("fresh")]
         ranked = sorted(trainings, key=self._expected, reverse=True)
         fitting = [run for run in ranked if self._expected(run) <= left]
         beside = [self.states[job.run.name] for other, job in self.jobs.items() if other.gpu == slot.gpu]
-        may_drape = drapes and left >= DRAPING and State.TO_DRAPE not in beside
+        may_drape = are_made and left >= DRAPING and State.TO_DRAPE not in beside
         undraped = [run for run in waiting if self.states[run.name] is State.TO_DRAPE] if may_drape else []
         begun = [run for run in ranked if run.minutes] if left >= LEAST else []
         return next(iter([*fitting, *undraped, *begun]), None)

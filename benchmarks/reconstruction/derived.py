@@ -10,7 +10,7 @@ from benchmarks.reconstruction.design_codes import encode_design
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
-from gcd_dataset.tensors import EDGE_LABELS, PanelColumn
+from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
 __all__ = [
     "CENTRE",
@@ -132,8 +132,9 @@ def _pictures(item: Item) -> np.ndarray:
 def _shown(item: Item) -> np.ndarray:
     from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
 
-    labels = item["panels"][:, PanelColumn.LABEL].int()
-    return pixel_labels({name: item[f"{name}_map"].numpy() for name in MAPS}, labels.numpy())
+    labels = item["panels"][:, PanelColumn.LABEL].int().numpy()
+    known = np.where(labels < len(PANEL_LABELS), labels, 0)
+    return pixel_labels({name: item[f"{name}_map"].numpy() for name in MAPS}, known)
 
 
 DERIVED: Mapping[str, Derived] = {

@@ -61,7 +61,7 @@ class PictureTokens(nn.Module):
         self.view = nn.Parameter(0.02 * torch.randn(views, width))
         self.encoder = encoder(config)
 
-        self.shown = nn.Linear(width, PARTS * PARTS * (SHOWN_CLASSES + 1))
+        self.of_pixels = nn.Linear(width, PARTS * PARTS * (SHOWN_CLASSES + 1))
 
     def forward(self, pictures: UInt8[Tensor, "b n h w 3"]) -> Float[Tensor, "b t w"]:
         """Tokens of the cells, related to each other."""
@@ -92,7 +92,7 @@ class PictureTokens(nn.Module):
         classes, borders = (_by_part(pixels, rows) for pixels in (classes, _borders(panels)))
         shares = torch.zeros(*classes.shape[:-1], SHOWN_CLASSES, device=labels.device)
         shares.scatter_add_(-1, classes, torch.full_like(classes, 1 / classes.shape[-1], dtype=shares.dtype))
-        said = self.shown(tokens).float().unflatten(-1, (PARTS * PARTS, SHOWN_CLASSES + 1))
+        said = self.of_pixels(tokens).float().unflatten(-1, (PARTS * PARTS, SHOWN_CLASSES + 1))
         shown = functional.cross_entropy(said[..., :-1].flatten(0, -2), shares.flatten(0, -2))
         at_border = functional.binary_cross_entropy_with_logits(said[..., -1], borders.float().mean(dim=-1))
         return {"shown": SHOWN_WEIGHT * shown, "borders": BORDER_WEIGHT * at_border}

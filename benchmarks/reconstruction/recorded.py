@@ -31,6 +31,10 @@ class RecordedStep(Generic[Batch]):
         copies = {name: value.clone() for name, value in tensors_of(batch).items()}
         self._batch, self._losses_of = cast(Batch, replace(cast(Any, batch), **copies)), losses_of
         device = next(iter(tensors_of(batch).values())).device
+        with torch.cuda.device(device):
+            self._record(model, device)
+
+    def _record(self, model: nn.Module, device: torch.device) -> None:
         aside = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
         aside.wait_stream(torch.cuda.current_stream(device))
         with torch.cuda.stream(aside):

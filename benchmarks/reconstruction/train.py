@@ -374,13 +374,15 @@ def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
         "recipe": json.dumps(recipe, sort_keys=True),
         "ids": garments.ids_hash,
         "patterns": garments.patterns_hash,
+        "points": garments.points_hash,
     }
 
 
 def _identity_of_answers(options: Options, split: Split) -> str:
     """SHA-256 of what the answers depend on: the training, or the reference, and the test garments."""
-    test = {"tested": len(split.test), "test_ids": split.test.ids_hash, "test_patterns": split.test.patterns_hash}
-    of = {**_identity(options, split.train), **options.config.identity, **test}
+    test = [split.test.ids_hash, split.test.patterns_hash, split.test.points_hash]
+    device = options.device.split(":")[0]  # answers of a CPU are rounded in another way, and take another time
+    of = {**_identity(options, split.train), **options.config.identity, "test": test, "device": device}
     return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
 
 

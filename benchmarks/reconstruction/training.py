@@ -173,7 +173,7 @@ def train(
     if out is not None and (out / CHECKPOINT).exists():
         run.restore(out / CHECKPOINT, examples)
         curves.resume(run.step)
-    if config.compile:
+    if config.compile and run.progress < 1:
         examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
     with turn(turns), _signals() as is_signalled:
@@ -351,7 +351,7 @@ class _Run:
         self._add(torch.cat([losses.sum()[None], losses]))
 
     def wait(self) -> None:
-        """Wait until a GPU has taken the step before the last, or the last one of a row of the curves.
+        """Wait until a GPU has taken the step before the last; every ``log_every`` steps, until it has taken the last.
 
         A recorded step starts in less time than it takes: without this, the steps that wait would not be timed.
         """

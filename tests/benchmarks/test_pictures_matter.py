@@ -163,9 +163,9 @@ def test_pixel_losses_are_least_for_the_truth() -> None:
     found = []
     for shown in (0, FIRST_PANEL):
         with torch.no_grad():
-            net.shown.weight.zero_()
-            net.shown.bias.copy_(torch.full_like(net.shown.bias, -4.0))
-            of_parts = net.shown.bias.view(2, 2, SHOWN_CLASSES + 1)
+            net.of_pixels.weight.zero_()
+            net.of_pixels.bias.copy_(torch.full_like(net.of_pixels.bias, -4.0))
+            of_parts = net.of_pixels.bias.view(2, 2, SHOWN_CLASSES + 1)
             of_parts[:, 0, 0] = of_parts[:, 1, shown] = 4.0
             found.append(net.pixel_losses(torch.zeros(1, 1, 32), labels))
     assert found[1]["shown"] < 0.1 < 1.0 < found[0]["shown"]

@@ -94,7 +94,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
 
 def encoded(garments: GarmentSet) -> PictureDesigns:
-    """Pictures and targets of garments with the fields ``design`` and ``pictures``, on a CPU."""
+    """Pictures and targets of garments with the fields ``design``, ``pictures`` and ``shown``, on a CPU."""
     return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
 
 

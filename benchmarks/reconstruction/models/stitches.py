@@ -496,6 +496,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         some = edges.select(slice(count))
         choices = self.net.scores(seen.first(count), known[:count]).log_probabilities(self.net.config)
         sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
+        torch.clear_autocast_cache()  # weights that were cast here would get no gradient
         known[:count] = revealed(some, shares[:count], sure, edge_noise(seeds[:count], sure.shape[1]))
         return known
 

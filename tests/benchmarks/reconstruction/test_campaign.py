@@ -200,7 +200,9 @@ def test_a_gpu_drapes_the_answers_of_one_run_at_a_time(
     capsys.readouterr()
     assert main([*call, "--gpus", "2"]) == 0
     said = capsys.readouterr().err.splitlines()
-    assert said[:2] == ["campaign: a-1 drapes on GPU 0", "campaign: a-2 drapes on GPU 1"]
+    assert said[:3] == [
+        "campaign: garments of a-1, a-2, a-3", "campaign: a-1 drapes on GPU 0", "campaign: a-2 drapes on GPU 1",
+    ]  # fmt: skip
     assert "--workers 4" in (out / "a-3" / "log.txt").read_text().splitlines()[-1]  # 8 for two GPUs
 
 
@@ -212,6 +214,27 @@ def test_drapes_wait_for_garments(plan: Path, tmp_path: Path, capsys: pytest.Cap
     assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--at-once", "2"]) == 0
     said = capsys.readouterr().err
     assert said.index("b begins") < said.index("a drapes")
+
+
+def test_fresh_garments_wait_for_the_others(plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which all cores and GPUs make, before a training's own workers drape on its other GPU."""
+    fresh = "fresh = 9\nworkers = 3\nmake_device = 'cuda:1'"
+    plan.write_text(
+        f"[a]\nmodel = 'panel_set'\ntrain = 1\n{fresh}\n[b]\ntask = 'T1'\nmodel = 'slow'\ntrain = 1\nminutes = 1"
+    )
+    monkeypatch.setitem(MODELS, "panel_set", "tests.benchmarks.reconstruction.toy_program")
+    monkeypatch.setattr(campaign, "_require_usable", lambda run: None)
+    monkeypatch.setattr(campaign, "_is_network", lambda model: True)
+    monkeypatch.setattr(campaign, "cores", lambda: 9)
+    out = tmp_path / "runs"
+    assert main([str(plan), "--out", str(out), "--gpus", "0", "--at-once", "2"]) == 0
+    began = starts(out)
+    assert began[:2] == ["make a", "make b"]
+    assert sorted(began[2:]) == ["a", "b"]
+    made, trained = ((out / name).read_text() for name in ("garments_a.txt", "a/log.txt"))
+    assert "--workers 8" in made
+    assert "cuda:1" not in made
+    assert "--fresh 9 --workers 3 --make-device cuda:1" in trained
 
 
 def test_drapes_do_not_wait_for_a_training_that_needs_more_time(plan: Path, tmp_path: Path) -> None:
@@ -247,7 +270,7 @@ def test_drapes_that_the_limit_ends_are_repeated(
     assert "--drape --out runs/a`" in page
 
     assert main(call) == 0
-    assert starts(out) == ["drape a", "draped a"]
+    assert starts(out) == ["make a", "drape a", "draped a"]
     assert "1 done, 0 to be draped" in capsys.readouterr().out
     assert main(report) == 0
     page = (reports / "learning_T0.md").read_text()
@@ -267,7 +290,7 @@ def test_drapes_that_fail_are_tried_again_by_the_next_call(
     assert main([*call, "--list"]) == 0
     assert "a    to be draped  0.8 " in capsys.readouterr().out
     assert main(call) == 1
-    assert starts(out) == ["drape a"]
+    assert starts(out) == ["make a", "drape a"]
 
 
 def test_a_folder_has_one_campaign_at_a_time(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction import garments, picture_model
-from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction.derived import DERIVED, PICTURE_SIZE, PICTURES, picture_views
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_labels import FIRST_PANEL
@@ -17,7 +17,8 @@ from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOS
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.tensors import PANEL_LABELS
+from gcd_dataset.generator.render.pictures import GARMENT
+from gcd_dataset.tensors import PANEL_LABELS, PanelColumn
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
@@ -106,6 +107,14 @@ def test_a_step_sees_some_cells_and_an_answer_all() -> None:
     assert network.eval()(pictures).shape == (3, 2 * 4 * 4, 32)
 
 
+def test_labels_of_panels_that_no_sampler_of_ours_knows_are_none() -> None:
+    panels = torch.zeros(2, PanelColumn.LABEL + 1)
+    panels[:, PanelColumn.LABEL] = torch.tensor([1.0, len(PANEL_LABELS) + 3])
+    maps = {"part_map": torch.full((1, 2, 2), GARMENT), "panel_id_map": torch.tensor([[[0, 0], [1, 1]]])}
+    shown = DERIVED["shown"].of({**maps, "panels": panels})
+    assert shown.tolist() == [[[FIRST_PANEL + 1] * 2, [FIRST_PANEL + len(PANEL_LABELS)] * 2]]
+
+
 def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     torch.manual_seed(0)
     network = PictureTokens(EncoderConfig(width=32, heads=2, layers=1), views=2, size=4 * STRIDE, seen=5)
@@ -113,7 +122,7 @@ def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     labels[1:] = 0  # borders of others do not matter
     _, rows = network.seen_cells(torch.zeros(*labels.shape, 3, dtype=torch.uint8))
     assert all(len(set(some)) == 5 for some in rows.tolist())
-    network.shown.bias.data.normal_()
+    network.of_pixels.bias.data.normal_()
     flat = torch.zeros(3, 32, 32)
     seen, every = network.pixel_losses(flat[:, :5], labels, rows), network.pixel_losses(flat, labels)
     chosen = [network.pixel_losses(flat[:, :1], labels, rows[:, k : k + 1]) for k in range(5)]

@@ -6,12 +6,15 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from benchmarks.reconstruction import train
+from benchmarks.reconstruction.garments import Split
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED, main
 from benchmarks.run import main as run_case
@@ -192,6 +195,25 @@ def test_the_report_is_written_before_answers_are_draped(tmp_path: Path, monkeyp
     assert train.is_draped(json.loads((tmp_path / "report.json").read_text()))
 
 
+def test_a_report_of_other_points_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Patterns and keys may be the same: garments draped again, or read by another machine."""
+    call = ["ceiling", *SMALL, "--out", str(tmp_path)]
+    assert main(call) == 0
+    answers = Mock(wraps=train._answers)
+    monkeypatch.setattr(train, "_answers", answers)
+    assert main(call) == 0
+    assert not answers.called
+    load = train.load_split
+
+    def moved(options: train.Options) -> Split:
+        split = load(options)
+        return replace(split, test=replace(split.test, points=split.test.points + np.float16(1)))
+
+    monkeypatch.setattr(train, "load_split", moved)
+    assert main(call) == 0
+    assert answers.called
+
+
 def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
     flags = ["panel_set", *SMALL, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
     assert main([*flags, "--make-only"]) == 0
@@ -258,6 +280,11 @@ def test_the_case_trains_and_asks_the_references(tmp_path: Path, capsys: pytest.
     for name in ("panel_set_iou", "nearest_iou", "typical_stitch_f1", "ceiling_iou", "train_minutes"):
         assert f"reconstruction.{name} " in printed
     assert "| panel_set |" in (tmp_path / "report.md").read_text()
+    path = tmp_path / "out" / "typical" / "report.json"
+    report = json.loads(path.read_text())
+    path.write_text(json.dumps({**report, "scores": {"iou": [9.0, 9.0, 9.0]}}))
+    assert run_case(["reconstruction", *flags, "--models", "typical"]) == 0
+    assert "reconstruction.typical_iou 9" not in capsys.readouterr().out  # measured again
 
 
 @pytest.mark.parametrize(

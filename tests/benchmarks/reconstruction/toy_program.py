@@ -21,7 +21,7 @@ def main() -> int:
     parser.add_argument("model")
     parser.add_argument("--make-only", action="store_true")
     parser.add_argument("--drape", action="store_true")
-    for name in ("task", "train", "minutes", "workers", "limit-minutes"):
+    for name in ("task", "train", "minutes", "workers", "limit-minutes", "fresh", "make-device"):
         parser.add_argument(f"--{name}", default="")
     for name in ("out", "data", "turns"):
         parser.add_argument(f"--{name}", type=Path)
