@@ -14,8 +14,8 @@ A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs ar
 garments are there start, one for each GPU, the longest that fits into the time first; those with ``fresh`` garments
 when all sets are made. With ``--at-once 2`` a GPU
 has two runs, which take turns to train: one loads or scores meanwhile. A run with ``drape = true`` is started twice:
-without ``--drape``, and again to drape its answers, which starts when no garments are to be made and no training that
-fits into the time waits, on each GPU one such run at a time. It is finished when its report has the scores of drapes.
+without ``--drape``, and again to drape its answers, when all garments are made, no training that fits into the time
+waits, and its GPU has no other run. It is finished when its report has the scores of drapes.
 
 A call that ends early, or is killed, is repeated: trainings continue from their checkpoints, and answers whose drapes
 were stopped are draped again. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a run failed, else 0.
@@ -416,8 +416,8 @@ class _Campaign:
         """What starts in a slot: the longest training that fits into the time left; else a run to be draped; else the
         longest training, which a later call continues.
 
-        ``are_made``: whether all garments are made. Before, nothing starts that also drapes: neither the drapes of
-        answers, of which a GPU has one run at a time, nor a training on fresh garments.
+        ``are_made``: whether all garments are made. Before, nothing starts that also drapes: neither a training on
+        fresh garments, nor the drapes of answers, during which a GPU has no other run: they would slow its steps.
         """
         left = self._left() / 60
         trainings = [run for run in waiting if self.states[run.name] is not State.TO_DRAPE]
@@ -425,7 +425,9 @@ class _Campaign:
         ranked = sorted(trainings, key=self._expected, reverse=True)
         fitting = [run for run in ranked if self._expected(run) <= left]
         beside = [self.states[job.run.name] for other, job in self.jobs.items() if other.gpu == slot.gpu]
-        may_drape = are_made and left >= DRAPING and State.TO_DRAPE not in beside
+        if State.TO_DRAPE in beside:
+            return None
+        may_drape = are_made and left >= DRAPING and not beside
         undraped = [run for run in waiting if self.states[run.name] is State.TO_DRAPE] if may_drape else []
         begun = [run for run in ranked if run.minutes] if left >= LEAST else []
         return next(iter([*fitting, *undraped, *begun]), None)

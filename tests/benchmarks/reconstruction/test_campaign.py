@@ -38,7 +38,7 @@ minutes = 3
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A plan of toy programs."""
     monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
-    for name in ("short", "fails", "long", "endless", "beside", "slow", "hangs", "breaks"):
+    for name in ("short", "fails", "long", "endless", "beside", "slow", "hangs", "breaks", "naps"):
         monkeypatch.setitem(MODELS, name, "tests.benchmarks.reconstruction.toy_program")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
     monkeypatch.setattr(campaign, "LEAVE", 0.5)
@@ -206,6 +206,17 @@ def test_a_gpu_drapes_the_answers_of_one_run_at_a_time(
     assert "--workers 4" in (out / "a-3" / "log.txt").read_text().splitlines()[-1]  # 8 for two GPUs
 
 
+def test_nothing_drapes_beside_a_training(plan: Path, tmp_path: Path) -> None:
+    """On its GPU, whose steps it would slow."""
+    plan.write_text(
+        "[a]\nmodel = 'short'\ntrain = 1\nminutes = 1\ndrape = true\n[b]\nmodel = 'naps'\ntrain = 1\nminutes = 1"
+    )
+    out = tmp_path / "runs"
+    assert main([str(plan), "--out", str(out), "--gpus", "0", "--at-once", "2"]) == 0
+    began = starts(out)
+    assert began.index("ended b") < began.index("drape a")
+
+
 def test_drapes_wait_for_garments(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """While they are made, their trainings are about to need the GPU."""
     plan.write_text(
@@ -348,7 +359,7 @@ def test_a_damaged_report_is_one_error(
         ("smoke.toml", {"T7"}),
         ("h200.toml", {"T7"}),
         ("h200_short.toml", {"T7", "T1-scan"}),
-        ("h200_half_hour.toml", {"T7", "T1-scan"}),
+        ("h200_hour.toml", {"T7"}),
         ("h200_families.toml", {"T7", "T1-scan"}),
     ],
 )

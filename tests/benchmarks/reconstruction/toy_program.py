@@ -14,7 +14,7 @@ from pathlib import Path
 def main() -> int:
     """Run the command: ``fails`` fails, ``long`` stops at the limit of its first call, ``endless`` is killed.
 
-    ``beside`` ends once ``b`` has begun. ``slow`` takes a second to make garments. With ``--drape``, ``hangs`` is
+    ``beside`` ends once ``b`` has begun, ``naps`` after a second, which it notes. ``slow`` takes a second to make garments. With ``--drape``, ``hangs`` is
     killed the first time, and ``breaks`` fails.
     """
     parser = argparse.ArgumentParser()
@@ -37,6 +37,9 @@ def main() -> int:
         return 1
     while args.model == "beside" and "b" not in (args.out.parent / "starts.txt").read_text().splitlines():
         time.sleep(0.05)
+    if args.model == "naps":
+        time.sleep(1)
+        note(args.out, "ended ")
     if args.model == "endless":
         time.sleep(60)
     if args.model == "long" and not (args.out / "checkpoint.pt").exists():
