@@ -14,8 +14,8 @@ from pathlib import Path
 def main() -> int:
     """Run the command: ``fails`` fails, ``long`` stops at the limit of its first call, ``endless`` is killed.
 
-    ``beside`` ends once ``b`` has begun, ``naps`` after a second, which it notes. ``slow`` takes a second to make garments. With ``--drape``, ``hangs`` is
-    killed the first time, and ``breaks`` fails.
+    ``beside`` ends once ``b`` has begun, ``naps`` after a second, which it notes. ``slow`` takes a second to make
+    garments. With ``--drape``, ``hangs`` is killed the first time, and ``breaks`` fails.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("model")
