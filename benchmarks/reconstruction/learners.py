@@ -47,9 +47,11 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     """
 
     is_recordable: ClassVar[bool] = False
-    """Whether batches ``of_one_shape`` are dataclasses whose tensors are of one shape, and whose other fields are the
-    same, and the loss waits for nothing on the device: a compiled training on one GPU then records a step
-    (``recorded``)."""
+    """Whether a compiled training on one GPU records a step (``RecordedStep``).
+
+    The loss must wait for nothing on the device. A batch of the examples ``of_one_shape`` must be a dataclass that
+    differs from other batches only by the values of its tensors.
+    """
 
     @abstractmethod
     def prepare(self, garments: "GarmentSet", *, device: torch.device, workers: int = 0) -> Examples[Batch]:
@@ -80,7 +82,7 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         return [answer for part in rows for answer in self.predict(examples.batch(part))]
 
     def of_one_shape(self, examples: Examples[Batch]) -> Examples[Batch]:
-        """The examples, whose batches of a number of rows have one shape; by default all have."""
+        """The examples, such that batches of equally many rows have one shape; by default the same examples."""
         return examples
 
     def forward(self, batch: Batch) -> dict[str, Tensor]:

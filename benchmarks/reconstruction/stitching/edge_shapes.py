@@ -44,7 +44,7 @@ class EdgeInputs:
         return EdgeInputs(batch.valid, batch.following, shapes.before, shapes.features(placed=placed), pairs)
 
     def first(self, count: int) -> "EdgeInputs":
-        """Those of the first garments."""
+        """The inputs of the first ``count`` garments."""
         return EdgeInputs(
             valid=self.valid[:count],
             following=self.following[:count],

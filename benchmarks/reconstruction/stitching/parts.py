@@ -62,18 +62,17 @@ def fixed_parts(rows: int, above: tuple[float, ...], *, garments: int, is_given:
 
     ``is_given``: whether seams of garments are given, of each with a chance of 1/2 or less.
     """
-    room = [min(rows, _most(rows, chance, garments)) for chance in above[:-1]]
-    count = FIXED if rows >= LEAST_APART else 1
-    tries = [
-        tuple(
-            (before - after, ALIGNMENT * (at + 1))
-            for before, after, at in zip(
-                [rows, *(room[at] for at in chosen)], [*(room[at] for at in chosen), 0], [*chosen, len(room)],
-                strict=True,
-            )
-        )
-        for chosen in itertools.combinations(range(len(room)), min(count - 1, len(room)))
-    ]  # fmt: skip
+    wider = [min(rows, _most(rows, chance, garments)) for chance in above[:-1]]  # most garments above each width
+    count = min(FIXED if rows >= LEAST_APART else 1, len(above))
+
+    def sized(widths: Sequence[int]) -> list[tuple[int, int]]:
+        """Garments and edges of each part; a part takes those that are wider than the part before."""
+        room = [rows, *(wider[number] for number in widths), 0]
+        edges = [ALIGNMENT * (number + 1) for number in (*widths, len(wider))]
+        counts = [most - rest for most, rest in itertools.pairwise(room)]
+        return list(zip(counts, edges, strict=True))
+
+    tries = (sized(widths) for widths in itertools.combinations(range(len(wider)), count - 1))
     best = min(tries, key=lambda parts: sum(size * width**2 for size, width in parts))
     return tuple(Part(size, _most_given(size) if is_given else 0, width) for size, width in best if size)
 

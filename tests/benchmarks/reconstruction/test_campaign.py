@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.reconstruction import campaign
-from benchmarks.reconstruction.campaign import Planned, main, read_plan
+from benchmarks.reconstruction import campaign, planned_runs
+from benchmarks.reconstruction.campaign import main
 from benchmarks.reconstruction.models import MODELS
+from benchmarks.reconstruction.planned_runs import Planned, read_plan
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import add_arguments, options_from
@@ -37,7 +38,7 @@ minutes = 3
 @pytest.fixture
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A plan of toy programs."""
-    monkeypatch.setitem(campaign.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
+    monkeypatch.setitem(planned_runs.PROGRAMS, "train", "tests.benchmarks.reconstruction.toy_program")
     for name in ("short", "fails", "long", "endless", "beside", "slow", "hangs", "breaks", "naps"):
         monkeypatch.setitem(MODELS, name, "tests.benchmarks.reconstruction.toy_program")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
@@ -234,8 +235,8 @@ def test_fresh_garments_wait_for_the_others(plan: Path, tmp_path: Path, monkeypa
         f"[a]\nmodel = 'panel_set'\ntrain = 1\n{fresh}\n[b]\ntask = 'T1'\nmodel = 'slow'\ntrain = 1\nminutes = 1"
     )
     monkeypatch.setitem(MODELS, "panel_set", "tests.benchmarks.reconstruction.toy_program")
-    monkeypatch.setattr(campaign, "_require_usable", lambda run: None)
-    monkeypatch.setattr(campaign, "_is_network", lambda model: True)
+    monkeypatch.setattr(planned_runs, "_require_usable", lambda run: None)
+    monkeypatch.setattr(planned_runs, "_is_network", lambda model: True)
     monkeypatch.setattr(campaign, "cores", lambda: 9)
     out = tmp_path / "runs"
     assert main([str(plan), "--out", str(out), "--gpus", "0", "--at-once", "2"]) == 0
