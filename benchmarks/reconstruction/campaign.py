@@ -10,10 +10,11 @@ with ``program = "stitching.run"``; a list holds a value for each run, and sever
 is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score,
 without drapes.
 
-A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time. Runs whose
-garments are there start, one for each GPU, the longest that fits into the time first; those with ``fresh`` garments
-when all sets are made. With ``--at-once 2`` a GPU
-has two runs, which take turns to train: one loads or scores meanwhile. A run with ``drape = true`` is started twice:
+A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time, those without
+drapes first. Runs whose garments are there start, one for each GPU, the longest that fits into the time first; those
+with ``fresh`` garments when all sets are made. Where some runs need no drapes, the last of several GPUs drapes the sets
+of the others and begins no run until then. With ``--at-once 2`` a GPU has two runs, which take turns to train: one
+loads or scores meanwhile. A run with ``drape = true`` is started twice:
 without ``--drape``, and again to drape its answers, when all garments are made, no training that fits into the time
 waits, and its GPU has no other run. It is finished when its report has the scores of drapes.
 
@@ -173,6 +174,8 @@ class _Campaign:
         self.limit = 60.0 * args.limit_minutes or float("inf")
         self.states: dict[str, State] = {}
         self.jobs: dict[_Slot, _Job] = {}
+        self.maker: int | None = None
+        """The GPU that drapes garments, and begins no run, while others train; ``None`` when none or all do."""
         self.lock = -1
 
     def run(self, runs: Sequence[Planned]) -> int:
@@ -210,6 +213,10 @@ class _Campaign:
         """Make the garments of each data set, start its runs, drape their answers, and wait for them."""
         ready: list[Planned] = []
         sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
+        sets.sort(key=_is_draped)
+        gpus = sorted({slot.gpu for slot in self.slots if slot.gpu is not None})
+        if len(gpus) > 1 and len({_is_draped(sharing) for sharing in sets}) > 1:
+            self.maker = gpus[-1]
         while sets or ready or self.jobs:
             if self._left() <= 0:
                 self._end_all()
@@ -218,8 +225,12 @@ class _Campaign:
                 if slot in self.jobs:
                     continue
                 is_making = any(job.makes for job in self.jobs.values())
-                if sets and not is_making:
+                if self.maker is not None and not sets and not is_making:
+                    self.maker = None
+                if sets and not is_making and (not _is_draped(sets[0]) or self.maker in (None, slot.gpu)):
                     self._make(slot, sets.pop(0))
+                elif self.maker is not None and slot.gpu == self.maker:
+                    continue
                 elif (run := self._next(slot, ready, are_made=not sets and not is_making)) is not None:
                     ready.remove(run)
                     self._begin(slot, run)
@@ -289,6 +300,7 @@ class _Campaign:
     def _ended(self, job: _Job, code: int) -> Sequence[Planned]:
         """Note how a program ended. Returns the runs that can start now."""
         if job.makes and code == 0:
+            _say(f"garments made in {time.monotonic() - job.begun:.0f} s")
             return job.makes
         if job.makes:
             log = self._log_of_garments(job.run)
@@ -334,7 +346,8 @@ class _Campaign:
             arguments += ["--turns", str(self.out / f"turns{'' if slot.gpu is None else slot.gpu}")]
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}  # all cores have processes
         if slot.gpu is not None:
-            environment["CUDA_VISIBLE_DEVICES"] = _visible(slot.gpu)
+            visible = _visible(slot.gpu)
+            environment["CUDA_VISIBLE_DEVICES"] = visible if self.maker is None else visible.split(",")[0]
         with log.open("ab") as file:
             file.write(f"$ {shlex.join(['python', *arguments])}\n".encode())
             file.flush()
@@ -379,6 +392,11 @@ class _Campaign:
         counts = [f"{sum(s is state for s in self.states.values())} {state}" for state in State]
         total = sum(self._minutes_left(run) for run in runs)
         print(", ".join(counts) + (f"; {total:.0f} minutes left on one device" if total else ""))
+
+
+def _is_draped(sharing: Sequence[Planned]) -> bool:
+    """Whether the garments that the runs share are draped."""
+    return sharing[0].has_draped_garments
 
 
 @contextmanager

@@ -51,6 +51,7 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
 CURVES, COLUMNS = 3, 5  # of these scores: drawn and shown by kind, and in the table of all tasks
+LABEL_APART = 1.3  # ratio of two numbers whose labels do not cover each other
 LOWER = ("error_cm", "error_degrees", "ms")
 """Scores of which the lower is the better."""
 PROGRAMS = (
@@ -469,7 +470,7 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
     except ImportError as error:
         raise ConfigError("the curves need matplotlib: pip install 'gcd-dataset[bench]'") from error
     names = _first_scores(task, entries)
-    figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
+    figure = Figure(figsize=(4.2 * len(names) + 1.6, 3.4), layout="constrained")
     for k, name in enumerate(names):
         plot = figure.add_subplot(1, len(names), k + 1)
         for number, (model, own) in enumerate(_by_model(entries).items()):
@@ -483,18 +484,31 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
                     style |= {"markerfacecolor": "white"} if is_fresh else {}
                     plot.errorbar(x, y, yerr=(below, above), fmt="o-", label=label, **style)
         plot.set_xscale("log")
-        plot.set_xticks(sorted({e.train + e.fresh for e in entries}))
+        plot.set_xticks(_apart(sorted({e.train + e.fresh for e in entries})))
         plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         plot.xaxis.set_minor_locator(NullLocator())
         plot.set_xlabel("garments trained on")
         plot.set_title(f"{task}: {name}", fontsize=10)
         plot.grid(alpha=0.3)
-        if not k:
-            plot.legend(fontsize=8)
+    marks: dict[str, Any] = {}
+    for plot in figure.axes:  # a model may lack the first score
+        marks |= {label: mark for mark, label in zip(*plot.get_legend_handles_labels(), strict=True)}
+    labels = sorted(marks)
+    figure.legend([marks[label] for label in labels], labels, loc="outside right upper", fontsize=8)
     file = io.BytesIO()
     FigureCanvasAgg(figure)
     figure.savefig(file, format="png", metadata={"Software": None})
     return file.getvalue()
+
+
+def _apart(numbers: Sequence[int]) -> list[int]:
+    """Increasing numbers without those whose labels the next would cover on a logarithmic axis.
+
+    >>> _apart([1000, 4000, 13_956, 16_000])
+    [1000, 4000, 16000]
+    """
+    followers = [*numbers[1:], math.inf]
+    return [number for number, following in zip(numbers, followers, strict=True) if following >= LABEL_APART * number]
 
 
 def _about(task: str) -> str:

@@ -49,6 +49,11 @@ class Planned:
         return bool(self.options.get("drape"))
 
     @property
+    def has_draped_garments(self) -> bool:
+        """Whether the garments that it learns from and is tested on are draped."""
+        return task_named(self.task).stage == "drape"
+
+    @property
     def training(self) -> list[str]:
         """The command without ``--drape``."""
         return replace(self, options={key: value for key, value in self.options.items() if key != "drape"}).command

@@ -146,7 +146,7 @@ class Growing(Protocol):
 
 def train(
     learner: Learner[Batch, Any],
-    examples: Examples[Batch],
+    examples: Examples[Batch] | Callable[[], Examples[Batch]],
     config: TrainConfig,
     *,
     device: torch.device,
@@ -159,6 +159,8 @@ def train(
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
+    ``examples``: or a function that prepares them, which a finished training does not call. It leaves the learner as
+    it is, and draws no number from torch's own generators.
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
     stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. ``turns``:
@@ -170,9 +172,15 @@ def train(
     torch.manual_seed(config.seed)
     run = _Run(learner.to(device), config, device, of)
     curves = _Curves(None if out is None or _rank() else make_folder(out))
+    position: Mapping[str, Any] | None = None
     if out is not None and (out / CHECKPOINT).exists():
-        run.restore(out / CHECKPOINT, examples)
+        position = run.restore(out / CHECKPOINT)
         curves.resume(run.step)
+    if run.progress >= 1 and callable(examples):
+        return Trained(run.average(), run.step, run.seconds, 0.0, curves.rows)
+    examples = examples() if callable(examples) else examples
+    if position is not None and isinstance(examples, Growing):
+        examples.load_state_dict(dict(position))
     if config.compile and run.progress < 1:
         examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
@@ -469,8 +477,8 @@ class _Run:
         with drafted(path) as draft:
             torch.save(state, draft)
 
-    def restore(self, path: Path, examples: Examples[Any]) -> None:
-        """Continue from a checkpoint. Raises ``ConfigError`` for one of other options."""
+    def restore(self, path: Path) -> Mapping[str, Any]:
+        """Continue from a checkpoint; the state of its examples. Raises ``ConfigError`` for one of other options."""
         try:
             state = torch.load(path, map_location=self.device, weights_only=True)
         except (RuntimeError, EOFError, ValueError, UnpicklingError) as error:
@@ -487,8 +495,8 @@ class _Run:
         torch.set_rng_state(state["random"].cpu())
         if state["random_cuda"] is not None:
             torch.cuda.set_rng_state(state["random_cuda"].cpu(), self.device)
-        if isinstance(examples, Growing):
-            examples.load_state_dict(state["examples"])
+        position: Mapping[str, Any] = state["examples"]
+        return position
 
 
 @torch.no_grad()

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchLearner
+from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchExamples, StitchLearner
 from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
@@ -86,9 +86,12 @@ def run(args: argparse.Namespace) -> None:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
     learner = StitchLearner(sizes)
-    examples = learner.prepare(split.train, device=device, workers=args.workers)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
-    _say(f"{len(examples)} + {len(tests)} patterns after {time.perf_counter() - began:.0f} s, on {device}")
+
+    def prepared() -> StitchExamples:
+        examples = learner.prepare(split.train, device=device, workers=args.workers)
+        _say(f"{len(examples)} patterns prepared after {time.perf_counter() - began:.0f} s, on {device}")
+        return examples
 
     def check(step: int, current: Any) -> Mapping[str, float]:
         some = watched[:WATCHED]
@@ -99,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
     limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
-    trained = train(learner, examples, config, turns=Path(args.turns) if args.turns else None, **arguments)
+    trained = train(learner, prepared, config, turns=Path(args.turns) if args.turns else None, **arguments)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {

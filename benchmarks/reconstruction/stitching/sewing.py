@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import networkx
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from torch import nn
 
 from benchmarks.reconstruction.stitching.graphs import (
@@ -26,7 +29,7 @@ from gcd_dataset.records import EdgeRef, Pattern
 if TYPE_CHECKING:
     from benchmarks.reconstruction.models.stitches import StitchNet
 
-__all__ = ["Subdivision", "greedy_by_length", "predict_cuts", "predict_stitches", "sew"]
+__all__ = ["Subdivision", "best_pairs", "greedy_by_length", "predict_cuts", "predict_stitches", "sew"]
 
 LEAST = 1e-3  # probability of a seam that may be predicted
 REVISIONS = 3  # most times that needless points of subdivision are taken back
@@ -159,10 +162,64 @@ def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:
     free = logs[:, -1]
     mutual = 0.5 * (logs[:, :-1] + logs[:, :-1].T)
     gain = mutual - 0.5 * (free[:, None] + free)
-    graph = networkx.Graph()
-    for left, right in zip(*np.nonzero(np.triu((gain > 0) & (mutual > math.log(LEAST)), 1)), strict=True):
-        graph.add_edge(int(left), int(right), weight=float(gain[left, right]))
-    return sorted((min(pair), max(pair)) for pair in networkx.max_weight_matching(graph))
+    gain[(gain <= 0) | (mutual <= math.log(LEAST))] = 0.0
+    np.fill_diagonal(gain, 0.0)
+    return best_pairs(gain)
+
+
+def best_pairs(gain: Float[np.ndarray, "e e"]) -> list[tuple[int, int]]:
+    """The pairs of rows of greatest total weight, each row at most once.
+
+    ``gain``: symmetric weights, 0 for what is no pair.
+
+    The best assignment of rows to columns weighs at least twice as much as any pairs. Its cycles of even length, and
+    those with a link of weight 0, are two sets of pairs each, of which one weighs at least half; so these are the best
+    pairs. Only rows that are linked to another cycle need the search by blossoms (Edmonds, 1965), which takes longer.
+    """
+    found: list[tuple[int, int]] = []
+    _, piece = connected_components(csr_array(gain > 0), directed=False)
+    searched = np.zeros(len(gain), bool)
+    for cycle in _cycles(linear_sum_assignment(gain, maximize=True)[1]):
+        weights = gain[cycle, np.roll(cycle, -1)]
+        if len(cycle) % 2 and (weights > 0).all():
+            searched |= piece == piece[cycle[0]]
+            continue
+        first = 0 if len(cycle) % 2 == 0 else int(weights.argmin()) + 1  # an odd cycle is a path from its missing link
+        along, links = np.roll(cycle, -first), np.roll(weights, -first)
+        links = links if len(cycle) % 2 == 0 else links[:-1]
+        start = int(links[1::2].sum() > links[::2].sum())
+        ends = np.roll(along, -1)
+        found += [(int(along[k]), int(ends[k])) for k in range(start, len(links), 2) if links[k] > 0]
+    found = [pair for pair in found if not searched[pair[0]]] + _pairs_by_search(gain, piece, searched)
+    return sorted((min(pair), max(pair)) for pair in found)
+
+
+def _cycles(permutation: Int[np.ndarray, " n"]) -> list[Int[np.ndarray, " k"]]:
+    """The cycles of a permutation, without fixed rows."""
+    found, seen = list[np.ndarray](), np.zeros(len(permutation), bool)
+    for row in range(len(permutation)):
+        cycle = list[int]()
+        while not seen[row]:
+            seen[row] = True
+            cycle.append(row)
+            row = int(permutation[row])
+        if len(cycle) > 1:
+            found.append(np.array(cycle))
+    return found
+
+
+def _pairs_by_search(
+    gain: Float[np.ndarray, "e e"], piece: Int[np.ndarray, " e"], searched: Bool[np.ndarray, " e"]
+) -> list[tuple[int, int]]:
+    """The best pairs of the rows ``searched``, each ``piece`` by itself."""
+    found: list[tuple[int, int]] = []
+    for one in np.unique(piece[searched]):
+        rows = np.flatnonzero(piece == one)
+        graph = networkx.Graph()
+        for left, right in zip(*np.nonzero(np.triu(gain[np.ix_(rows, rows)])), strict=True):
+            graph.add_edge(int(rows[left]), int(rows[right]), weight=float(gain[rows[left], rows[right]]))
+        found += networkx.max_weight_matching(graph)
+    return found
 
 
 def predict_cuts(net: "StitchNet", batch: EdgeBatch, *, logit: float = 0.0) -> list[dict[int, list[float]]]:

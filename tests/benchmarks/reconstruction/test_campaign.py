@@ -200,7 +200,7 @@ def test_a_gpu_drapes_the_answers_of_one_run_at_a_time(
         path.write_text(json.dumps(report | {"scores": {"topology_exact": report["scores"]["topology_exact"]}}))
     capsys.readouterr()
     assert main([*call, "--gpus", "2"]) == 0
-    said = capsys.readouterr().err.splitlines()
+    said = [line for line in capsys.readouterr().err.splitlines() if "garments made" not in line]
     assert said[:3] == [
         "campaign: garments of a-1, a-2, a-3", "campaign: a-1 drapes on GPU 0", "campaign: a-2 drapes on GPU 1",
     ]  # fmt: skip
@@ -226,6 +226,24 @@ def test_drapes_wait_for_garments(plan: Path, tmp_path: Path, capsys: pytest.Cap
     assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--at-once", "2"]) == 0
     said = capsys.readouterr().err
     assert said.index("b begins") < said.index("a drapes")
+
+
+def test_one_gpu_drapes_garments_while_others_train(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.write_text(
+        "[draped]\ntask = 'T1'\nmodel = 'slow'\ntrain = 5\nminutes = 1\n"
+        "[flat]\ntask = 'T0'\nmodel = 'short'\ntrain = [10, 20, 30]\nminutes = 1\n"
+    )
+    assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "2"]) == 0
+    began = starts(tmp_path / "runs")
+    assert began[0] == "make flat-30"  # by all cores, before anything drapes
+    said = capsys.readouterr().err.splitlines()
+    draped = said.index("campaign: garments of draped")
+    made = next(k for k in range(draped, len(said)) if "garments made in" in said[k])
+    assert any("begins on GPU 0" in line for line in said[draped:made])
+    assert not any("begins on GPU 1" in line for line in said[:made])
+    assert any("draped begins on GPU" in line for line in said[made:])
 
 
 def test_fresh_garments_wait_for_the_others(plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

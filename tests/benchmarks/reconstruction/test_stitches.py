@@ -31,7 +31,7 @@ from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, 
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.run import write
-from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
+from benchmarks.reconstruction.stitching.sewing import Subdivision, best_pairs, greedy_by_length, sew
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.errors import ConfigError
@@ -391,6 +391,38 @@ def encode(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def rows_of(pattern: Pattern) -> list[tuple[int, int]]:
     rows = {ref: row for row, ref in enumerate(edge_refs(pattern))}
     return [(rows[seam.left], rows[seam.right]) for seam in pattern.seams]
+
+
+def heaviest(gain: np.ndarray, free: tuple[int, ...]) -> float:
+    """Weight of the best pairs among rows, by trying all."""
+    if len(free) < 2:
+        return 0.0
+    first, rest = free[0], free[1:]
+    paired = [gain[first, row] + heaviest(gain, tuple(r for r in rest if r != row)) for row in rest]
+    return float(max([heaviest(gain, rest), *paired]))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_best_pairs_weigh_as_much_as_any(seed: int) -> None:
+    chance = np.random.default_rng(seed)
+    count = seed % 9
+    drawn = np.triu(chance.random((count, count)) * (chance.random((count, count)) < 0.6), 1)
+    drawn = np.round(2 * drawn) if seed % 3 == 0 else drawn  # equal weights, so cycles of any length
+    gain = drawn + drawn.T
+    pairs = best_pairs(gain)
+    rows = [row for pair in pairs for row in pair]
+    assert len(set(rows)) == len(rows)
+    assert all(gain[pair] > 0 for pair in pairs)
+    assert sum(gain[pair] for pair in pairs) == pytest.approx(heaviest(gain, tuple(range(count))))
+
+
+def test_three_edges_that_fit_each_other_are_one_pair_and_a_free_edge() -> None:
+    gain = np.zeros((7, 7))
+    for a, b, weight in [(0, 1, 2.0), (1, 2, 2.0), (0, 2, 2.0), (3, 4, 1.0), (4, 5, 1.5), (5, 6, 1.0)]:
+        gain[a, b] = gain[b, a] = weight
+    pairs = best_pairs(gain)
+    assert pairs[1:] == [(3, 4), (5, 6)]
+    assert pairs[0] in [(0, 1), (1, 2), (0, 2)]
 
 
 def test_greedy_sews_edges_of_equal_length() -> None:

@@ -72,6 +72,21 @@ def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None
     assert same(trained(tmp_path), trained(tmp_path))
 
 
+def test_examples_are_prepared_unless_the_training_is_finished(tmp_path: Path) -> None:
+    prepared = []
+
+    def prepare() -> Line:
+        prepared.append(1)
+        return line()
+
+    arguments: dict[str, Any] = {"device": torch.device("cpu"), "out": tmp_path}
+    with pytest.raises(StoppedError):
+        train(LineLearner(), prepare, CONFIG, limit=0.0, **arguments)
+    found = train(LineLearner(), prepare, CONFIG, **arguments)
+    assert same(train(LineLearner(), prepare, CONFIG, **arguments), found)
+    assert len(prepared) == 2
+
+
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
     assert same(trained(), trained())
     assert not same(trained(), trained(config=TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, seed=1)))
