@@ -29,7 +29,7 @@ from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
-from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew
+from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
 from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
@@ -42,7 +42,7 @@ from gcd_dataset.spec import read_pattern, write_pattern
 __all__ = ["SMOKE", "add_arguments", "configs_from", "main", "parsed"]
 
 DRAWS = 1000  # of the bootstrap
-CHECKED = 200  # patterns that choose how edges are subdivided
+CHECKED = 100  # patterns that choose how edges are subdivided
 WATCHED = 32  # of these: patterns that are scored during the training
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 SMOKE: dict[str, Any] = {
@@ -193,11 +193,12 @@ def calibrated(learner: StitchLearner, patterns: Sequence[Pattern]) -> Subdivisi
     if not joined:
         return Subdivision()
 
-    def f1(way: Subdivision) -> float:
-        answers = sew(learner.net, [entry.pattern for entry in joined], subdivide=way)
-        return float(np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)]))
-
-    return max((Subdivision(logit, revised) for logit in CUT_LOGITS for revised in (False, True)), key=f1)
+    bare = [entry.pattern for entry in joined]
+    scored = {
+        way: np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)])
+        for way, answers in sew_in_ways(learner.net, bare, CUT_LOGITS)
+    }
+    return max(scored, key=lambda way: float(scored[way]))
 
 
 def evaluate(

@@ -1,9 +1,9 @@
 """The seams of patterns, as a ``StitchNet`` predicts them in rounds, and the points at which it subdivides edges."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import networkx
 import numpy as np
@@ -24,12 +24,12 @@ from benchmarks.reconstruction.stitching.graphs import (
     with_seams,
 )
 from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, split
-from gcd_dataset.records import EdgeRef, Pattern
+from gcd_dataset.records import Pattern
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.models.stitches import StitchNet
 
-__all__ = ["Subdivision", "best_pairs", "greedy_by_length", "predict_cuts", "predict_stitches", "sew"]
+__all__ = ["Subdivision", "best_pairs", "greedy_by_length", "predict_cuts", "predict_stitches", "sew", "sew_in_ways"]
 
 LEAST = 1e-3  # probability of a seam that may be predicted
 REVISIONS = 3  # most times that needless points of subdivision are taken back
@@ -62,32 +62,80 @@ def sew(
     join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
     the edges in a loop, cannot help; it breaks ties between equally likely seams.
     """
-    bare = [replace(pattern, seams=()) for pattern in patterns]
     if subdivide is None:
-        return _sewn(net, bare, rounds, batch, seed)
-    cuts: list[dict[EdgeRef, tuple[float, ...]]] = []
-    for first in range(0, len(bare), batch):
-        some = bare[first : first + batch]
-        found = predict_cuts(
-            net,
-            PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))[torch.arange(len(some))],
-            logit=subdivide.logit,
-        )
-        cuts += [
-            {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
-            for pattern, own in zip(some, found, strict=True)
-        ]
-    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], rounds, batch, seed)
-    for _ in range(REVISIONS if subdivide.revised else 0):
-        fewer = [needed(*three) for three in zip(bare, cuts, parts, strict=True)]
-        changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
-        if not changed:
-            break
-        again = _sewn(net, [split(bare[k], fewer[k]) for k in changed], rounds, batch, seed)
-        cuts = fewer
-        for k, pattern in zip(changed, again, strict=True):
-            parts[k] = pattern
-    return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
+        return _sewn(net, [replace(pattern, seams=()) for pattern in patterns], rounds, batch, seed)
+    found = _Parts.of(net, patterns, subdivide.logit, rounds=rounds, batch=batch, seed=seed)
+    return (found.revised() if subdivide.revised else found).patterns()
+
+
+def sew_in_ways(
+    net: "StitchNet", patterns: Sequence[Pattern], logits: Sequence[float]
+) -> Iterator[tuple[Subdivision, list[Pattern]]]:
+    """Ways to subdivide edges, each with the patterns as ``sew`` returns them; for each of ``logits`` two."""
+    for logit in logits:
+        found = _Parts.of(net, patterns, logit)
+        yield Subdivision(logit), found.patterns()
+        yield Subdivision(logit, revised=True), found.revised().patterns()
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Patterns with subdivided edges, and the seams predicted for them."""
+
+    net: "StitchNet"
+    bare: Sequence[Pattern]
+    """The patterns without seams."""
+    cuts: Sequence[Cuts]
+    parts: Sequence[Pattern]
+    """The patterns subdivided at ``cuts``, with seams."""
+    options: Mapping[str, int]
+    """Of ``_sewn``."""
+
+    @classmethod
+    @torch.no_grad()
+    def of(
+        cls,
+        net: "StitchNet",
+        patterns: Sequence[Pattern],
+        logit: float,
+        *,
+        rounds: int = 0,
+        batch: int = 64,
+        seed: int = 0,
+    ) -> Self:
+        """The patterns subdivided at points of a greater log-odds than ``logit``."""
+        bare = [replace(pattern, seams=()) for pattern in patterns]
+        cuts: list[Cuts] = []
+        for first in range(0, len(bare), batch):
+            some = bare[first : first + batch]
+            graphs = PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))
+            found = predict_cuts(net, graphs[torch.arange(len(some))], logit=logit)
+            cuts += [
+                {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
+                for pattern, own in zip(some, found, strict=True)
+            ]
+        options = {"rounds": rounds, "batch": batch, "seed": seed}
+        parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], **options)
+        return cls(net, bare, cuts, parts, options)
+
+    @torch.no_grad()
+    def revised(self) -> Self:
+        """Without needless points; the seams are predicted again."""
+        cuts, parts = list(self.cuts), list(self.parts)
+        for _ in range(REVISIONS):
+            fewer = [needed(*three) for three in zip(self.bare, cuts, parts, strict=True)]
+            changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
+            if not changed:
+                break
+            again = _sewn(self.net, [split(self.bare[k], fewer[k]) for k in changed], **self.options)
+            cuts = list(fewer)
+            for k, pattern in zip(changed, again, strict=True):
+                parts[k] = pattern
+        return replace(self, cuts=cuts, parts=parts)
+
+    def patterns(self) -> list[Pattern]:
+        """The patterns with seams, subdivided where the lengths of the seams agree."""
+        return [_moved(*three) for three in zip(self.bare, self.cuts, self.parts, strict=True)]
 
 
 def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:

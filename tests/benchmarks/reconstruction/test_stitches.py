@@ -31,7 +31,7 @@ from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, 
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.run import write
-from benchmarks.reconstruction.stitching.sewing import Subdivision, best_pairs, greedy_by_length, sew
+from benchmarks.reconstruction.stitching.sewing import Subdivision, best_pairs, greedy_by_length, sew, sew_in_ways
 from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.errors import ConfigError
@@ -508,6 +508,20 @@ def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
         assert count < sum(
             len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit), rounds=1)[0].panels
         ) - sum(len(p.edges) for p in pattern.panels)
+
+
+def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
+    joined = merged(t_shirt())
+    assert joined is not None
+    torch.manual_seed(3)
+    net = StitchNet(replace(SMALL, rounds=1)).eval()
+    several = list(sew_in_ways(net, [joined.pattern], (0.0, -9.0)))
+    assert [(way.logit, way.revised) for way, _ in several] == [(0.0, False), (0.0, True), (-9.0, False), (-9.0, True)]
+    for way, (found,) in several:
+        assert found.seams == sew(net, [joined.pattern], subdivide=way)[0].seams
+    counts = [sum(len(panel.edges) for panel in found.panels) for _, (found,) in several]
+    assert counts[2] > counts[0]
+    assert counts[3] < counts[2]
 
 
 def test_edges_sewn_to_one_panel_are_not_joined() -> None:
