@@ -12,9 +12,9 @@ without drapes.
 
 A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time, those without
 drapes first. Runs whose garments are there start, one for each GPU, the longest that fits into the time first; those
-with ``fresh`` garments when all sets are made. Where some runs need no drapes, the last of several GPUs drapes the sets
-of the others and begins no run until then. With ``--at-once 2`` a GPU has two runs, which take turns to train: one
-loads or scores meanwhile. A run with ``drape = true`` is started twice:
+with ``fresh`` garments when all sets are made. While runs on garments without drapes train, the last of several GPUs
+drapes the garments of the others and begins no run. With ``--at-once 2`` a GPU has two runs, which take turns to train:
+one loads or scores meanwhile. A run with ``drape = true`` is started twice:
 without ``--drape``, and again to drape its answers, when all garments are made, no training that fits into the time
 waits, and its GPU has no other run. It is finished when its report has the scores of drapes.
 
@@ -214,9 +214,8 @@ class _Campaign:
         ready: list[Planned] = []
         sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
         sets.sort(key=_is_draped)
-        gpus = sorted({slot.gpu for slot in self.slots if slot.gpu is not None})
-        if len(gpus) > 1 and len({_is_draped(sharing) for sharing in sets}) > 1:
-            self.maker = gpus[-1]
+        if any(self._may_train(run) for sharing in sets if not _is_draped(sharing) for run in sharing):
+            self.maker = self._last_gpu() if any(map(_is_draped, sets)) else None
         while sets or ready or self.jobs:
             if self._left() <= 0:
                 self._end_all()
@@ -225,9 +224,9 @@ class _Campaign:
                 if slot in self.jobs:
                     continue
                 is_making = any(job.makes for job in self.jobs.values())
-                if self.maker is not None and not sets and not is_making:
+                if not is_making and not self._may_train_beside(sets, ready):
                     self.maker = None
-                if sets and not is_making and (not _is_draped(sets[0]) or self.maker in (None, slot.gpu)):
+                if sets and not is_making and self.maker in (None, slot.gpu):
                     self._make(slot, sets.pop(0))
                 elif self.maker is not None and slot.gpu == self.maker:
                     continue
@@ -241,6 +240,22 @@ class _Campaign:
                 if (code := job.process.poll()) is not None:
                     del self.jobs[slot]
                     ready += self._ended(job, code)
+
+    def _last_gpu(self) -> int | None:
+        """The last of several GPUs."""
+        gpus = sorted({slot.gpu for slot in self.slots if slot.gpu is not None})
+        return gpus[-1] if len(gpus) > 1 else None
+
+    def _may_train(self, run: Planned) -> bool:
+        """Whether a run can train before all garments are made."""
+        return self.states[run.name] is not State.TO_DRAPE and not run.options.get("fresh")
+
+    def _may_train_beside(self, sets: Sequence[Sequence[Planned]], ready: Sequence[Planned]) -> bool:
+        """Whether runs train, or may soon, while the next set is made."""
+        if not sets:
+            return False
+        fits = any(self._may_train(run) and self._expected(run) <= self._left() / 60 for run in ready)
+        return bool(self.jobs) or fits or not _is_draped(sets[0])
 
     def _make(self, slot: _Slot, sharing: Sequence[Planned]) -> None:
         """Start to make the largest set of garments of the runs that share them."""

@@ -502,13 +502,16 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
 
 
 def _apart(numbers: Sequence[int]) -> list[int]:
-    """Increasing numbers without those whose labels the next would cover on a logarithmic axis.
+    """Increasing numbers without those whose labels a greater one would cover on a logarithmic axis.
 
     >>> _apart([1000, 4000, 13_956, 16_000])
     [1000, 4000, 16000]
     """
-    followers = [*numbers[1:], math.inf]
-    return [number for number, following in zip(numbers, followers, strict=True) if following >= LABEL_APART * number]
+    kept: list[int] = []
+    for number in reversed(numbers):
+        if not kept or kept[0] >= LABEL_APART * number:
+            kept.insert(0, number)
+    return kept
 
 
 def _about(task: str) -> str:

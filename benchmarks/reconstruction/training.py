@@ -177,6 +177,7 @@ def train(
         position = run.restore(out / CHECKPOINT)
         curves.resume(run.step)
     if run.progress >= 1 and callable(examples):
+        curves.close()
         return Trained(run.average(), run.step, run.seconds, 0.0, curves.rows)
     examples = examples() if callable(examples) else examples
     if position is not None and isinstance(examples, Growing):

@@ -210,7 +210,7 @@ def _best_matching(logs: Float[np.ndarray, "e e+1"]) -> list[tuple[int, int]]:
     free = logs[:, -1]
     mutual = 0.5 * (logs[:, :-1] + logs[:, :-1].T)
     gain = mutual - 0.5 * (free[:, None] + free)
-    gain[(gain <= 0) | (mutual <= math.log(LEAST))] = 0.0
+    gain[~(np.isfinite(gain) & (gain > 0) & (mutual > math.log(LEAST)))] = 0.0
     np.fill_diagonal(gain, 0.0)
     return best_pairs(gain)
 
