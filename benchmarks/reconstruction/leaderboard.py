@@ -51,7 +51,7 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
 CURVES, COLUMNS = 3, 5  # of these scores: drawn and shown by kind, and in the table of all tasks
-LABEL_APART = 1.3  # ratio of two numbers whose labels do not cover each other
+LABEL_APART = 1.3  # least ratio of neighbouring tick labels on a logarithmic axis
 LOWER = ("error_cm", "error_degrees", "ms")
 """Scores of which the lower is the better."""
 PROGRAMS = (

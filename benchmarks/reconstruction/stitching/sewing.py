@@ -229,15 +229,15 @@ def best_pairs(gain: Float[np.ndarray, "e e"]) -> list[tuple[int, int]]:
     searched = np.zeros(len(gain), bool)
     for cycle in _cycles(linear_sum_assignment(gain, maximize=True)[1]):
         weights = gain[cycle, np.roll(cycle, -1)]
-        if len(cycle) % 2 and (weights > 0).all():
+        is_odd = bool(len(cycle) % 2)
+        if is_odd and (weights > 0).all():
             searched |= piece == piece[cycle[0]]
             continue
-        first = 0 if len(cycle) % 2 == 0 else int(weights.argmin()) + 1  # an odd cycle is a path from its missing link
-        along, links = np.roll(cycle, -first), np.roll(weights, -first)
-        links = links if len(cycle) % 2 == 0 else links[:-1]
-        start = int(links[1::2].sum() > links[::2].sum())
-        ends = np.roll(along, -1)
-        found += [(int(along[k]), int(ends[k])) for k in range(start, len(links), 2) if links[k] > 0]
+        if is_odd:  # a path that begins after its missing link
+            first = int(weights.argmin()) + 1
+            cycle, weights = np.roll(cycle, -first), np.roll(weights, -first)[:-1]
+        ends, start = np.roll(cycle, -1), int(weights[1::2].sum() > weights[::2].sum())
+        found += [(int(cycle[k]), int(ends[k])) for k in range(start, len(weights), 2) if weights[k] > 0]
     found = [pair for pair in found if not searched[pair[0]]] + _pairs_by_search(gain, piece, searched)
     return sorted((min(pair), max(pair)) for pair in found)
 
