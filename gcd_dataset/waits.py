@@ -6,7 +6,8 @@ empties it. Worker processes send their accounts along with their results, and t
 
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from typing import NamedTuple, TypeVar
 
 __all__ = [
@@ -103,14 +104,20 @@ def take_waits() -> dict[str, Wait]:
 
 
 def timed(items: Iterable[Item], name: str) -> Iterator[Item]:
-    """The same items, recording under ``name`` the time spent in ``next`` as idle and the time between as busy."""
+    """The same items, recording under ``name`` the time spent in ``next`` as idle and the time between as busy.
+
+    A generator is closed when this one ends or raises: its ``finally`` blocks run before those of the caller.
+    """
     clock, iterator = WaitClock(), iter(items)
-    while True:
-        begin = time.perf_counter()
-        try:
-            item = next(iterator)
-        except StopIteration:
-            return
-        clock.add_idle(time.perf_counter() - begin)
-        record_wait(name, clock.lap())
-        yield item
+    with ExitStack() as opened:
+        if isinstance(iterator, Generator):
+            opened.callback(iterator.close)
+        while True:
+            begin = time.perf_counter()
+            try:
+                item = next(iterator)
+            except StopIteration:
+                return
+            clock.add_idle(time.perf_counter() - begin)
+            record_wait(name, clock.lap())
+            yield item

@@ -42,6 +42,24 @@ def test_a_writer_that_waits_three_seconds_of_four(clock: SimpleNamespace) -> No
     assert take_waits() == {}
 
 
+def test_an_interrupted_writer_closes_its_source_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = []
+
+    def made() -> Iterator[int]:
+        try:
+            yield 0
+        finally:
+            closed.append(True)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(waits, "record_wait", interrupt)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        list(timed(made(), WRITER))
+    assert closed, f"not while the traceback of {caught!r} holds its frames"
+
+
 def test_a_wait_is_counted_once(clock: SimpleNamespace) -> None:
     own = WaitClock()
     clock.now = 4.0
