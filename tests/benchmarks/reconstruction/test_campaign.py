@@ -246,6 +246,24 @@ def test_one_gpu_drapes_garments_while_others_train(
     assert any("draped begins on GPU" in line for line in said[made:])
 
 
+@pytest.mark.parametrize(("model", "expected"), [("short", {"1"}), ("breaks", {"0", "1"})])
+def test_all_gpus_drape_garments_while_nothing_trains(
+    model: str, expected: set[str], plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``breaks`` is trained by the first call; its answers, which are still to be draped, need no GPU yet."""
+    monkeypatch.setattr(campaign, "_gpus", lambda: 2)
+    plan.write_text(
+        f"[draped]\ntask = 'T1'\nmodel = 'slow'\ntrain = 5\nminutes = 1\n"
+        f"[flat]\ntask = 'T0'\nmodel = '{model}'\ntrain = 10\nminutes = 1\ndrape = true"
+    )
+    call = [str(plan), "--out", str(tmp_path / "runs"), "--gpus", "2"]
+    if model == "breaks":
+        assert main([*call, "--only", "flat"]) == 1
+    assert main(call) == (model == "breaks")
+    gpus = dict(line.split(" ") for line in (tmp_path / "runs" / "gpus.txt").read_text().splitlines())
+    assert set(gpus["draped"].split(",")) == expected
+
+
 def test_fresh_garments_wait_for_the_others(plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which all cores and GPUs make, before a training's own workers drape on its other GPU."""
     fresh = "fresh = 9\nworkers = 3\nmake_device = 'cuda:1'"

@@ -1,11 +1,12 @@
 """A program with the options that a campaign gives: it needs no time, fails, waits, or stops at its limit.
 
 Each start adds a line to ``starts.txt`` beside the runs: the run, after ``make`` or ``drape``. The end of drapes adds
-one, too.
+one, too. ``gpus.txt`` has the GPUs of those that make garments.
 """
 
 import argparse
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -28,6 +29,8 @@ def main() -> int:
     args = parser.parse_args()
     note(args.out, "make " if args.make_only else "drape " if args.drape else "")
     if args.make_only:
+        with (args.out.parent / "gpus.txt").open("a") as file:
+            file.write(f"{args.out.name} {os.environ.get('CUDA_VISIBLE_DEVICES', '')}\n")
         time.sleep(args.model == "slow")
         return 0
     if args.drape:
