@@ -238,10 +238,10 @@ def evaluate(
     else:
         scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
         several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
-    by_kind = {kind: [s for s, k in zip(scores, kinds, strict=True) if k == kind] for kind in sorted(set(kinds))}
+    several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
         "one_to_one": _table(scores),
-        "scores_of_kinds": {kind: _means(of_kind) for kind, of_kind in by_kind.items()},
+        "scores_of_kinds": {kind: _of_kind(kind, patterns, kinds, scores, several_of) for kind in sorted(set(kinds))},
         "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),
@@ -297,9 +297,23 @@ def _interval_scored(pair: tuple[Merged, Pattern]) -> IntervalScore:
     return score_intervals(*pair)
 
 
-def _means(scores: Sequence[StitchScore]) -> dict[str, float]:
+def _of_kind(
+    kind: str,
+    patterns: Sequence[Pattern],
+    kinds: Sequence[str],
+    scores: Sequence[StitchScore],
+    several_of: Mapping[str, IntervalScore],
+) -> dict[str, float]:
+    """Mean scores of the patterns of a kind; those of seams n to m, by name, where they are of n to m alone."""
+    rows = [row for row, own in enumerate(kinds) if own == kind]
+    several = [several_of[name] for row in rows if (name := patterns[row].name) in several_of]
+    found = _means([scores[row] for row in rows])
+    return found | {name: mean for name, mean in (_means(several) if several else {}).items() if name not in found}
+
+
+def _means(scores: Sequence[StitchScore] | Sequence[IntervalScore]) -> dict[str, float]:
     means = np.mean([astuple(score) for score in scores], axis=0).tolist()
-    return dict(zip((field.name for field in fields(StitchScore)), means, strict=True))
+    return dict(zip((field.name for field in fields(scores[0])), means, strict=True))
 
 
 def _table(scores: Sequence[StitchScore] | Sequence[IntervalScore]) -> dict[str, Any]:
