@@ -5,6 +5,7 @@ clusters are tokens that attend to each other, and so to the whole garment. Both
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -22,6 +23,7 @@ __all__ = [
     "SurfaceNetConfig",
     "gathered",
     "mlp",
+    "of_neighbours",
     "waves",
 ]
 
@@ -148,9 +150,10 @@ class EdgeConvolution(nn.Module):
         self, features: Float[Tensor, "v w"], batch: SurfaceBatch, along: Float[Tensor, "v k e"]
     ) -> Float[Tensor, "v w"]:
         seen = self.norm(features)
-        messages = self.own(seen)[:, None] + gathered(self.other(seen), batch.neighbours) + self.along(along.to(seen))
+        messages = self.own(seen)[:, None] + of_neighbours(self.other(seen), batch) + self.along(along.to(seen))
         messages = functional.gelu(messages)
-        features = features + self.merge(torch.cat([messages.amax(dim=1), messages.mean(dim=1)], dim=-1))
+        largest = messages.max(dim=1).values  # ``amax`` would share the gradient among equals, in several passes
+        features = features + self.merge(torch.cat([largest, messages.mean(dim=1)], dim=-1))
         moved: Tensor = features + self.inner(features)
         return moved
 
@@ -168,6 +171,26 @@ def pooled(values: Float[Tensor, "v *d"], batch: SurfaceBatch, members: Tensor) 
     """Means of the clusters, in float32."""
     total = values.new_zeros((batch.size * batch.tokens, values.shape[-1]), dtype=torch.float32)
     return total.index_add(0, batch.clusters, values.float()) / members[:, None]
+
+
+def of_neighbours(values: Float[Tensor, "v w"], batch: SurfaceBatch) -> Float[Tensor, "v k w"]:
+    """Rows of the neighbours; the gradient gathers, too, instead of adding up row by row."""
+    found: Tensor = _OfNeighbours.apply(values, batch.neighbours, batch.returns)  # type: ignore[no-untyped-call]
+    return found
+
+
+class _OfNeighbours(torch.autograd.Function):
+    """``values[neighbours]``. What a vertex gave to its neighbours is at the entries that lead back to it."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, neighbours: Tensor, returns: Tensor) -> Tensor:
+        ctx.save_for_backward(returns)
+        return gathered(values, neighbours)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        (returns,) = ctx.saved_tensors
+        return gathered(gradient.flatten(0, 1), returns).sum(dim=1), None, None
 
 
 def gathered(values: Float[Tensor, "n w"], rows: Int[Tensor, "*v"]) -> Float[Tensor, "*v w"]:

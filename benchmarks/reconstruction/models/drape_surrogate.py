@@ -21,7 +21,7 @@ from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, squared_distances
 from benchmarks.reconstruction.sizes import sizes_from
-from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, gathered, mlp, waves
+from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, mlp, of_neighbours, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,
     Surface,
@@ -117,7 +117,7 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
 
         neighbours = batch.surface.neighbours
         lengths = batch.surface.lengths
-        edges = (gathered(second, neighbours) - second[:, None]) - (truth[neighbours] - truth[:, None])
+        edges = (of_neighbours(second, batch.surface) - second[:, None]) - (truth[neighbours] - truth[:, None])
         off = edges.norm(dim=-1) / lengths.clamp(min=1e-3) * (lengths > 0)
         terms = {
             "first": mean(distance(first, truth)) / UNIT,

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.surfaces import SurfaceStore, cloud_of, drawn_turn, surface_of, vertex_normals
+from benchmarks.reconstruction.surface_net import of_neighbours
+from benchmarks.reconstruction.surfaces import (
+    NEIGHBOURS,
+    Surface,
+    SurfaceStore,
+    cloud_of,
+    drawn_turn,
+    surface_of,
+    vertex_normals,
+)
 
 CPU = torch.device("cpu")
 
@@ -108,8 +117,49 @@ def test_a_turn_keeps_shapes_and_does_not_depend_on_the_batch() -> None:
     assert moved.positions.shape == batch.positions.shape
 
 
-def test_neighbours_of_points_are_the_nearest() -> None:
+def test_neighbours_of_points_are_the_nearest_of_each_other() -> None:
     points, _ = sheet()
     found = cloud_of(points, np.ones_like(points), clusters=4)
-    nearest = np.argsort(((points[7] - points) ** 2).sum(axis=1))[1 : 1 + found.neighbours.shape[1]]
-    assert found.neighbours[7].tolist() == nearest.tolist()
+    apart = ((points[:, None] - points) ** 2).sum(axis=2)
+    nearest = [set(row) for row in np.argsort(apart, axis=1)[:, 1 : 1 + NEIGHBOURS].tolist()]
+    for row, others in enumerate(nearest):
+        expected = {other for other in others if row in nearest[other]}
+        assert set(found.neighbours[row].tolist()) - {row} == expected
+    assert_leads_back(found)
+
+
+def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
+    """A fan of more triangles than a vertex has neighbours: those that it does not keep do not keep it."""
+    count = NEIGHBOURS + 4
+    angles = 2 * np.pi * np.arange(count) / count
+    radii = 1 + 0.1 * np.arange(count)
+    rim = np.stack([radii * np.cos(angles), 100 + radii * np.sin(angles), np.zeros(count)], axis=1)
+    rows = np.arange(count) + 1
+    faces = np.stack([np.zeros(count, int), rows, np.roll(rows, -1)], axis=1)
+    found = surface_of(np.concatenate([[[0, 100, 0]], rim]), faces, clusters=2)
+    assert found.neighbours[0].tolist() == list(range(1, NEIGHBOURS + 1))
+    knows_centre = (found.neighbours == 0).any(axis=1)
+    assert knows_centre[1 : NEIGHBOURS + 1].all()
+    assert not knows_centre[NEIGHBOURS + 1 :].any()
+    assert_leads_back(found)
+
+
+def assert_leads_back(surface: Surface) -> None:
+    entries = surface.returns.ravel()
+    assert np.array_equal(np.sort(entries), np.arange(len(entries)))
+    own = np.repeat(np.arange(len(surface.neighbours)), NEIGHBOURS)
+    assert np.array_equal(surface.neighbours.ravel()[entries], own)
+    assert surface.lengths.ravel()[entries] == pytest.approx(surface.lengths.ravel())
+
+
+def test_the_gradient_of_neighbours_adds_up_what_each_vertex_gave() -> None:
+    store = SurfaceStore([surface_of(*sheet(4, 4), clusters=3), surface_of(*sheet(), clusters=3)], tokens=3, device=CPU)
+    batch, _ = store.batch(torch.tensor([1, 0, 1]))
+    chance = torch.Generator().manual_seed(0)
+    values = torch.randn(len(batch.neighbours), 4, generator=chance, dtype=torch.float64, requires_grad=True)
+    found = of_neighbours(values, batch)
+    assert torch.equal(found, values[batch.neighbours])
+    weights = torch.randn(found.shape, generator=chance, dtype=torch.float64)
+    (gradient,) = torch.autograd.grad((found * weights).sum(), values)
+    (expected,) = torch.autograd.grad((values[batch.neighbours] * weights).sum(), values)
+    assert torch.allclose(gradient, expected, atol=1e-12)
