@@ -4,14 +4,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.space import Leaf, leaves
 
-__all__ = ["PARAMETERS", "decode_design", "encode_design", "have_effect", "options_of"]
+__all__ = ["PARAMETERS", "decode_design", "encode_design", "have_effect", "mirrored_code", "options_of", "unmirrored"]
 
 UNDER_COLLAR = {"Turtle": (False, False), "Hood2Panels": (False, False), "SimpleLapel": (True, False)}
 """Whether a collar leaves the neckline's shape in front and behind to the design; otherwise it is a circle."""
@@ -90,6 +90,32 @@ def _value(space: Space, code: float) -> Any:
         return options[int(np.clip(round(code), 0, len(options) - 1))]
     low, high = space.range
     return type(low)(np.clip(round(code) if space.kind == "int" else code, low, high))
+
+
+# ------------------------------------------------------------------------------------------------------- mirror images
+
+
+def mirrored_code() -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, " d"]]:
+    """Rows and signs: ``signs * code[rows]`` is the code of the mirror image of a design."""
+    paths = [leaf.path for leaf in PARAMETERS]
+    rows, signs = np.arange(len(paths)), np.ones(len(paths), np.float32)
+    left, right = (paths.index(f"pencil-skirt.{side}_slit") for side in ("left", "right"))
+    rows[[left, right]] = right, left
+    signs[paths.index("pencil-skirt.low_angle")] = -1.0
+    return rows, signs
+
+
+def unmirrored() -> Mapping[int, float]:
+    """Parameters that keep a garment from having a mirror image, where they have an effect: the row of each, and the
+    code with which it does not, NaN if it always does.
+    """
+    values = {
+        "left.enable_asym": False,
+        "pencil-skirt.style_side_cut": None,
+        "flare-skirt.cut.place": _MISSING,
+        "flare-skirt.skirt-many-panels.n_panels": _MISSING,
+    }
+    return {k: _code(leaf.space, values[leaf.path]) for k, leaf in enumerate(PARAMETERS) if leaf.path in values}
 
 
 # ---------------------------------------------------------------------------------------------------------- the effects

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from benchmarks.reconstruction.derived import CENTRE, derived_arrays, item_fields, picture_views
+from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments, Views
@@ -231,7 +232,7 @@ def generated(
     """
     names, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
-    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
+    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra, options.get("device", "auto")), workers)
     whole = GeneratedGarments(count, seed, transform=stream.transform(_itself), **options)
     told = whole.recipe(0)
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
@@ -308,12 +309,12 @@ def fresh_garments(
 ) -> Iterator[tuple[int, Encoded]]:
     """Index and ``encode`` of each garment of a seed from index ``first`` on, a set of one; made by ``workers``.
 
-    Garments whose drape did not settle are left out. Where there is a GPU, this process renders pictures on it, and
+    Garments whose drape did not settle are left out. Where a GPU drapes, this process renders pictures on it, and
     encodes garments that have some.
     """
     _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
-    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra), workers)
+    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra, options.get("device", "auto")), workers)
     endless = GeneratedGarments(first + MOST_FRESH, seed, transform=stream.transform(encode), **options)
     yield from stream.encoded(endless.select(range(first, first + MOST_FRESH)), encode, first=first)
 
@@ -352,7 +353,7 @@ def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (),
 
     Where there is a GPU, this process renders pictures on it.
     """
-    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra)
+    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra, "auto")
     loader = DataLoader(
         garments,
         batch_size=TOGETHER,
@@ -382,11 +383,15 @@ def _itself(garments: GarmentSet) -> GarmentSet:
     return garments
 
 
-def _views_on_gpu(extra: Sequence[str]) -> Views | None:
-    """Renders the pictures of a set on this process's GPU; ``None`` without one, or for a set without pictures."""
+def _views_on_gpu(extra: Sequence[str], drapes: str) -> Views | None:
+    """Renders the pictures of a set on the first GPU of ``drapes``, the device of its drapes; ``auto``: this process's.
+
+    ``None`` without a GPU, or for a set without pictures.
+    """
     if "pictures" not in extra:
         return None
-    views = picture_views("auto")
+    gpus = [] if drapes == "auto" else [device for device in named_devices(drapes) if device != "cpu"]
+    views = picture_views(next(iter(gpus), "auto"))
     return None if views.device == "cpu" else views
 
 

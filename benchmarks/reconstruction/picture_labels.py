@@ -1,5 +1,6 @@
 """What the pixels of a picture show: parts of the body, hair, background, or a panel with its label."""
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,7 +11,7 @@ from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, Map
 from gcd_dataset.records import BodyPart
 from gcd_dataset.tensors import PANEL_LABELS
 
-__all__ = ["FIRST_PANEL", "MAPS", "MOST_PANELS", "SHOWN_CLASSES", "pixel_labels"]
+__all__ = ["FIRST_PANEL", "MAPS", "MIRRORED_PIXELS", "MOST_PANELS", "SHOWN_CLASSES", "pixel_labels"]
 
 MAPS: tuple[MapName, ...] = ("part", "panel_id")
 """The maps of a picture that tell it."""
@@ -20,6 +21,12 @@ FIRST_PANEL = len(BodyPart) + 2
 SHOWN_CLASSES = FIRST_PANEL + len(PANEL_LABELS)
 """What a pixel may show: parts of the body, hair, background, and panels by their label."""
 MOST_PANELS = (256 - FIRST_PANEL) // len(PANEL_LABELS)
+_SIDES = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+MIRRORED_PIXELS = (
+    *(BodyPart[re.sub("LEFT|RIGHT", lambda found: _SIDES[found[0]], part.name)].value for part in BodyPart),
+    *range(len(BodyPart), 256),
+)
+"""The label of a pixel in the mirror image of a picture."""
 
 
 def pixel_labels(maps: Mapping[str, np.ndarray], labels: ArrayLike) -> UInt8[np.ndarray, "*n h w"]:

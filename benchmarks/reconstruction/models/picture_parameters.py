@@ -4,17 +4,19 @@ The tokens of the pictures are those of ``picture_set``; ``design_net`` reads de
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, cast
 
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, Movement, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
+from benchmarks.reconstruction.picture_labels import MIRRORED_PIXELS
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig
 from benchmarks.reconstruction.sizes import sizes_from
@@ -29,7 +31,7 @@ SMOKE: Mapping[str, Any] = {
     "steps": 120, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 LARGE: Mapping[str, Any] = {"width": 256, "heads": 8, "layers": 6, "seen": 512}
-SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2}
+SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2, "mirrored": 0}
 """Sizes of the usual and of the smallest network."""
 
 
@@ -43,18 +45,43 @@ class PictureDesigns(DesignTargets):
     """What their pixels show, as ``pixel_labels``."""
 
 
+@dataclass(frozen=True)
+class MirroredPictures(DrawnPictures[PictureDesigns]):
+    """Drawn pictures; in a training every second garment that can be mirrored is, in all of its pictures."""
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureDesigns:
+        found = super().batch(rows, chance)
+        if chance is None:
+            return found
+        is_second = uploaded(torch.rand(len(self), generator=chance)[rows] < 0.5, found.device)
+        mirrored = is_second & self._movement.mirrors(found)
+        found = self._movement.of(found, mirrored, torch.ones_like(mirrored, dtype=torch.float32))
+        pictures = torch.where(mirrored[:, None, None, None, None], found.pictures.flip(3), found.pictures)
+        labels = self._labels[found.shown.flip(3).long()]
+        return replace(found, pictures=pictures, shown=torch.where(mirrored[:, None, None, None], labels, found.shown))
+
+    @cached_property
+    def _movement(self) -> Movement:
+        return Movement(self.whole.device)
+
+    @cached_property
+    def _labels(self) -> UInt8[Tensor, "256"]:
+        return torch.tensor(MIRRORED_PIXELS, dtype=torch.uint8, device=self.whole.device)
+
+
 class PictureParameters(Learner[PictureDesigns, Pattern]):
     """Pictures to a design and measures, and so to a pattern."""
 
     is_recordable = True
 
-    def __init__(self, config: EncoderConfig, *, views: int = PICTURES) -> None:
-        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
+    def __init__(self, config: EncoderConfig, *, views: int = PICTURES, mirrored: int = 1) -> None:
+        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``mirrored``: 0
+        for no mirror images in a training.
 
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
         super().__init__()
-        self.views = require_views(views)
+        self.views, self.mirrored = require_views(views), bool(mirrored)
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
@@ -65,7 +92,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
         return self.drawn_from(PictureDesigns.join(list(parallel_map(encoded, parts, workers))).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
-        return DrawnPictures(cast(PictureDesigns, encoded), self.views)
+        return (MirroredPictures if self.mirrored else DrawnPictures)(cast(PictureDesigns, encoded), self.views)
 
     def encoder(self) -> Callable[[GarmentSet], PictureDesigns]:
         return encoded
@@ -99,10 +126,13 @@ def encoded(garments: GarmentSet) -> PictureDesigns:
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
-    """The learner; ``options``: fields of ``EncoderConfig``, and ``views``. Raises ``ConfigError`` for others."""
-    given = {**(SMALL if smoke else LARGE), **options}
-    points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
+    """The learner; ``options``: fields of ``EncoderConfig``, ``views`` and ``mirrored``.
+
+    Raises ``ConfigError`` for others.
+    """
+    given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "mirrored")
+    points, least, heads = ("tokens", "region_width"), {"seen": 0, "mirrored": 0}, {"width": "heads"}
     sizes, own = sizes_from(
-        "picture_parameters", EncoderConfig, given, own=("views",), without=points, least=least, heads=heads
+        "picture_parameters", EncoderConfig, given, own=own_names, without=points, least=least, heads=heads
     )
     return PictureParameters(sizes, **own)

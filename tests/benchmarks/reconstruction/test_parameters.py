@@ -5,17 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design
-from benchmarks.reconstruction.design_net import Answer, drawn
+from benchmarks.reconstruction.derived import CENTRE
+from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect
+from benchmarks.reconstruction.design_net import Answer, DesignTargets, Movement, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.parameters import Designs, ParameterNet, build
+from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.training import TrainConfig, train
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.garments.parameter import Choice
+from gcd_dataset.curves import sample_curve
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import score_pattern
+from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
 
 CPU = torch.device("cpu")
@@ -85,8 +92,6 @@ def test_any_numbers_draw_a_garment_that_can_be_sewn() -> None:
 
 
 def neutral() -> dict[str, float]:
-    from gcd_dataset.generator.body import build_body, measure, neutral_shape
-
     return measure(build_body(neutral_shape())).to_file_values()
 
 
@@ -116,6 +121,67 @@ def test_a_step_never_reads_a_value_of_the_device(six: GarmentSet) -> None:
     with FakeTensorMode(allow_non_fake_inputs=True):  # its tensors have no values; reading one raises
         parts = network.loss(batch)
     assert all(part.shape == () for part in parts.values())
+
+
+def outline(pattern: Pattern) -> np.ndarray:
+    """Points on the edges of placed panels, sorted by place [cm]."""
+    found = []
+    for panel in pattern.panels:
+        loop = [sample_curve(*panel.edge_ends(k), edge.curve, 9) for k, edge in enumerate(panel.edges)]
+        flat = np.pad(np.concatenate(loop), ((0, 0), (0, 1)))
+        found.append(flat @ panel.placement.matrix.T + panel.placement.translation)
+    return np.concatenate(found)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Greatest distance of a point to the other points [cm]."""
+    return float(max(cKDTree(a).query(b)[0].max() for a, b in ((one, other), (other, one))))
+
+
+def test_mirrored_codes_draw_the_mirror_image() -> None:
+    body = build_body(neutral_shape())
+    sizes = measure(body)
+    kinds, unlike = set(), 0
+    for seed in range(90):
+        design = sample_design(np.random.default_rng(seed))
+        code = torch.from_numpy(encode_design(design_to_dict(design)))[None]
+        effective = torch.from_numpy(have_effect(design))[None]
+        targets = DesignTargets(code, effective, torch.zeros(1, len(MEASURES)))
+        try:
+            image = outline(outfit(sizes, design)) * [-1, 1, 1]
+        except GcdError:
+            continue
+        if Movement(CPU).mirrors(targets).item():
+            moved = Movement(CPU).of(targets, torch.tensor([True]), torch.ones(1))
+            drawn_again = outfit(sizes, decode_design(moved.codes[0].numpy()))
+            assert apart(outline(drawn_again), image) < 1.1, seed  # waists are 2 mm off the middle, godets to 1 cm
+            kinds.add(plain(design.meta.bottom))
+        else:
+            unlike += apart(outline(outfit(sizes, design)), image) > 0.5
+    assert kinds >= {None, "Pants", "PencilSkirt", "Skirt2"}
+    assert unlike > 5
+
+
+def test_garments_of_a_training_are_scaled_about_their_feet(six: GarmentSet) -> None:
+    network = learner(moved=1)
+    examples = network.prepare(six, device=CPU)
+    still = replace(examples, moves=False)
+    rows = torch.arange(6)
+    moved, same = (one.batch(rows, torch.Generator().manual_seed(3)) for one in (examples, still))
+    height, angle = MEASURES.index("height"), MEASURES.index("shoulder_incl")
+    growth = moved.measures[:, height] / same.measures[:, height]
+    assert 0.95 <= growth.min() < 0.99
+    assert 1.01 < growth.max() <= 1.05
+    assert torch.equal(moved.measures[:, angle], same.measures[:, angle])
+    place = [one.points[..., :3].double() * UNIT + torch.from_numpy(CENTRE) for one in (moved, same)]
+    expected = place[1] * growth[:, None, None]
+    mirrored = (moved.points[:, 0, 0] * same.points[:, 0, 0]) < 0
+    assert mirrored.any()
+    assert not mirrored.all()
+    expected[mirrored] *= torch.tensor([-1.0, 1.0, 1.0])
+    assert (place[0] - expected).abs().max() < 0.1  # positions are stored in half precision
+    alone = examples.batch(rows[2:3], torch.Generator().manual_seed(3))
+    assert torch.equal(alone.points[0], moved.points[2])
 
 
 def test_the_loss_is_finite_in_half_precision(six: GarmentSet) -> None:

@@ -10,6 +10,7 @@ import torch
 
 from benchmarks.reconstruction import garments, picture_model
 from benchmarks.reconstruction.derived import DERIVED, PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_labels import FIRST_PANEL
@@ -18,10 +19,13 @@ from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.pictures import GARMENT
+from gcd_dataset.loaders import Views
+from gcd_dataset.records import BodyPart
 from gcd_dataset.tensors import PANEL_LABELS, PanelColumn
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
+PATHS = [leaf.path for leaf in PARAMETERS]
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +60,34 @@ def test_each_step_draws_other_pictures(painted: GarmentSet, model: str, monkeyp
     assert torch.equal(drawn[0], drawn[1])
     assert len({tuple(shades(pictures)) for pictures in drawn}) > 1
     assert all(len(set(shades(pictures)) & {20, 80, 140, 200}) == 3 for pictures in drawn)
+
+
+def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second one, with the labels of the other side and the parameters of the mirror image."""
+    monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
+    picture = np.zeros((PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3), np.uint8)
+    picture[:, :, :10] = 200
+    shown = np.where(picture[..., 0] > 0, np.uint8(BodyPart.LEFT_ARM.value), np.uint8(FIRST_PANEL))
+    code = encode_design({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"low_angle": 12, "left_slit": 0.5}})
+    count = len(painted)
+    ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": [code[None]] * count}
+    made = replace(painted, ragged={**painted.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
+    batch = (
+        learner("picture_parameters", mirrored=1)
+        .prepare(made, device=CPU)
+        .batch(torch.arange(count), torch.Generator().manual_seed(0))
+    )
+    mirrored = batch.pictures[:, 0, 0, 0, 0] == 0
+    assert 0 < mirrored.sum() < count
+    angle, left, right = (PATHS.index(f"pencil-skirt.{name}") for name in ("low_angle", "left_slit", "right_slit"))
+    for k, is_mirrored in enumerate(mirrored.tolist()):
+        expected = (picture[:2, :, ::-1], shown[:2, :, ::-1]) if is_mirrored else (picture[:2], shown[:2])
+        assert np.array_equal(batch.pictures[k], expected[0])
+        arm = (BodyPart.RIGHT_ARM if is_mirrored else BodyPart.LEFT_ARM).value
+        assert np.array_equal(batch.shown[k], np.where(expected[1] == BodyPart.LEFT_ARM.value, arm, FIRST_PANEL))
+        assert batch.codes[k, angle] == (-12 if is_mirrored else 12)
+        assert batch.codes[k, right if is_mirrored else left] == 0.5
+        assert torch.equal(batch.measures[k], torch.from_numpy(made.measures[k]))
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -159,13 +191,30 @@ def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.M
     recipe: dict[str, Any] = {"points": 0, "extra": ("pictures",), "resolution": 8.0, "design": SKIRTS}
     rendered_by_workers = generated(2, 0, workers=1, **recipe)
     monkeypatch.setattr(garments, "TOGETHER", 1)
-    monkeypatch.setattr(garments, "_views_on_gpu", lambda extra: picture_views("cpu"))
+    monkeypatch.setattr(garments, "_views_on_gpu", lambda extra, drapes: picture_views("cpu"))
     rendered_here = generated(2, 0, workers=1, **recipe)
     indices, streamed = zip(*islice(fresh_garments(_whole, 0, first=0, **recipe), len(rendered_here)), strict=True)
     assert [f"0_{index:09d}" for index in indices] == list(rendered_here.keys)
     for found in (rendered_here, GarmentSet.join(streamed)):
         assert found.keys == rendered_by_workers.keys
         assert np.array_equal(found.ragged["pictures"].rows, rendered_by_workers.ragged["pictures"].rows)
+
+
+@pytest.mark.parametrize(
+    ("drapes", "expected"), [("auto", "auto"), ("cuda:1", "cuda:1"), ("cuda:2,0", "cuda:2"), ("cpu", "auto")]
+)
+def test_pictures_are_rendered_where_garments_are_draped(
+    drapes: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def views(device: str) -> Views:
+        asked.append(device)
+        return picture_views("cpu")
+
+    monkeypatch.setattr(garments, "picture_views", views)
+    assert garments._views_on_gpu(("pictures",), drapes) is None  # on the CPU, workers render
+    assert asked == [expected]
 
 
 def _whole(found: GarmentSet) -> GarmentSet:
