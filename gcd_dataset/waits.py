@@ -106,7 +106,7 @@ def take_waits() -> dict[str, Wait]:
 def timed(items: Iterable[Item], name: str) -> Iterator[Item]:
     """The same items, recording under ``name`` the time spent in ``next`` as idle and the time between as busy.
 
-    A generator is closed when this one ends or raises: its ``finally`` blocks run before those of the caller.
+    If ``items`` is a generator, it is closed when the generator that is returned ends, raises or is closed.
     """
     clock, iterator = WaitClock(), iter(items)
     with ExitStack() as opened:

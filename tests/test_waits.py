@@ -1,19 +1,25 @@
 """Waits of all stages are counted once and reach the writer."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from gcd_dataset import waits
+from gcd_dataset.bodies import Person
 from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import _WorkerShare, produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.prefetch import prefetch
+from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.verbs import body_set
+from gcd_dataset.verbs.body_set import PeoplePlan, plan_people, store_people
 from gcd_dataset.verbs.making import _encode
 from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
+from tests.shards.people import fake_person
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail="keep", design=SKIRTS)
@@ -57,6 +63,27 @@ def test_an_interrupted_writer_closes_its_source_at_once(monkeypatch: pytest.Mon
     monkeypatch.setattr(waits, "record_wait", interrupt)
     with pytest.raises(KeyboardInterrupt) as caught:
         list(timed(made(), WRITER))
+    assert closed, f"not while the traceback of {caught!r} holds its frames"
+
+
+def test_an_interrupted_writer_of_people_closes_its_source_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+
+    def made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
+        try:
+            yield fake_person(0)
+        finally:
+            closed.append(True)
+
+    def interrupt(writer: BodyWriter, index: int, person: Person) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(body_set, "_made", made)
+    monkeypatch.setattr(BodyWriter, "write", interrupt)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        list(store_people(plan_people(tmp_path / "people", 1)))
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 

@@ -4,22 +4,25 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.space import Leaf, leaves
 
-__all__ = ["PARAMETERS", "decode_design", "encode_design", "have_effect", "mirrored_code", "options_of", "unmirrored"]
+__all__ = ["PARAMETERS", "decode_design", "encode_design", "have_effect", "options_of"]
 
 UNDER_COLLAR = {"Turtle": (False, False), "Hood2Panels": (False, False), "SimpleLapel": (True, False)}
 """Whether a collar leaves the neckline's shape in front and behind to the design; otherwise it is a circle."""
+CUT = ("cut.add", "cut.depth", "cut.width", "cut.place")
+SLITS = ("front_slit", "back_slit", "left_slit", "right_slit", "bottom_cut")
+"""Of a skirt that has no skirt below it, and no godets."""
 BENT = ("CurvyNeckHalf", "CircleArcNeckHalf", "Bezier2NeckHalf")
 """Necklines that may bulge either way."""
 OWN = {
-    "SkirtCircle": ("flare-skirt", ("suns", "cut.add", "cut.depth", "cut.width", "cut.place")),
-    "AsymmSkirtCircle": ("flare-skirt", ("asymm.front_length", "cut.add", "cut.depth", "cut.width", "cut.place")),
+    "SkirtCircle": ("flare-skirt", ("suns", *CUT)),
+    "AsymmSkirtCircle": ("flare-skirt", ("asymm.front_length", *CUT)),
     "SkirtManyPanels": (
         "flare-skirt", ("suns", "skirt-many-panels.n_panels", "skirt-many-panels.panel_curve"),
     ),
@@ -90,32 +93,6 @@ def _value(space: Space, code: float) -> Any:
         return options[int(np.clip(round(code), 0, len(options) - 1))]
     low, high = space.range
     return type(low)(np.clip(round(code) if space.kind == "int" else code, low, high))
-
-
-# ------------------------------------------------------------------------------------------------------- mirror images
-
-
-def mirrored_code() -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, " d"]]:
-    """Rows and signs: ``signs * code[rows]`` is the code of the mirror image of a design."""
-    paths = [leaf.path for leaf in PARAMETERS]
-    rows, signs = np.arange(len(paths)), np.ones(len(paths), np.float32)
-    left, right = (paths.index(f"pencil-skirt.{side}_slit") for side in ("left", "right"))
-    rows[[left, right]] = right, left
-    signs[paths.index("pencil-skirt.low_angle")] = -1.0
-    return rows, signs
-
-
-def unmirrored() -> Mapping[int, float]:
-    """Parameters that keep a garment from having a mirror image, where they have an effect: the row of each, and the
-    code with which it does not, NaN if it always does.
-    """
-    values = {
-        "left.enable_asym": False,
-        "pencil-skirt.style_side_cut": None,
-        "flare-skirt.cut.place": _MISSING,
-        "flare-skirt.skirt-many-panels.n_panels": _MISSING,
-    }
-    return {k: _code(leaf.space, values[leaf.path]) for k, leaf in enumerate(PARAMETERS) if leaf.path in values}
 
 
 # ---------------------------------------------------------------------------------------------------------- the effects
@@ -215,19 +192,31 @@ def _of_bottom(design: OutfitDesign) -> Iterator[str]:
         yield from _of_cuff("pants.cuff", plain(design.pants.cuff.type))
     elif bottom == "GodetSkirt":
         yield from (leaf.path for leaf in PARAMETERS if leaf.path.startswith("godet-skirt."))
-        yield from _of_skirt(design, plain(design.godet_skirt.base), length=True, rise=free)
+        yield from _of_skirt(design, plain(design.godet_skirt.base), length=True, rise=free, slits=False)
     elif bottom == "SkirtLevels":
         names = (leaf.path for leaf in PARAMETERS if leaf.path.startswith("levels-skirt."))
         yield from (name for name in names if free or name != "levels-skirt.rise")
-        for part in (design.levels_skirt.base, design.levels_skirt.level):
-            yield from _of_skirt(design, plain(part), length=False, rise=False)
+        base, level = (plain(part) for part in (design.levels_skirt.base, design.levels_skirt.level))
+        yield from _of_skirt(design, base, slits=False)
+        yield from _of_skirt(design, level, slits=False, gathers=False)
     else:
         yield from _of_skirt(design, bottom, length=True, rise=free)
 
 
-def _of_skirt(design: OutfitDesign, kind: str, *, length: bool, rise: bool) -> Iterator[str]:
+def _of_skirt(
+    design: OutfitDesign,
+    kind: str,
+    *,
+    length: bool = False,
+    rise: bool = False,
+    slits: bool = True,
+    gathers: bool = True,
+) -> Iterator[str]:
+    """``slits``: whether it may have slits and cuts; ``gathers``: whether its own parameter gathers it."""
     section, names = OWN[kind]
-    cut = ("cut.depth", "cut.width", "cut.place")
-    yield from (f"{section}.{name}" for name in names if name not in cut or design.flare_skirt.cut.add)
+    hidden: set[str] = set() if slits else {*SLITS, *CUT}
+    hidden |= set() if design.flare_skirt.cut.add else set(CUT[1:])
+    hidden |= set() if gathers else {"ruffle"}
+    yield from (f"{section}.{name}" for name in names if name not in hidden)
     yield from [f"{section}.length"] if length else []
     yield from [f"{section}.rise"] if rise else []

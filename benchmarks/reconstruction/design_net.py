@@ -15,7 +15,7 @@ designs are (``wearable``), and if that fails its numbers become defaults.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -24,15 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.attention import DecoderLayer
-from benchmarks.reconstruction.design_codes import (
-    PARAMETERS,
-    decode_design,
-    encode_design,
-    have_effect,
-    mirrored_code,
-    options_of,
-    unmirrored,
-)
+from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
@@ -43,11 +35,11 @@ from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.garments.wearable import wearable
-from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
+from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
 
-__all__ = ["Answer", "DesignDecoder", "DesignTargets", "Movement", "Words", "drawn"]
+__all__ = ["Answer", "DesignDecoder", "DesignTargets", "Words", "drawn"]
 
 FEW = 12  # a whole number of at most this many values is a choice among them
 VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square
@@ -55,9 +47,6 @@ LARGEST_BACK = 0.95  # of the girth
 WEIGHTS = {"choices": 1.0, "numbers": 5.0, "defaults": 0.5, "measures": 1.0}
 LEAVES = tuple(leaf.path for leaf in PARAMETERS)
 META = tuple(LEAVES.index(path) for path in ("meta.upper", "meta.wb", "meta.bottom"))
-
-
-Targets = TypeVar("Targets", bound="DesignTargets")
 
 
 @dataclass(frozen=True)
@@ -80,33 +69,6 @@ class DesignTargets(TensorExamples):
             codes=torch.from_numpy(codes),
             effective=torch.from_numpy(effective & np.isfinite(codes)),
             measures=torch.from_numpy(garments.measures).float(),
-        )
-
-
-class Movement:
-    """Mirror images of targets, and targets on larger bodies; holds the constants on a device."""
-
-    def __init__(self, device: torch.device) -> None:
-        rows, signs = mirrored_code()
-        self._rows, self._signs = torch.from_numpy(rows).to(device), torch.from_numpy(signs).to(device)
-        self._is_length = torch.tensor([name not in ANGLES for name in MEASURES], device=device)
-        self._unmirrored = unmirrored()
-
-    def mirrors(self, targets: DesignTargets) -> Bool[Tensor, " b"]:
-        """Whether the mirror image of a garment is one of the same programs."""
-        found = torch.ones(len(targets), dtype=torch.bool, device=targets.device)
-        for row, code in self._unmirrored.items():
-            found &= ~targets.effective[:, row] | (targets.codes[:, row] == code)
-        return found
-
-    def of(self, targets: Targets, mirrored: Bool[Tensor, " b"], growth: Float[Tensor, " b"]) -> Targets:
-        """The targets of mirror images, on bodies ``growth`` times as large; nearly all parameters are proportions."""
-        swapped = mirrored[:, None]
-        return replace(
-            targets,
-            codes=torch.where(swapped, targets.codes[:, self._rows] * self._signs, targets.codes),
-            effective=torch.where(swapped, targets.effective[:, self._rows], targets.effective),
-            measures=torch.where(self._is_length, targets.measures * growth[:, None], targets.measures),
         )
 
 

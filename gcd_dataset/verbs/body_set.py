@@ -96,8 +96,7 @@ def store_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, Non
         if not plan.missing:
             return
         with _writer(plan.out, plan.seed, plan.bodies) as writer:
-            made = timed(_made(plan, workers), WRITER)
-            for index, person in zip(plan.missing, made, strict=True):
+            for index, person in zip(plan.missing, timed(_made(plan, workers), WRITER), strict=True):
                 writer.write(index, person)
                 yield person
 

@@ -15,19 +15,20 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import CENTRE
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, Movement, drawn
+from benchmarks.reconstruction.design_augmentation import DesignAugmentation
+from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
 from benchmarks.reconstruction.sizes import sizes_from
+from benchmarks.reconstruction.surfaces import MOST_GROWTH
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 __all__ = ["SMOKE", "TASKS", "USUAL", "Designs", "ParameterNet", "ParametersConfig", "ToDesigns", "build"]
 
 TASKS = ("T0", "T1", "T1-scan")
-MOST_GROWTH = 0.05  # share, of the augmentation
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
@@ -35,7 +36,7 @@ SMOKE: Mapping[str, Any] = {
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "tokens": 32, "width": 64, "heads": 4, "layers": 1, "region_width": 32, "points": 256, "stored_points": 1024,
-    "moved": 0,
+    "augmented": 0,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
@@ -48,8 +49,8 @@ class ParametersConfig(EncoderConfig):
     """Points of a garment in a step."""
     stored_points: int = 8192
     """Points that they are drawn from."""
-    moved: int = 1
-    """0: garments are neither mirrored nor scaled in a training."""
+    augmented: int = 1
+    """0: no garment is mirrored or scaled in a training."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,13 @@ class ToDesigns:
 class DrawnDesigns:
     """Designs whose batches have some of the stored points, others in each step.
 
-    In a training, every second garment that can be mirrored is, and all are scaled with their bodies, so that few
-    garments are not learned by heart as easily.
+    With ``augmented``, training batches also mirror a random half of the garments, where the mirror image is a garment
+    of the same programs, and scale all with their bodies, against overfitting on small sets.
     """
 
     whole: Designs
     points: int
-    moves: bool = True
-    """Whether garments of a training are mirrored and scaled."""
+    augmented: bool = True
 
     def __len__(self) -> int:
         return len(self.whole)
@@ -98,26 +98,28 @@ class DrawnDesigns:
         else:
             chosen = torch.randperm(found.points.shape[1], generator=chance)[: self.points]
         found = replace(found, points=found.points[:, uploaded(chosen, found.device)])
-        if chance is None or not self.moves:
+        if chance is None or not self.augmented:
             return found
         draws = uploaded(torch.rand(len(self), 2, generator=chance)[rows], found.device)
-        mirrored, growth = (draws[:, 0] < 0.5) & self._movement.mirrors(found), 1 + MOST_GROWTH * (2 * draws[:, 1] - 1)
-        return replace(self._movement.of(found, mirrored, growth), points=_moved(found.points, mirrored, growth))
+        mirrored = (draws[:, 0] < 0.5) & self._augmentation.can_mirror(found)
+        scales = 1 + MOST_GROWTH * (2 * draws[:, 1] - 1)
+        targets = self._augmentation.scaled(self._augmentation.mirrored(found, mirrored), scales)
+        return replace(targets, points=_augmented(found.points, mirrored, scales))
 
     @cached_property
-    def _movement(self) -> Movement:
-        return Movement(self.whole.device)
+    def _augmentation(self) -> DesignAugmentation:
+        return DesignAugmentation(self.whole.device)
 
 
-def _moved(
-    points: Float[Tensor, "b n 6"], mirrored: Bool[Tensor, " b"], growth: Float[Tensor, " b"]
+def _augmented(
+    points: Float[Tensor, "b n 6"], mirrored: Bool[Tensor, " b"], scales: Float[Tensor, " b"]
 ) -> Float[Tensor, "b n 6"]:
-    """Points of mirror images, ``growth`` times as far from the place between the feet."""
-    sign = torch.where(mirrored, -1.0, 1.0)
-    scales = torch.stack([sign * growth, growth, growth, sign, torch.ones_like(sign), torch.ones_like(sign)], dim=1)
-    moved = points.float() * scales[:, None]
-    moved[..., 1] += (growth[:, None] - 1) * (float(CENTRE[1]) / UNIT)
-    return moved.to(points.dtype)
+    """Points mirrored at the plane x = 0, and scaled about the ground between the feet."""
+    sign, one = torch.where(mirrored, -1.0, 1.0), torch.ones_like(scales)
+    factors = torch.stack([sign * scales, scales, scales, sign, one, one], dim=1)
+    found = points.float() * factors[:, None]
+    found[..., 1] += (scales[:, None] - 1) * (float(CENTRE[1]) / UNIT)
+    return found.to(points.dtype)
 
 
 class ParameterNet(Learner[Designs, Pattern]):
@@ -143,10 +145,10 @@ class ParameterNet(Learner[Designs, Pattern]):
         whole = Designs.join(list(parallel_map(self.encoder(), parts, workers)))
         whole = replace(whole, points=self.encoder().scaled(garments.points))
         self.decoder.learn_range(garments)
-        return DrawnDesigns(whole.to(device), self.config.points, bool(self.config.moved))
+        return DrawnDesigns(whole.to(device), self.config.points, bool(self.config.augmented))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnDesigns:
-        return DrawnDesigns(cast(Designs, encoded), self.config.points, bool(self.config.moved))
+        return DrawnDesigns(cast(Designs, encoded), self.config.points, bool(self.config.augmented))
 
     def encoder(self) -> ToDesigns:
         return ToDesigns(self.config.stored_points)
@@ -175,5 +177,5 @@ class ParameterNet(Learner[Designs, Pattern]):
 def build(*, smoke: bool, options: Mapping[str, Any]) -> ParameterNet:
     """The learner; ``options``: fields of ``ParametersConfig``. Raises ``ConfigError`` for others."""
     given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
-    sizes, _ = sizes_from("parameters", ParametersConfig, given, least={"seen": 0, "moved": 0}, heads=heads)
+    sizes, _ = sizes_from("parameters", ParametersConfig, given, least={"seen": 0, "augmented": 0}, heads=heads)
     return ParameterNet(sizes)

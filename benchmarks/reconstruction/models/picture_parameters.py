@@ -13,7 +13,8 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, Movement, drawn
+from benchmarks.reconstruction.design_augmentation import DesignAugmentation
+from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
 from benchmarks.reconstruction.picture_labels import MIRRORED_PIXELS
@@ -31,7 +32,7 @@ SMOKE: Mapping[str, Any] = {
     "steps": 120, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 LARGE: Mapping[str, Any] = {"width": 256, "heads": 8, "layers": 6, "seen": 512}
-SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2, "mirrored": 0}
+SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2, "augmented": 0}
 """Sizes of the usual and of the smallest network."""
 
 
@@ -47,22 +48,24 @@ class PictureDesigns(DesignTargets):
 
 @dataclass(frozen=True)
 class MirroredPictures(DrawnPictures[PictureDesigns]):
-    """Drawn pictures; in a training every second garment that can be mirrored is, in all of its pictures."""
+    """Drawn pictures; training batches mirror all pictures of a random half of the garments, where the mirror image is
+    a garment of the same programs.
+    """
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureDesigns:
         found = super().batch(rows, chance)
         if chance is None:
             return found
-        is_second = uploaded(torch.rand(len(self), generator=chance)[rows] < 0.5, found.device)
-        mirrored = is_second & self._movement.mirrors(found)
-        found = self._movement.of(found, mirrored, torch.ones_like(mirrored, dtype=torch.float32))
-        pictures = torch.where(mirrored[:, None, None, None, None], found.pictures.flip(3), found.pictures)
+        drawn_rows = uploaded(torch.rand(len(self), generator=chance)[rows] < 0.5, found.device)
+        chosen = drawn_rows & self._augmentation.can_mirror(found)
+        found = self._augmentation.mirrored(found, chosen)
+        pictures = torch.where(chosen[:, None, None, None, None], found.pictures.flip(3), found.pictures)
         labels = self._labels[found.shown.flip(3).long()]
-        return replace(found, pictures=pictures, shown=torch.where(mirrored[:, None, None, None], labels, found.shown))
+        return replace(found, pictures=pictures, shown=torch.where(chosen[:, None, None, None], labels, found.shown))
 
     @cached_property
-    def _movement(self) -> Movement:
-        return Movement(self.whole.device)
+    def _augmentation(self) -> DesignAugmentation:
+        return DesignAugmentation(self.whole.device)
 
     @cached_property
     def _labels(self) -> UInt8[Tensor, "256"]:
@@ -74,14 +77,14 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
     is_recordable = True
 
-    def __init__(self, config: EncoderConfig, *, views: int = PICTURES, mirrored: int = 1) -> None:
-        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``mirrored``: 0
+    def __init__(self, config: EncoderConfig, *, views: int = PICTURES, augmented: int = 1) -> None:
+        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``augmented``: 0
         for no mirror images in a training.
 
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
         super().__init__()
-        self.views, self.mirrored = require_views(views), bool(mirrored)
+        self.views, self.augmented = require_views(views), bool(augmented)
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
@@ -92,7 +95,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
         return self.drawn_from(PictureDesigns.join(list(parallel_map(encoded, parts, workers))).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
-        return (MirroredPictures if self.mirrored else DrawnPictures)(cast(PictureDesigns, encoded), self.views)
+        return (MirroredPictures if self.augmented else DrawnPictures)(cast(PictureDesigns, encoded), self.views)
 
     def encoder(self) -> Callable[[GarmentSet], PictureDesigns]:
         return encoded
@@ -126,12 +129,12 @@ def encoded(garments: GarmentSet) -> PictureDesigns:
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
-    """The learner; ``options``: fields of ``EncoderConfig``, ``views`` and ``mirrored``.
+    """The learner; ``options``: fields of ``EncoderConfig``, ``views`` and ``augmented``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "mirrored")
-    points, least, heads = ("tokens", "region_width"), {"seen": 0, "mirrored": 0}, {"width": "heads"}
+    given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "augmented")
+    points, least, heads = ("tokens", "region_width"), {"seen": 0, "augmented": 0}, {"width": "heads"}
     sizes, own = sizes_from(
         "picture_parameters", EncoderConfig, given, own=own_names, without=points, least=least, heads=heads
     )

@@ -73,7 +73,7 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
     ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": [code[None]] * count}
     made = replace(painted, ragged={**painted.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
     batch = (
-        learner("picture_parameters", mirrored=1)
+        learner("picture_parameters", augmented=1)
         .prepare(made, device=CPU)
         .batch(torch.arange(count), torch.Generator().manual_seed(0))
     )

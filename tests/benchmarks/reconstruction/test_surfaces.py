@@ -51,6 +51,16 @@ def test_clusters_follow_the_surface() -> None:
     assert not set(found[: len(points)]) & set(found[len(points) :])
 
 
+def test_pieces_without_a_centre_have_the_nearest_cluster() -> None:
+    """Three triangles and two centres, which are the farthest apart."""
+    corner = np.array([[0.0, 100, 0], [1, 100, 0], [0, 101, 0]])
+    points = np.concatenate([corner, corner + [9, 0, 0], corner + [40, 0, 0]])
+    found = surface_of(points, np.arange(9).reshape(3, 3), clusters=2).clusters
+    assert len(set(found[:6])) == 1
+    assert len(set(found[6:])) == 1
+    assert found[0] != found[6]
+
+
 def test_neighbours_are_joined_by_edges() -> None:
     points, faces = sheet()
     found = surface_of(points, faces, clusters=4)
