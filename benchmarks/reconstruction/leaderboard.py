@@ -235,7 +235,7 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             variants = [name for name in ("placed", "autosew", "one_round") if arguments.get(name)]
             tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
             name = " ".join(["stitches", *variants])
-            scores, kinds = _scores(found["one_to_one"]), found.get("scores_of_kinds", {})
+            scores, kinds = _scores(found["one_to_one"]), _with_several(found)
             left_out = arguments.get("leave_out", "")
             tables |= _tables_of(kinds)
             minutes = found["train_s"] / 60
@@ -292,6 +292,15 @@ def _data(part: Mapping[str, Any]) -> str:
 
 def _scores(table: Mapping[str, Any]) -> dict[str, list[float]]:
     return {name: list(values) for name, values in table.items() if isinstance(values, list)}
+
+
+def _with_several(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The scores of each kind of T3, with those that only seams n to m have."""
+    several, kinds = found.get("several_of_kinds", {}), found.get("scores_of_kinds", {})
+    return {
+        kind: own | {name: mean for name, mean in several.get(kind, {}).items() if name not in {*own, "garments"}}
+        for kind, own in kinds.items()
+    }
 
 
 def _tables_of(kinds: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, list[float]]]:

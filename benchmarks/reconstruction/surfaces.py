@@ -23,7 +23,6 @@ from gcd_dataset.workers import parallel_map
 
 __all__ = [
     "METRE",
-    "MOST_GROWTH",
     "NEIGHBOURS",
     "SHAPE",
     "Surface",

@@ -22,13 +22,13 @@ from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
 from benchmarks.reconstruction.sizes import sizes_from
-from benchmarks.reconstruction.surfaces import MOST_GROWTH
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 __all__ = ["SMOKE", "TASKS", "USUAL", "Designs", "ParameterNet", "ParametersConfig", "ToDesigns", "build"]
 
 TASKS = ("T0", "T1", "T1-scan")
+MOST_GROWTH = 0.1  # share, of the augmentation
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {

@@ -19,7 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, astuple, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -40,6 +40,8 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
 
 __all__ = ["SMOKE", "add_arguments", "configs_from", "main", "parsed"]
+
+Score = TypeVar("Score", StitchScore, IntervalScore)
 
 DRAWS = 1000  # of the bootstrap
 CHECKED = 100  # patterns that choose how edges are subdivided; at most a quarter of those tested on
@@ -241,7 +243,11 @@ def evaluate(
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
         "one_to_one": _table(scores),
-        "scores_of_kinds": {kind: _of_kind(kind, patterns, kinds, scores, several_of) for kind in sorted(set(kinds))},
+        "scores_of_kinds": {kind: _means(own) for kind, own in _by_kind(kinds, scores).items()},
+        "several_of_kinds": {
+            kind: {"garments": len(own), **_means(own)}
+            for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
+        },
         "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": _means(floor),
@@ -297,26 +303,21 @@ def _interval_scored(pair: tuple[Merged, Pattern]) -> IntervalScore:
     return score_intervals(*pair)
 
 
-def _of_kind(
-    kind: str,
-    patterns: Sequence[Pattern],
-    kinds: Sequence[str],
-    scores: Sequence[StitchScore],
-    several_of: Mapping[str, IntervalScore],
-) -> dict[str, float]:
-    """Mean scores of the patterns of a kind; those of seams n to m, by name, where they are of n to m alone."""
-    rows = [row for row, own in enumerate(kinds) if own == kind]
-    several = [several_of[name] for row in rows if (name := patterns[row].name) in several_of]
-    found = _means([scores[row] for row in rows])
-    return found | {name: mean for name, mean in (_means(several) if several else {}).items() if name not in found}
+def _by_kind(kinds: Sequence[str], scores: Sequence[Score | None]) -> dict[str, list[Score]]:
+    """The scores of each kind of garment, without missing ones; kinds that have some, by name."""
+    found: dict[str, list[Score]] = {}
+    for kind, score in sorted(zip(kinds, scores, strict=True), key=lambda pair: pair[0]):
+        if score is not None:
+            found.setdefault(kind, []).append(score)
+    return found
 
 
-def _means(scores: Sequence[StitchScore] | Sequence[IntervalScore]) -> dict[str, float]:
+def _means(scores: Sequence[Score]) -> dict[str, float]:
     means = np.mean([astuple(score) for score in scores], axis=0).tolist()
     return dict(zip((field.name for field in fields(scores[0])), means, strict=True))
 
 
-def _table(scores: Sequence[StitchScore] | Sequence[IntervalScore]) -> dict[str, Any]:
+def _table(scores: Sequence[Score]) -> dict[str, Any]:
     """Means with 95 % bootstrap intervals; empty for no garments."""
     if not scores:
         return {}

@@ -214,8 +214,12 @@ def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
     found: dict[str, Any] = {
         "arguments": {"train": 1000, "leave_out": ""}, "data": {"train": data, "test": data}, "train_s": 60.0,
         "one_to_one": {"f1_symmetric": [0.9, 0.8, 1.0]}, "scores_of_kinds": {"dress": {"f1_symmetric": 0.75}},
+        "several": {"f1_several_symmetric": [0.6, 0.5, 0.7]},
+        "several_of_kinds": {"dress": {"garments": 2, "f1_symmetric": 0.25, "f1_several_symmetric": 0.5}},
     }  # fmt: skip
     assert added(tmp_path, found) == 0
     found |= {"arguments": {"train": 1000, "leave_out": "dress"}, "one_to_one": {"f1_symmetric": [0.5, 0.4, 0.6]}}
+    found["several"] = {"f1_several_symmetric": [0.3, 0.2, 0.4]}
     assert added(tmp_path, found) == 0
-    assert "| dress | stitches | 1,000 | 4 | 0.75 | 0.5 (0.4 to 0.6) |" in (tmp_path / "learning_T3.md").read_text()
+    page = (tmp_path / "learning_T3.md").read_text()
+    assert "| dress | stitches | 1,000 | 4 | 0.75 | 0.5 (0.4 to 0.6) | 0.5 | 0.3 (0.2 to 0.4) |" in page

@@ -13,9 +13,8 @@ from benchmarks.reconstruction.design_augmentation import DesignAugmentation
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect
 from benchmarks.reconstruction.design_net import Answer, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models.parameters import Designs, ParameterNet, build
+from benchmarks.reconstruction.models.parameters import MOST_GROWTH, Designs, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT
-from benchmarks.reconstruction.surfaces import MOST_GROWTH
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, GcdError

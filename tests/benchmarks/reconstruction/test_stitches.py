@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,9 @@ from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
-from benchmarks.reconstruction.stitching.run import write
+from benchmarks.reconstruction.stitching.run import _by_kind, write
 from benchmarks.reconstruction.stitching.sewing import Subdivision, best_pairs, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.stitching.symmetry import congruences, random_symmetry, score_stitches
+from benchmarks.reconstruction.stitching.symmetry import StitchScore, congruences, random_symmetry, score_stitches
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
@@ -626,3 +626,10 @@ def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
     ]  # fmt: skip
+
+
+def test_scores_of_kinds_leave_out_missing_ones() -> None:
+    """A kind without seams n to m has none."""
+    best, least = (StitchScore(*[value] * len(fields(StitchScore))) for value in (1.0, 0.0))
+    assert _by_kind(["skirt", "dress", "skirt"], [best, least, least]) == {"dress": [least], "skirt": [best, least]}
+    assert _by_kind(["skirt", "dress", "skirt"], [best, None, least]) == {"skirt": [best, least]}
