@@ -309,8 +309,8 @@ def fresh_garments(
 ) -> Iterator[tuple[int, Encoded]]:
     """Index and ``encode`` of each garment of a seed from index ``first`` on, a set of one; made by ``workers``.
 
-    Garments whose drape did not settle are left out. Where a GPU drapes, this process renders pictures on it, and
-    encodes garments that have some.
+    Garments whose drape did not settle are left out. Where there is a GPU, this process renders pictures, on the one
+    that drapes if any does, and encodes garments that have some.
     """
     _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
@@ -384,9 +384,9 @@ def _itself(garments: GarmentSet) -> GarmentSet:
 
 
 def _views_on_gpu(extra: Sequence[str], drapes: str) -> Views | None:
-    """Renders the pictures of a set on the first GPU of ``drapes``, the device of its drapes; ``auto``: this process's.
+    """Renders the pictures of a set on a GPU; ``None`` without one, or for a set without pictures.
 
-    ``None`` without a GPU, or for a set without pictures.
+    ``drapes``: device of its drapes. The first GPU that it names renders; if it names none, that of this process.
     """
     if "pictures" not in extra:
         return None

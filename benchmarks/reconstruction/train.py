@@ -23,8 +23,8 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, is_dataclass
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -368,6 +368,7 @@ def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
         "model": options.model,
         "sizes": json.dumps(options.sizes, sort_keys=True),
         "smoke": int(options.smoke),
+        "network": _network_hash(options.model, options.smoke, json.dumps(options.sizes)),
         "leave_out": options.leave_out,
         "fresh": options.fresh,
         "garments": len(garments),
@@ -376,6 +377,27 @@ def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
         "patterns": garments.patterns_hash,
         "points": garments.points_hash,
     }
+
+
+@cache
+def _network_hash(model: str, smoke: bool, sizes: str) -> str:
+    """SHA-256 of the options of all parts of a network, defaults included: these may change between versions.
+
+    Empty for a reference. ``sizes``: a JSON object.
+    """
+    module = load_model(model)
+    if not hasattr(module, "build"):
+        return ""
+    with torch.random.fork_rng(devices=[]):
+        learner = module.build(smoke=smoke, options=json.loads(sizes))
+    told = {path: _told(vars(part)) for path, part in learner.named_modules()}
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def _told(values: Mapping[str, Any]) -> dict[str, str]:
+    """The numbers, texts and configurations among the attributes of a part of a network."""
+    own = {name: value for name, value in sorted(values.items()) if not name.startswith("_") and name != "training"}
+    return {name: str(v) for name, v in own.items() if isinstance(v, int | float | str) or is_dataclass(v)}
 
 
 def _identity_of_answers(options: Options, split: Split) -> str:

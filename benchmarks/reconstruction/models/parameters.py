@@ -36,7 +36,6 @@ SMOKE: Mapping[str, Any] = {
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
     "tokens": 32, "width": 64, "heads": 4, "layers": 1, "region_width": 32, "points": 256, "stored_points": 1024,
-    "augmented": 0,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
@@ -49,8 +48,8 @@ class ParametersConfig(EncoderConfig):
     """Points of a garment in a step."""
     stored_points: int = 8192
     """Points that they are drawn from."""
-    augmented: int = 1
-    """0: no garment is mirrored or scaled in a training."""
+    augmented: int = 0
+    """1: garments are mirrored and scaled in a training."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class DrawnDesigns:
 
     whole: Designs
     points: int
-    augmented: bool = True
+    augmented: bool = False
 
     def __len__(self) -> int:
         return len(self.whole)

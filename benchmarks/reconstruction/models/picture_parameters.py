@@ -32,7 +32,7 @@ SMOKE: Mapping[str, Any] = {
     "steps": 120, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
 }  # fmt: skip
 LARGE: Mapping[str, Any] = {"width": 256, "heads": 8, "layers": 6, "seen": 512}
-SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2, "augmented": 0}
+SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2}
 """Sizes of the usual and of the smallest network."""
 
 
@@ -77,9 +77,9 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
     is_recordable = True
 
-    def __init__(self, config: EncoderConfig, *, views: int = PICTURES, augmented: int = 1) -> None:
-        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``augmented``: 0
-        for no mirror images in a training.
+    def __init__(self, config: EncoderConfig, *, views: int = PICTURES, augmented: int = 0) -> None:
+        """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``augmented``: 1
+        for mirror images in a training.
 
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
@@ -134,7 +134,7 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
     Raises ``ConfigError`` for others.
     """
     given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "augmented")
-    points, least, heads = ("tokens", "region_width"), {"seen": 0, "augmented": 0}, {"width": "heads"}
+    points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
     sizes, own = sizes_from(
         "picture_parameters", EncoderConfig, given, own=own_names, without=points, least=least, heads=heads
     )

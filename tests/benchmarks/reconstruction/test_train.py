@@ -12,9 +12,11 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import torch
 
 from benchmarks.reconstruction import train
 from benchmarks.reconstruction.garments import Split
+from benchmarks.reconstruction.models import parameters
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED, main
 from benchmarks.run import main as run_case
@@ -109,6 +111,24 @@ def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     }
     assert (out / "predictions" / "own.json").exists()  # a file that the command did not write
     assert not (out / "evaluation.json").exists()
+
+
+def test_another_default_of_a_network_is_another_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Versions may differ in one. Comparing networks draws no random number."""
+    monkeypatch.setattr(train, "_network_hash", train._network_hash.__wrapped__)
+    flags = ["parameters", *SMALL, "--batch", "2", "--steps", "1", "--out", str(tmp_path / "out")]
+    assert main(flags) == 0
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    same = train._network_hash("parameters", True, "{}")
+    assert torch.equal(torch.rand(3), expected)
+    assert same == train._network_hash("parameters", True, "{}")
+    monkeypatch.setattr(parameters, "SMALL", {**parameters.SMALL, "augmented": 1})
+    assert main(flags) == 1
+    assert f"of a training with network {same}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
