@@ -20,13 +20,13 @@ SLITS = ("pencil-skirt.left_slit", "pencil-skirt.right_slit")
 TILT, PLACE = PATHS.index("pencil-skirt.low_angle"), PATHS.index("flare-skirt.cut.place")
 HALVES, PANELS = PATHS.index("left.enable_asym"), PATHS.index("flare-skirt.skirt-many-panels.n_panels")
 """The programs draw no mirror image of different halves, nor of a skirt of many panels, which begins at one side."""
-EQUAL = encode_design({"left": {"enable_asym": False}})[HALVES]
+EQUAL = float(encode_design({"left": {"enable_asym": False}})[HALVES])
 CENTIMETRES = (
     "godet-skirt.insert_w", "godet-skirt.insert_depth", "sleeve.standing_shoulder_len",
     "left.sleeve.standing_shoulder_len",
 )  # fmt: skip
-"""Numbers that are lengths; all others are proportions or angles, and the lengths among the choices are whole
-centimetres up to 10, which a scale of a few percent leaves."""
+"""Numbers that are lengths; all others are proportions or angles. Lengths among the choices, such as the depth of a
+collar, are whole centimetres up to 10: they are left as they are, off by one at most."""
 
 
 class DesignAugmentation:
