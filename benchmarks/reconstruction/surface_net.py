@@ -175,22 +175,22 @@ def pooled(values: Float[Tensor, "v *d"], batch: SurfaceBatch, members: Tensor) 
 
 def of_neighbours(values: Float[Tensor, "v w"], batch: SurfaceBatch) -> Float[Tensor, "v k w"]:
     """Rows of the neighbours; the gradient gathers, too, instead of adding up row by row."""
-    found: Tensor = _OfNeighbours.apply(values, batch.neighbours, batch.returns)  # type: ignore[no-untyped-call]
+    found: Tensor = _OfNeighbours.apply(values, batch.neighbours, batch.reverse)  # type: ignore[no-untyped-call]
     return found
 
 
 class _OfNeighbours(torch.autograd.Function):
-    """``values[neighbours]``. What a vertex gave to its neighbours is at the entries that lead back to it."""
+    """``values[neighbours]``; the gradient of a vertex is the sum over its reverse edges."""
 
     @staticmethod
-    def forward(ctx: Any, values: Tensor, neighbours: Tensor, returns: Tensor) -> Tensor:
-        ctx.save_for_backward(returns)
+    def forward(ctx: Any, values: Tensor, neighbours: Tensor, reverse: Tensor) -> Tensor:
+        ctx.save_for_backward(reverse)
         return gathered(values, neighbours)
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        (returns,) = ctx.saved_tensors
-        return gathered(gradient.flatten(0, 1), returns).sum(dim=1), None, None
+        (reverse,) = ctx.saved_tensors
+        return gathered(gradient.flatten(0, 1), reverse).sum(dim=1), None, None
 
 
 def gathered(values: Float[Tensor, "n w"], rows: Int[Tensor, "*v"]) -> Float[Tensor, "*v w"]:

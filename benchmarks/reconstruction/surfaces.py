@@ -56,8 +56,8 @@ class Surface:
     normals: Float[np.ndarray, "v 3"]
     neighbours: Int[np.ndarray, "v k"]
     """Vertices along edges. The relation is symmetric; entries without a neighbour hold the vertex itself."""
-    returns: Int[np.ndarray, "v k"]
-    """Entry of the flat table of neighbours that leads back; for the vertex itself the entry itself."""
+    reverse: Int[np.ndarray, "v k"]
+    """Row of the reverse edge in the flattened ``neighbours``; an entry without a neighbour is its own."""
     lengths: Float[np.ndarray, "v k"]
     """Of the edges to the neighbours [m]; 0 to the vertex itself."""
     shape: Float[np.ndarray, "v 6"]
@@ -82,14 +82,14 @@ def surface_of(
     rest = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
     if lengths is not None:
         rest = np.bincount(edge_of_corner, lengths.ravel()) / np.bincount(edge_of_corner)
-    table, returns, along = _mutual(*_neighbours(pairs, rest + 1e-6, len(vertices)))
+    table, reverse, along = _mutual(*_neighbours(pairs, rest + 1e-6, len(vertices)))
     on_border = np.zeros(len(vertices), bool)
     on_border[pairs[borders].ravel()] = True
     return Surface(
         positions=((vertices - CENTRE) / METRE).astype(np.float32),
         normals=vertex_normals(vertices, faces).astype(np.float32),
         neighbours=table,
-        returns=returns,
+        reverse=reverse,
         lengths=along,
         shape=_shape(vertices, faces, pairs, on_border),
         clusters=_clusters(place, pairs, rest + 1e-6, clusters),
@@ -100,12 +100,12 @@ def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     """Points [cm] without a mesh: neighbours are among the nearest of each other, 8.5 of 10 on a plane."""
     distances, nearest = cKDTree(points).query(points, k=NEIGHBOURS + 1)
     pairs = np.stack([np.repeat(np.arange(len(points)), NEIGHBOURS), nearest[:, 1:].ravel()], axis=1)
-    table, returns, along = _mutual(nearest[:, 1:], (distances[:, 1:] / METRE).astype(np.float32))
+    table, reverse, along = _mutual(nearest[:, 1:], (distances[:, 1:] / METRE).astype(np.float32))
     return Surface(
         positions=((points - CENTRE) / METRE).astype(np.float32),
         normals=normals.astype(np.float32),
         neighbours=table,
-        returns=returns,
+        reverse=reverse,
         lengths=along,
         shape=np.zeros((len(points), SHAPE), np.float32),
         clusters=_clusters(points, pairs, distances[:, 1:].ravel() + 1e-6, clusters),
@@ -186,10 +186,7 @@ def _neighbours(
 def _mutual(
     table: Int[np.ndarray, "v k"], lengths: Float[np.ndarray, "v k"]
 ) -> tuple[Int[np.ndarray, "v k"], Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
-    """The neighbours that have the vertex among their own ones, the entries that lead back, and the lengths.
-
-    The vertex itself replaces the other neighbours.
-    """
+    """``Surface.neighbours``, ``reverse`` and ``lengths``, with the edges that the table has both ways."""
     count, columns = table.shape
     own = np.arange(count)[:, None]
     entries = own * columns + np.arange(columns)
@@ -199,8 +196,8 @@ def _mutual(
     found = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
     is_mutual = (ordered[found] == back) & (table != own)
     kept = np.where(is_mutual, table, own).astype(np.int32)
-    returns = np.where(is_mutual, order[found], entries).astype(np.int32)
-    return kept, returns, np.where(is_mutual, lengths, 0.0).astype(np.float32)
+    reverse = np.where(is_mutual, order[found], entries).astype(np.int32)
+    return kept, reverse, np.where(is_mutual, lengths, 0.0).astype(np.float32)
 
 
 def _clusters(
@@ -241,8 +238,8 @@ class SurfaceBatch:
     normals: Float[Tensor, "v 3"]
     neighbours: Int[Tensor, "v k"]
     """Rows of the batch."""
-    returns: Int[Tensor, "v k"]
-    """``Surface.returns``, of the table of the batch."""
+    reverse: Int[Tensor, "v k"]
+    """``Surface.reverse``, for the table of the batch."""
     lengths: Float[Tensor, "v k"]
     """``Surface.lengths``."""
     shape: Float[Tensor, "v 6"]
@@ -286,7 +283,7 @@ class SurfaceStore:
         self.starts = torch.cat([torch.zeros(1, dtype=torch.int64), lengths.cumsum(0)]).to(device)
         self.positions, self.normals = joined("positions", torch.float32), joined("normals", torch.float32)
         self.neighbours, self.clusters = joined("neighbours", torch.int32), joined("clusters", torch.int32)
-        self.returns = joined("returns", torch.int32)
+        self.reverse = joined("reverse", torch.int32)
         self.shape, self.lengths = joined("shape", torch.float32), joined("lengths", torch.float32)
         self.tokens = tokens
 
@@ -302,7 +299,7 @@ class SurfaceStore:
             positions=self.positions[chosen],
             normals=self.normals[chosen],
             neighbours=self.neighbours[chosen].long() + first[:, None],
-            returns=self.returns[chosen].long() + first[:, None] * self.returns.shape[1],
+            reverse=self.reverse[chosen].long() + first[:, None] * self.reverse.shape[1],
             lengths=self.lengths[chosen],
             shape=self.shape[chosen],
             clusters=self.clusters[chosen].long() + garments * self.tokens,

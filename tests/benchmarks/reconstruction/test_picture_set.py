@@ -70,7 +70,9 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
     shown = np.where(picture[..., 0] > 0, np.uint8(BodyPart.LEFT_ARM.value), np.uint8(FIRST_PANEL))
     code = encode_design({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"low_angle": 12, "left_slit": 0.5}})
     count = len(painted)
-    ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": [code[None]] * count}
+    halves = encode_design({"meta": {"upper": "Shirt"}, "left": {"enable_asym": True}})
+    designs = [code[None]] * 4 + [halves[None]] * (count - 4)
+    ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": designs}
     made = replace(painted, ragged={**painted.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
     batch = (
         learner("picture_parameters", augmented=1)
@@ -78,9 +80,10 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
         .batch(torch.arange(count), torch.Generator().manual_seed(0))
     )
     mirrored = batch.pictures[:, 0, 0, 0, 0] == 0
-    assert 0 < mirrored.sum() < count
+    assert 0 < mirrored[:4].sum() < 4
+    assert not mirrored[4:].any()  # whose halves differ
     angle, left, right = (PATHS.index(f"pencil-skirt.{name}") for name in ("low_angle", "left_slit", "right_slit"))
-    for k, is_mirrored in enumerate(mirrored.tolist()):
+    for k, is_mirrored in enumerate(mirrored[:4].tolist()):
         expected = (picture[:2, :, ::-1], shown[:2, :, ::-1]) if is_mirrored else (picture[:2], shown[:2])
         assert np.array_equal(batch.pictures[k], expected[0])
         arm = (BodyPart.RIGHT_ARM if is_mirrored else BodyPart.LEFT_ARM).value

@@ -1,10 +1,7 @@
-"""Stitches from panels: the network's invariances, n to m by subdivision, and scores up to symmetry."""
+"""The network of stitches: its invariances, its training, and how its scores become pairs of edges."""
 
-from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import fields, replace
-from math import cos, sin
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +15,6 @@ from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchExamples,
     StitchLearner,
-    StitchNet,
     edge_noise,
     mirrored,
     revealed,
@@ -26,101 +22,27 @@ from benchmarks.reconstruction.models.stitches import (
 )
 from benchmarks.reconstruction.recorded import replace_tensors, tensors_of
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
-from benchmarks.reconstruction.stitching.gluing import glued
-from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
-from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
-from benchmarks.reconstruction.stitching.run import _by_kind, write
-from benchmarks.reconstruction.stitching.sewing import Subdivision, best_pairs, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.stitching.symmetry import StitchScore, congruences, random_symmetry, score_stitches
-from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
+from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.merging import subdivided
+from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
-from gcd_dataset.tensors import encode_pattern
-from gcd_dataset.validate import check_pattern
-
-SMALL = StitchConfig(width=32, heads=2, layers=2, pair_width=16)
-HEM, SIDE_R, ARMHOLE_R, SHOULDER_R, NECK, SHOULDER_L, ARMHOLE_L, SIDE_L = range(8)
-WRIST, UNDERARM_1, CAP_1, CAP_2, UNDERARM_2 = range(5)
-
-
-def panel(
-    name: str, corners: Sequence[tuple[float, float]], curves: dict[int, Curve], place: tuple[float, ...]
-) -> Panel:
-    edges = tuple(Edge(i, (i + 1) % len(corners), curves.get(i, LINE)) for i in range(len(corners)))
-    return Panel(name, np.array(corners, float), edges, Placement(np.array(place, float), np.zeros(3)))
-
-
-def rectangle(name: str, width: float, height: float, x: float = 0.0) -> Panel:
-    return panel(name, [(0, 0), (width, 0), (width, height), (0, height)], {}, (x, 0.0, 0.0))
-
-
-def t_shirt() -> Pattern:
-    """Front, back and two sleeves in one piece; the cap of a sleeve is two arcs of one circle."""
-    corners = [(-25, 0), (25, 0), (25, 40), (20, 60), (8, 62), (-8, 62), (-20, 60), (-25, 40)]
-    half, radius = float(np.hypot(5, 20)), 30.0
-    angle = half / radius
-    end, top = radius * sin(angle), radius * (1 - cos(angle))
-    cap = [(-15.0, -30.0), (15.0, -30.0), (end, 0.0), (0.0, top), (-end, 0.0)]
-    arc = Arc(radius, large=False, right=True)
-    panels = (
-        panel("front", corners, {NECK: Quadratic((0.5, 0.5))}, (0, 80, 20)),
-        panel("back", corners, {NECK: Quadratic((0.5, 0.1))}, (0, 80, -20)),
-        panel("one", cap, {CAP_1: arc, CAP_2: arc}, (60, 120, 0)),
-        panel("two", cap, {CAP_1: arc, CAP_2: arc}, (-60, 120, 0)),
-    )
-    pairs = [
-        ("front", SIDE_R, "back", SIDE_L), ("front", SIDE_L, "back", SIDE_R),
-        ("front", SHOULDER_R, "back", SHOULDER_L), ("front", SHOULDER_L, "back", SHOULDER_R),
-        ("front", ARMHOLE_R, "one", CAP_2), ("back", ARMHOLE_L, "one", CAP_1),
-        ("front", ARMHOLE_L, "two", CAP_1), ("back", ARMHOLE_R, "two", CAP_2),
-        ("one", UNDERARM_1, "one", UNDERARM_2), ("two", UNDERARM_1, "two", UNDERARM_2),
-    ]  # fmt: skip
-    return Pattern("t_shirt", panels, tuple(Seam(EdgeRef(a, i), EdgeRef(b, j)) for a, i, b, j in pairs))
-
-
-def tube() -> Pattern:
-    """Two equal rectangles sewn at both sides, with a belt of two at the top."""
-    panels = (*(rectangle(name, 40, 60) for name in ("f", "b")), *(rectangle(name, 40, 5) for name in ("bf", "bb")))
-    pairs = [("f", 1, "b", 3), ("f", 3, "b", 1), ("bf", 1, "bb", 3), ("bf", 3, "bb", 1), ("f", 2, "bf", 0)]
-    pairs.append(("b", 2, "bb", 0))
-    return Pattern("tube", panels, tuple(Seam(EdgeRef(a, i), EdgeRef(b, j)) for a, i, b, j in pairs))
-
-
-def rewritten(pattern: Pattern, rng: np.random.Generator) -> tuple[Pattern, dict[EdgeRef, EdgeRef]]:
-    """The same garment in another file: panels reordered, renamed, turned and moved, loops started elsewhere."""
-    panels, new_ref = [], {}
-    for number in rng.permutation(len(pattern.panels)).tolist():
-        old = pattern.panels[number]
-        shift, angle = int(rng.integers(len(old.edges))), float(rng.uniform(0, 6))
-        turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]])
-        name = f"panel {rng.integers(10**9)}"
-        edges = old.edges[shift:] + old.edges[:shift]
-        panels.append(Panel(name, old.vertices @ turn.T + rng.normal(size=2), edges, old.placement))
-        for i in range(len(edges)):
-            new_ref[EdgeRef(old.name, (i + shift) % len(edges))] = EdgeRef(name, i)
-    seams = tuple(Seam(new_ref[s.left], new_ref[s.right], s.right_wrong) for s in pattern.seams)
-    return Pattern("other", tuple(panels), seams), new_ref
-
-
-def batch_of(*patterns: Pattern) -> EdgeBatch:
-    return PackedGraphs.of([graph_of(pattern) for pattern in patterns])[torch.arange(len(patterns))]
-
-
-def net_of(config: StitchConfig = SMALL) -> StitchNet:
-    torch.manual_seed(0)
-    return StitchNet(config).eval()
-
-
-def nothing_known(batch: EdgeBatch) -> torch.Tensor:
-    return torch.full_like(batch.partners, -1)
-
-
-def seams_of(pattern: Pattern) -> set[frozenset[EdgeRef]]:
-    return {frozenset((seam.left, seam.right)) for seam in pattern.seams}
-
-
-# ---------------------------------------------------------------------------------------------------------- the network
+from gcd_dataset.records import EdgeRef, Pattern, Placement
+from tests.benchmarks.reconstruction.sewn_patterns import (
+    ARMHOLE_L,
+    ARMHOLE_R,
+    HEM,
+    SIDE_L,
+    SIDE_R,
+    SMALL,
+    batch_of,
+    encode,
+    net_of,
+    nothing_known,
+    rectangle,
+    rewritten,
+    t_shirt,
+    tube,
+)
 
 
 @pytest.mark.parametrize(
@@ -383,16 +305,6 @@ def test_a_learner_answers_with_the_panels_of_the_garment() -> None:
     assert [len(pattern.panels[0].edges) for pattern in found] == [8, 4]
 
 
-def encode(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    tensor = encode_pattern(pattern)
-    return tensor.panels, tensor.edges, tensor.stitches
-
-
-def rows_of(pattern: Pattern) -> list[tuple[int, int]]:
-    rows = {ref: row for row, ref in enumerate(edge_refs(pattern))}
-    return [(rows[seam.left], rows[seam.right]) for seam in pattern.seams]
-
-
 def heaviest(gain: np.ndarray, free: tuple[int, ...]) -> float:
     """Weight of the best pairs among rows, by trying all."""
     if len(free) < 2:
@@ -430,206 +342,3 @@ def test_greedy_sews_edges_of_equal_length() -> None:
     assert {frozenset(pair[:2]) for pair in greedy_by_length(batch_of(pattern))[0]} == {
         frozenset(rows) for rows in ((0, 2), (1, 3), (4, 6), (5, 7))
     }
-
-
-# --------------------------------------------------------------------------------------------------------------- n to m
-
-
-def test_the_cap_of_a_sleeve_becomes_one_edge_and_two_again() -> None:
-    pattern = t_shirt()
-    found = merged(pattern)
-    assert found is not None
-    assert found.cuts == {EdgeRef(name, CAP_1): pytest.approx((0.5,)) for name in ("one", "two")}
-    assert [len(p.edges) for p in found.pattern.panels] == [8, 8, 4, 4]
-    assert seams_of(found.parts) == seams_of(pattern)
-    assert len(found.pattern.seams) == 6
-    assert {found.parts.seams[k].left.panel for k in found.seams_of_several} == {"front", "back"}
-    for ours, theirs in zip(found.parts.panels, pattern.panels, strict=True):
-        assert ours.edge_lengths() == pytest.approx(theirs.edge_lengths(), abs=1e-3)
-    assert [str(f) for f in check_pattern(found.parts)] == [str(f) for f in check_pattern(pattern)]
-
-
-def test_a_cut_moves_to_where_the_lengths_agree() -> None:
-    found = merged(t_shirt())
-    assert found is not None
-    wrong = dict.fromkeys(found.cuts, (0.45,))
-    parts = replace(split(found.pattern, wrong), seams=found.parts.seams)
-    assert aligned(found.pattern, wrong, parts) == {ref: pytest.approx((0.5,)) for ref in found.cuts}
-
-
-def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
-    left, right, belt = rectangle("left", 20, 60), rectangle("right", 20, 60), rectangle("belt", 20, 5)
-    seams = (Seam(EdgeRef("left", 1), EdgeRef("right", 3)), Seam(EdgeRef("right", 2), EdgeRef("belt", 0)))
-    found = glued(graph_of(Pattern("p", (left, right, belt), seams[:1])), np.random.default_rng(0), share=1.0)
-    assert found.panels.tolist() == [0] * 6 + [1] * 4
-    whole = found.points[:6].reshape(-1, 2)
-    assert np.ptp(whole, axis=0) == pytest.approx([40, 60], abs=1e-3)
-    assert np.abs(whole).max(axis=0) == pytest.approx([20, 30], abs=1e-3)
-    ends = found.points[found.following[:6], 0]
-    assert found.points[:6, -1] == pytest.approx(ends, abs=1e-3)
-    assert sorted(found.lengths[:6].tolist()) == pytest.approx([20, 20, 20, 20, 60, 60])
-    both = graph_of(Pattern("p", (left, right, belt), seams))
-    assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
-    assert len(glued(both, np.random.default_rng(0), share=0.0).lengths) == 12
-    assert (
-        glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners
-    ).all()
-
-
-@pytest.mark.parametrize("share", [0.2, 0.35, 0.8])
-def test_a_cut_within_a_seam_of_two_whole_edges_is_not_needed(share: float) -> None:
-    """Whatever the needless subdivision, the cut of the cap, which is sewn to two panels, stays."""
-    found = merged(t_shirt())
-    assert found is not None
-    side, other = EdgeRef("front", SIDE_R), EdgeRef("back", SIDE_L)
-    cuts = {**found.cuts, side: (share,), other: (1 - share,), EdgeRef("front", NECK): (share,)}
-    parts = split(found.pattern, cuts)
-    seams = [
-        *(seam for seam in parts.seams if side.panel not in (seam.left.panel, seam.right.panel)),
-        Seam(EdgeRef("front", 1), EdgeRef("back", 8)),
-        Seam(EdgeRef("front", 2), EdgeRef("back", 7)),
-        Seam(EdgeRef("one", CAP_1), EdgeRef("back", ARMHOLE_L)),
-        Seam(EdgeRef("one", CAP_2), EdgeRef("front", ARMHOLE_R + 1)),
-        Seam(EdgeRef("two", CAP_1), EdgeRef("front", ARMHOLE_L + 2)),
-        Seam(EdgeRef("two", CAP_2), EdgeRef("back", ARMHOLE_R)),
-    ]
-    assert needed(found.pattern, cuts, replace(parts, seams=tuple(seams))) == found.cuts
-    assert needed(found.pattern, found.cuts, split(found.pattern, found.cuts)) == {}
-
-
-@pytest.mark.parametrize("way", [Subdivision(), Subdivision(-9.0), Subdivision(-9.0, revised=True)], ids=str)
-def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
-    """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
-    pattern = replace(t_shirt(), seams=())
-    found = sew(net_of(), [pattern], subdivide=way, rounds=1)[0]
-    count = sum(len(p.edges) for p in found.panels) - sum(len(p.edges) for p in pattern.panels)
-    assert (count > 0) == (way.logit < 0)
-    if way.revised:
-        assert count < sum(
-            len(p.edges) for p in sew(net_of(), [pattern], subdivide=Subdivision(way.logit), rounds=1)[0].panels
-        ) - sum(len(p.edges) for p in pattern.panels)
-
-
-def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
-    joined = merged(t_shirt())
-    assert joined is not None
-    torch.manual_seed(3)
-    net = StitchNet(replace(SMALL, rounds=1)).eval()
-    several = list(sew_in_ways(net, [joined.pattern], (0.0, -9.0)))
-    assert [(way.logit, way.revised) for way, _ in several] == [(0.0, False), (0.0, True), (-9.0, False), (-9.0, True)]
-    for way, (found,) in several:
-        assert found.seams == sew(net, [joined.pattern], subdivide=way)[0].seams
-    counts = [sum(len(panel.edges) for panel in found.panels) for _, (found,) in several]
-    assert counts[2] > counts[0]
-    assert counts[3] < counts[2]
-
-
-def test_edges_sewn_to_one_panel_are_not_joined() -> None:
-    pattern = t_shirt()
-    seams = tuple(
-        replace(seam, left=EdgeRef("front", NECK)) if seam.left == EdgeRef("back", ARMHOLE_L) else seam
-        for seam in pattern.seams
-    )
-    found = merged(replace(pattern, seams=seams))
-    assert found is not None
-    assert set(found.cuts) == {EdgeRef("two", CAP_1)}
-
-
-def test_a_seam_cut_in_two_is_sewn_in_the_same_places() -> None:
-    pattern = t_shirt()
-    found = subdivided(pattern, np.random.default_rng(0), share=1.0)
-    assert len(found.seams) == 20
-    assert {side for seam in found.seams for side in (seam.left, seam.right)} <= set(edge_refs(found))
-    lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
-    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=1e-3) for seam in found.seams)
-    assert subdivided(pattern, np.random.default_rng(0), share=0.0).seams == pattern.seams
-
-
-def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
-    found = merged(t_shirt())
-    assert found is not None
-    right = score_intervals(found, found.parts)
-    assert (right.f1, right.f1_several, right.cut_recall) == (1.0, 1.0, 1.0)
-    moved = split(found.pattern, {EdgeRef("one", CAP_1): (0.5,), EdgeRef("two", CAP_1): (0.3,)})
-    wrong = score_intervals(found, replace(moved, seams=found.parts.seams))
-    assert wrong.f1 == pytest.approx(0.8)
-    assert wrong.f1_several == pytest.approx(0.5)
-    unsewn = score_intervals(found, found.pattern)
-    assert unsewn.f1_several == 0.0
-    assert unsewn.f1 == pytest.approx(2 * 6 / (6 + 10))
-
-
-# ------------------------------------------------------------------------------------------------------------- symmetry
-
-
-def test_congruent_panels_are_exchangeable_and_mirror_images_are_not() -> None:
-    slanted = panel("a", [(0, 0), (30, 0), (30, 20), (5, 10)], {}, (0, 0, 0))
-    flipped = panel("b", [(0, 0), (30, 0), (25, 10), (0, 20)], {}, (0, 0, 0))
-    assert set(congruences(graph_of(Pattern("p", (slanted, flipped), ())))) == {(0, 0), (1, 1)}
-    square = congruences(graph_of(Pattern("p", (rectangle("a", 9, 9), rectangle("b", 9, 9)), ())))
-    assert square == {(i, j): [0, 1, 2, 3] for i in (0, 1) for j in (0, 1)}
-    assert congruences(graph_of(t_shirt()))[2, 3] == [0]
-
-
-def test_exchanged_belts_are_right_up_to_symmetry() -> None:
-    graph, rows = graph_of(tube()), rows_of(tube())
-    exchanged = [(left, (right + 4 - 8) % 8 + 8 if left < 8 <= right else right) for left, right in rows]
-    score = score_stitches(graph, exchanged)
-    assert (score.perfect, score.perfect_symmetric) == (0.0, 1.0)
-    assert score.f1 == pytest.approx(4 / 6)
-
-
-def test_half_an_exchange_is_wrong() -> None:
-    rows = rows_of(t_shirt())
-    one, two = rows.index((ARMHOLE_R, 16 + CAP_2)), rows.index((ARMHOLE_L, 21 + CAP_1))
-    half = list(rows)
-    half[one], half[two] = (ARMHOLE_R, 21 + CAP_1), (ARMHOLE_L, 16 + CAP_2)
-    score = score_stitches(graph_of(t_shirt()), half)
-    assert score.f1 == pytest.approx(0.8)
-    assert score.perfect_symmetric == 0.0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_every_symmetry_of_the_truth_is_right(seed: int) -> None:
-    """A ring of six equal gores: any cycle of them is the same skirt."""
-    rng = np.random.default_rng(seed)
-    gores = tuple(panel(f"{k}", [(0, 0), (20, 0), (15, 50), (5, 50)], {}, (0, 0, 0)) for k in range(6))
-    ring = [Seam(EdgeRef(f"{k}", 1), EdgeRef(f"{(k + 1) % 6}", 3)) for k in range(6)]
-    graph, order = graph_of(Pattern("skirt", gores, tuple(ring))), rng.permutation(6).tolist()
-    cycle = [(4 * order[k] + 1, 4 * order[(k + 1) % 6] + 3) for k in range(6)]
-    assert score_stitches(graph, cycle).perfect_symmetric == 1.0
-    two_rings = [(4 * a + 1, 4 * b + 3) for a, b in ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))]
-    assert score_stitches(graph, two_rings).perfect_symmetric == 0.0
-
-
-def test_a_random_symmetry_of_the_truth_is_right() -> None:
-    graph = graph_of(tube())
-    images = [random_symmetry(graph, np.random.default_rng(seed)) for seed in range(8)]
-    scores = [score_stitches(graph, [(moved[a], moved[b]) for a, b in rows_of(tube())]) for moved in images]
-    assert all(sorted(moved) == list(range(16)) for moved in images)
-    assert {score.perfect_symmetric for score in scores} == {1.0}
-    assert min(score.f1 for score in scores) < 1.0
-
-
-def test_stitches_on_edges_that_the_truth_lacks_are_wrong() -> None:
-    rows = rows_of(t_shirt())
-    score = score_stitches(graph_of(t_shirt()), rows, others=2)
-    assert score.precision == pytest.approx(10 / 12)
-    assert score.recall == 1.0
-
-
-def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
-    patterns = [replace(t_shirt(), name=f"1_{k:09d}") for k in range(3)]
-    (tmp_path / "own.json").write_text("{}")
-    write(tmp_path, patterns)
-    write(tmp_path, patterns[:2])
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
-    ]  # fmt: skip
-
-
-def test_scores_of_kinds_leave_out_missing_ones() -> None:
-    """A kind without seams n to m has none."""
-    best, least = (StitchScore(*[value] * len(fields(StitchScore))) for value in (1.0, 0.0))
-    assert _by_kind(["skirt", "dress", "skirt"], [best, least, least]) == {"dress": [least], "skirt": [best, least]}
-    assert _by_kind(["skirt", "dress", "skirt"], [best, None, least]) == {"skirt": [best, least]}

@@ -135,7 +135,7 @@ def test_neighbours_of_points_are_the_nearest_of_each_other() -> None:
     for row, others in enumerate(nearest):
         expected = {other for other in others if row in nearest[other]}
         assert set(found.neighbours[row].tolist()) - {row} == expected
-    assert_leads_back(found)
+    assert_reverse_edges(found)
 
 
 def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
@@ -151,11 +151,11 @@ def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
     knows_centre = (found.neighbours == 0).any(axis=1)
     assert knows_centre[1 : NEIGHBOURS + 1].all()
     assert not knows_centre[NEIGHBOURS + 1 :].any()
-    assert_leads_back(found)
+    assert_reverse_edges(found)
 
 
-def assert_leads_back(surface: Surface) -> None:
-    entries = surface.returns.ravel()
+def assert_reverse_edges(surface: Surface) -> None:
+    entries = surface.reverse.ravel()
     assert np.array_equal(np.sort(entries), np.arange(len(entries)))
     own = np.repeat(np.arange(len(surface.neighbours)), NEIGHBOURS)
     assert np.array_equal(surface.neighbours.ravel()[entries], own)
