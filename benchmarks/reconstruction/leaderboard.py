@@ -82,6 +82,7 @@ class Entry:
     train: int
     """Garments to train on."""
     minutes: float
+    """Time that the steps took."""
     scores: Mapping[str, Sequence[float]]
     """Mean and ends of the 95 % interval of each score."""
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -100,11 +101,21 @@ class Entry:
     """Garments of the test set."""
     tests: str = ""
     """Which garments these are: equal for the same patterns, draped at the same resolution."""
+    steps: int = 0
+    """Steps that were asked for; 0: the training was given a time."""
 
     @property
     def trained_on(self) -> str:
         """The garments of the training, as the tables show them."""
         return f"{self.train:,}" + (f" + {self.fresh:,} fresh" if self.fresh else "")
+
+    @property
+    def length(self) -> str:
+        """How long the training was to be; empty for a reference without one."""
+        if self.steps:
+            return f"{self.steps:,} steps"
+        minutes = round(self.minutes, 1)
+        return f"{minutes:g} minute{'s' if minutes != 1 else ''}" if self.minutes else ""
 
     def score(self, name: str) -> str:
         """A score with its interval; empty if the entry has none."""
@@ -125,7 +136,7 @@ def read_entries(folder: Path) -> list[Entry]:
 def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remark: str = "") -> Path:
     """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another file or a smoke run.
 
-    It replaces the result of the same model, task and garments, trained for as many minutes and tested alike.
+    It replaces the result of the same model, task and garments, trained for as long and tested alike.
     """
     entry = _read(path)
     entry = {**entry, "command": command, "commit": commit, "date": date, "remark": remark}
@@ -133,7 +144,7 @@ def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remar
     if _is_smoke(entry):
         raise ConfigError(f"{path}: a smoke run, which tells nothing about a model: run it again without --smoke")
     variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
-    variant += f"_{kind.minutes:.0f}min" if kind.minutes else ""
+    variant += f"_{kind.steps}steps" if kind.steps else f"_{round(kind.minutes, 1):g}min" if kind.minutes else ""
     name = f"{kind.task}_{kind.model}_{kind.train}{variant}".lower().replace(" ", "_")
     file = folder / f"{name}.json"
     if file.exists() and _test_set(_entry(file)) != _test_set(kind):
@@ -241,9 +252,11 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             minutes = found["train_s"] / 60
             train = int(arguments["train"])
             return Entry(
-                "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found)
+                "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found),
+                steps=int(arguments.get("steps", 0)),
             )  # fmt: skip
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
+        steps = int(options.get("steps", 0)) if found["minutes"] else 0  # references take none
         left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
         train = int(options.get("train") or count)
         if count < LEAST_MADE * train and not left_out:
@@ -251,7 +264,7 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
         model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
         return Entry(
             found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            left_out, int(found.get("fresh", 0)), remark, **_tests(found),
+            left_out, int(found.get("fresh", 0)), remark, **_tests(found), steps=steps,
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
@@ -357,8 +370,8 @@ def _page(task: str, entries: Sequence[Entry]) -> str:
     parts += [*_on_others(others, names), *_left_out(task, entries)]
     for entry in entries:
         without = f", without {entry.left_out}" if entry.left_out else ""
-        spent = f", {entry.minutes:.0f} minutes" if entry.minutes else ""
-        parts.append(f"## {entry.model}, {entry.trained_on} garments{without}{spent}")
+        length = f", {entry.length}" if entry.length else ""
+        parts.append(f"## {entry.model}, {entry.trained_on} garments{without}{length}")
         parts += [entry.remark] if entry.remark else []
         shown = {title: table for title, table in entry.tables.items() if table}
         columns = list(dict.fromkeys(name for table in shown.values() for name in table))
@@ -405,18 +418,20 @@ def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
     whole = _by_test_set(entries)[0]
     for entry in sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out)):
         peers = [e for e in whole if (e.model, e.train, e.fresh) == (entry.model, entry.train, 0)]
-        peers.sort(key=lambda e: abs(e.minutes - entry.minutes))
+        peers.sort(key=lambda e: (e.length != entry.length, abs(e.minutes - entry.minutes)))
         known = peers[0].kinds.get(entry.left_out, {}) if peers else {}
         cells = [
             cell for name in names for cell in (_shown([known[name]] if name in known else None), entry.score(name))
         ]
-        rows.append([entry.left_out, entry.model, f"{entry.train:,}", f"{entry.tested:,}", *cells])
+        lengths = list(dict.fromkeys(e.length for e in (*peers[:1], entry)))
+        rows.append([entry.left_out, entry.model, f"{entry.train:,}", ", ".join(lengths), f"{entry.tested:,}", *cells])
     if not rows:
         return []
     head = [
         "left out",
         "model",
         "of",
+        "trained for",
         "tested on",
         *(f"{name}, {how}" for name in names for how in ("with", "without")),
     ]
@@ -450,15 +465,15 @@ def _has_curve(entries: Sequence[Entry]) -> bool:
 def _by_model(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
     """The entries of each model, the best first, by the number of garments.
 
-    A model that was trained for different times has a row for each.
+    A model that was trained for different times, or numbers of steps, has a row for each.
     """
-    times: dict[str, set[int]] = {}
+    lengths: dict[str, set[str]] = {}
     for entry in entries:
-        times.setdefault(entry.model, set()).add(round(entry.minutes))
+        lengths.setdefault(entry.model, set()).add(entry.length)
     found: dict[str, list[Entry]] = {}
     for entry in entries:
-        several = len(times[entry.model]) > 1
-        name = f"{entry.model}, {entry.minutes:.0f} minutes" if several else entry.model
+        several = len(lengths[entry.model]) > 1
+        name = f"{entry.model}, {entry.length}" if several else entry.model
         found.setdefault(name, []).append(entry)
     return {name: sorted(own, key=lambda e: e.train + e.fresh) for name, own in found.items()}
 

@@ -65,7 +65,7 @@ class Planned:
             return 1.0
         if "minutes" in self.options:
             return float(self.options["minutes"])
-        return 6.0 if self.program == "stitching.run" else MINUTES * _is_network(self.model)
+        return stitching.MINUTES if self.program == "stitching.run" else MINUTES * _is_network(self.model)
 
     @property
     def task(self) -> str:

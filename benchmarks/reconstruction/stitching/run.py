@@ -47,6 +47,7 @@ DRAWS = 1000  # of the bootstrap
 CHECKED = 100  # patterns that choose how edges are subdivided; at most a quarter of those tested on
 WATCHED = 32  # of these: patterns that are scored during the training
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
+MINUTES = 6.0  # of a training without --steps
 SMOKE: dict[str, Any] = {
     "train": 200, "test": 32, "minutes": 0.4, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
 }  # fmt: skip
@@ -143,7 +144,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--train", 24_000, "patterns to train on")
     option("--test", 500, "patterns to test on, of another seed")
     option("--seed", 0, "seed of the network and the order")
-    option("--minutes", 6.0, "time of the training")
+    option("--minutes", 0.0, f"time of the training; {MINUTES:g} without --steps")
+    option("--steps", 0, "optimiser steps")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
     option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
     option("--batch", 256, "patterns of a step")
@@ -163,15 +165,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
     """The options, those of ``SMOKE`` where they are not given with ``--smoke``."""
-    if parser.parse_args(arguments).smoke:
+    given = parser.parse_args(arguments)
+    if given.smoke:
         parser.set_defaults(**SMOKE)
+    if given.smoke and given.steps:
+        parser.set_defaults(minutes=0.0)
     return parser.parse_args(arguments)
 
 
 def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
     """The options of the training and of the network. Raises ``ConfigError`` for unusable options."""
-    names = ("minutes", "batch", "lr", "seed", "checks", "compile")
-    config = TrainConfig(**{name: getattr(args, name) for name in names})
+    names = ("steps", "batch", "lr", "seed", "checks", "compile")
+    minutes = args.minutes or (0.0 if args.steps else MINUTES)
+    config = TrainConfig(minutes=minutes, **{name: getattr(args, name) for name in names})
     for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
         if not least <= getattr(args, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")

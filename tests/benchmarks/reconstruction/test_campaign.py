@@ -418,6 +418,22 @@ def test_the_commands_of_the_committed_plans_are_valid(name: str, without: set[s
 
 
 @pytest.mark.parametrize(
+    ("given", "steps", "minutes"),
+    [
+        ([], 0, 6.0), (["--minutes", "2.5"], 0, 2.5), (["--steps", "70"], 70, 0.0),
+        (["--smoke"], 0, 0.4), (["--smoke", "--steps", "70"], 70, 0.0),
+    ],
+)  # fmt: skip
+def test_stitches_are_trained_for_a_time_or_some_steps(given: list[str], steps: int, minutes: float) -> None:
+    parser = argparse.ArgumentParser()
+    stitching.add_arguments(parser)
+    config, _ = stitching.configs_from(stitching.parsed(parser, ["--out", "out", *given]))
+    assert (config.steps, config.minutes) == (steps, minutes)
+    with pytest.raises(ConfigError, match="steps 5, minutes 3: give one of them"):
+        stitching.configs_from(stitching.parsed(parser, ["--out", "out", "--steps", "5", "--minutes", "3"]))
+
+
+@pytest.mark.parametrize(
     ("given", "shown"), [("", ["0,1,2", "1,2,0", "2,0,1"]), ("3,5,7", ["3,5,7", "5,7,3", "7,3,5"])]
 )
 def test_a_program_sees_its_own_gpu_first(given: str, shown: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -430,8 +446,8 @@ def test_families_are_compared_with_a_training_on_all() -> None:
     runs = read_plan(PLANS / "h200_families.toml")
     left_out = {task: {run.options["leave_out"] for run in runs if run.task == task} for task in {r.task for r in runs}}
     assert all(kinds == {"", *FAMILIES} for kinds in left_out.values())
-    by_task = {task: {run.minutes for run in runs if run.task == task} for task in left_out}
-    assert all(len(minutes) == 1 for minutes in by_task.values())
+    by_task = {task: {run.options["steps"] for run in runs if run.task == task} for task in left_out}
+    assert all(len(steps) == 1 for steps in by_task.values())
 
 
 def test_short_trainings_have_equal_time_and_garments() -> None:

@@ -110,8 +110,11 @@ def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path)
     added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt", tested=70, patterns="12"))
     for name in ("learning_T0.md", "leaderboard.md"):
         page = (tmp_path / name).read_text()
-        assert "| left out | model | of | tested on | topology_exact, with | topology_exact, without |" in page
-        assert "| skirt | panel_set | 4 | 70 | 0.25 | 0.1 (0 to 0.2) |" in page
+        assert (
+            "| left out | model | of | trained for | tested on | topology_exact, with | topology_exact, without |"
+            in page
+        )
+        assert "| skirt | panel_set | 4 | 8 minutes | 70 | 0.25 | 0.1 (0 to 0.2) |" in page
         assert page.count("| panel_set | 4 | 8.0 |") == 1
         assert page.count("Tested on") == 1
 
@@ -193,6 +196,30 @@ def test_trainings_of_other_lengths_are_rows_of_their_own(tmp_path: Path) -> Non
     assert "| topology_exact | panel_set, 20 minutes |  | 0.5 (0.4 to 0.6) |" in page
 
 
+def test_lengths_of_trainings_are_told_apart(tmp_path: Path) -> None:
+    """2.4 and 2.5 minutes, measured with the last step, and steps whatever time they took."""
+    for exact, options, minutes in ((0.3, {}, 2.4003), (0.4, {}, 2.5008), (0.5, {"steps": 1200}, 2.5)):
+        added(tmp_path, result("T1", "panel_set", exact, **options) | {"minutes": minutes})
+    added(tmp_path, result("T1", "panel_set", 0.5, train=8, steps=1200) | {"minutes": 7.0})
+    page = (tmp_path / "learning_T1.md").read_text()
+    for head in ("4 garments, 2.4 minutes", "4 garments, 2.5 minutes", "4 garments, 1,200 steps"):
+        assert page.count(f"## panel_set, {head}\n") == 1
+    assert "| topology_exact | panel_set, 1,200 steps | 0.5 (0.4 to 0.6) | 0.5 (0.4 to 0.6) |" in page
+
+
+def test_a_kind_is_left_out_of_a_training_of_as_many_steps(tmp_path: Path) -> None:
+    """Not of the training whose steps took about as long."""
+    for value, options, minutes in ((0.25, {}, 1.0), (0.75, {"steps": 900}, 2.0)):
+        found = result("T0", "panel_set", 0.7, **options) | {"minutes": minutes}
+        added(tmp_path, found | {"scores_of_kinds": {"skirt": {"topology_exact": value}}})
+    without = result("T0", "panel_set", 0.1, leave_out="skirt", steps=900, tested=70, patterns="12")
+    added(tmp_path, without | {"minutes": 1.0})
+    assert (
+        "| skirt | panel_set | 4 | 900 steps | 70 | 0.75 | 0.1 (0 to 0.2) |"
+        in (tmp_path / "learning_T0.md").read_text()
+    )
+
+
 def test_a_remark_is_part_of_the_report(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     path.write_text(json.dumps(result("T0", "nearest", 0.2)))
@@ -222,4 +249,4 @@ def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
     found["several"] = {"f1_several_symmetric": [0.3, 0.2, 0.4]}
     assert added(tmp_path, found) == 0
     page = (tmp_path / "learning_T3.md").read_text()
-    assert "| dress | stitches | 1,000 | 4 | 0.75 | 0.5 (0.4 to 0.6) | 0.5 | 0.3 (0.2 to 0.4) |" in page
+    assert "| dress | stitches | 1,000 | 1 minute | 4 | 0.75 | 0.5 (0.4 to 0.6) | 0.5 | 0.3 (0.2 to 0.4) |" in page
