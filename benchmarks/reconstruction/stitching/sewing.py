@@ -148,6 +148,8 @@ def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
 
 
 def _sewn(net: "StitchNet", patterns: Sequence[Pattern], rounds: int, batch: int, seed: int) -> list[Pattern]:
+    if not patterns:
+        return []
     graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
     chance = torch.Generator().manual_seed(seed)
     found: dict[int, Pattern] = {}

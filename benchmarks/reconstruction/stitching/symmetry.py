@@ -79,7 +79,7 @@ def _f1(
     found, wanted = int(sewn.sum()) + 2 * others, int((graph.partners >= 0).sum())
     if not found + wanted:
         return 1.0, 1.0, 1.0
-    return right / found if found else 1.0, right / wanted if wanted else 1.0, 2 * right / (found + wanted)
+    return right / max(found, 1), right / max(wanted, 1), 2 * right / (found + wanted)
 
 
 def congruences(graph: EdgeGraph) -> Turns:

@@ -1,6 +1,6 @@
 """Scores of stitches: up to symmetry, by kind of garment, and of files of the latest run alone."""
 
-from dataclasses import fields, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,16 @@ def test_exchanged_belts_are_right_up_to_symmetry() -> None:
     score = score_stitches(graph, exchanged)
     assert (score.perfect, score.perfect_symmetric) == (0.0, 1.0)
     assert score.f1 == pytest.approx(4 / 6)
+
+
+def test_without_answers_nothing_is_right() -> None:
+    """As the evaluator counts: no precision without predicted seams, unless the truth has none, either."""
+    score = score_stitches(graph_of(t_shirt()), [])
+    assert (score.precision, score.recall, score.f1) == (0.0, 0.0, 0.0)
+    bare = graph_of(replace(t_shirt(), seams=()))
+    assert set(astuple(score_stitches(bare, []))) == {1.0}
+    excess = score_stitches(bare, rows_of(t_shirt()))
+    assert (excess.precision, excess.recall, excess.f1) == (0.0, 0.0, 0.0)
 
 
 def test_half_an_exchange_is_wrong() -> None:

@@ -107,6 +107,12 @@ def test_revised_subdivisions_separate_seams(way: Subdivision) -> None:
         ) - sum(len(p.edges) for p in pattern.panels)
 
 
+@pytest.mark.parametrize("way", [None, Subdivision(), Subdivision(revised=True)])
+def test_no_patterns_are_sewn_into_none(way: Subdivision | None) -> None:
+    """Test garments of one kind may have no seam n to m."""
+    assert sew(net_of(), [], subdivide=way) == []
+
+
 def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
     joined = merged(t_shirt())
     assert joined is not None
