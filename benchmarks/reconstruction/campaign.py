@@ -8,7 +8,7 @@
 A plan is a TOML file with a table for each group of runs. Its keys are options of ``train``, or of ``stitching.run``
 with ``program = "stitching.run"``; a list holds a value for each run, and several lists all their combinations. A run
 is named by the table and its values of the lists: ``T0-panel_set-4000``. ``spare``: minutes to load and to score,
-without drapes.
+without drapes; ``expected``: minutes that ``steps`` may take.
 
 A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time, those without
 drapes first. Runs whose garments are there start, one for each GPU, the longest that fits into the time first; those
@@ -121,8 +121,11 @@ def _report(runs: Sequence[Planned], args: argparse.Namespace) -> int:
     commit, undraped = args.commit or leaderboard.commit_here(), 0
     for run in trained:
         path = args.out / run.name / REPORT
+        _require_planned(run, path.parent)
         date = datetime.fromtimestamp(path.stat().st_mtime, UTC).strftime("%Y-%m-%d")
-        told = {"command": shlex.join([*run.command, "--out", f"runs/{run.name}"]), "commit": commit, "date": date}
+        examples = ["--examples", "FREESEWING"] if "foreign" in _report_in(path) else []
+        command = shlex.join([*run.command, *examples, "--out", f"runs/{run.name}"])
+        told = {"command": command, "commit": commit, "date": date}
         is_undraped = _is_to_drape(run, path)
         undraped += is_undraped
         remark = NOT_DRAPED if is_undraped else ""
@@ -197,12 +200,7 @@ class _Campaign:
     def _known(self, run: Planned) -> State:
         """The state that the files tell. Raises ``ConfigError`` for files of other options."""
         folder = self.out / run.name
-        try:
-            planned = json.loads((folder / PLANNED).read_text()) if (folder / PLANNED).exists() else run.command
-        except ValueError as error:
-            raise ConfigError(f"{folder / PLANNED}: {error}: delete the folder") from error
-        if planned != run.command:
-            raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
+        _require_planned(run, folder)
         if (folder / REPORT).exists():
             return State.TO_DRAPE if _is_to_drape(run, folder / REPORT) else State.DONE
         return State.UNFINISHED if (folder / "checkpoint.pt").exists() else State.WAITING
@@ -456,6 +454,16 @@ def _trained_minutes(folder: Path) -> float:
         return 0.0
     with path.open(newline="") as file:
         return max((float(row["seconds"]) for row in csv.DictReader(file)), default=0.0) / 60
+
+
+def _require_planned(run: Planned, folder: Path) -> None:
+    """Raise ``ConfigError`` if the folder holds a run of other options than the plan's."""
+    try:
+        planned = json.loads((folder / PLANNED).read_text()) if (folder / PLANNED).exists() else run.command
+    except ValueError as error:
+        raise ConfigError(f"{folder / PLANNED}: {error}: delete the folder") from error
+    if planned != run.command:
+        raise ConfigError(f"{folder} holds a run of other options: delete it, or rename the run in the plan")
 
 
 def _report_in(path: Path) -> dict[str, Any]:

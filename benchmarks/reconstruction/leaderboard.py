@@ -10,17 +10,22 @@ garments have tables of their own.
 """
 
 import argparse
+import hashlib
 import io
 import json
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import TASKS, task_named
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import write_whole
@@ -69,8 +74,8 @@ TABLES: Mapping[str, str] = {
     "one_round": "The same, all seams predicted at once",
     "faultless_by_shape": "Bound: the truth with panels of equal shape exchanged",
     "several": "Edges joined wherever possible, scored on the seams of their parts (n to m)",
-    "foreign": "Patterns of another origin (T7): FreeSewing's designs",
 }
+FOREIGN = "Patterns of another origin (T7): FreeSewing's designs"
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,8 @@ class Entry:
     """Which garments these are: equal for the same patterns, draped at the same resolution."""
     steps: int = 0
     """Steps that were asked for; 0: the training was given a time."""
+    asked: float = 0.0
+    """Minutes that were asked for; 0: unknown."""
 
     @property
     def trained_on(self) -> str:
@@ -112,10 +119,12 @@ class Entry:
     @property
     def length(self) -> str:
         """How long the training was to be; empty for a reference without one."""
+        if not self.minutes:
+            return ""
         if self.steps:
             return f"{self.steps:,} steps"
-        minutes = round(self.minutes, 1)
-        return f"{minutes:g} minute{'s' if minutes != 1 else ''}" if self.minutes else ""
+        minutes = self.asked or round(self.minutes, 1)
+        return f"{minutes:g} minute{'s' if minutes != 1 else ''}"
 
     def score(self, name: str) -> str:
         """A score with its interval; empty if the entry has none."""
@@ -136,7 +145,7 @@ def read_entries(folder: Path) -> list[Entry]:
 def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remark: str = "") -> Path:
     """Copy a ``report.json`` into the folder; the new file. Raises ``ConfigError`` for another file or a smoke run.
 
-    It replaces the result of the same model, task and garments, trained for as long and tested alike.
+    It replaces the result of the same model and options, task and garments, trained for as long and tested alike.
     """
     entry = _read(path)
     entry = {**entry, "command": command, "commit": commit, "date": date, "remark": remark}
@@ -144,11 +153,12 @@ def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remar
     if _is_smoke(entry):
         raise ConfigError(f"{path}: a smoke run, which tells nothing about a model: run it again without --smoke")
     variant = ("_fresh" if kind.fresh else "") + (f"_without_{kind.left_out}" if kind.left_out else "")
-    variant += f"_{kind.steps}steps" if kind.steps else f"_{round(kind.minutes, 1):g}min" if kind.minutes else ""
+    variant += re.sub(r"^(.+) (steps|min).*$", r"_\1\2", kind.length).replace(",", "")
     name = f"{kind.task}_{kind.model}_{kind.train}{variant}".lower().replace(" ", "_")
     file = folder / f"{name}.json"
     if file.exists() and _test_set(_entry(file)) != _test_set(kind):
-        file = folder / f"{name}_test{kind.tested}_{kind.tests[:8]}.json"
+        digest = hashlib.sha256(kind.tests.encode()).hexdigest()[:8]
+        file = folder / f"{name}_test{kind.tested}_{digest}.json"
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(file, (json.dumps(entry, indent=1) + "\n").encode())
     return file
@@ -244,7 +254,10 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
         if "one_to_one" in found:
             arguments = found["arguments"]
             variants = [name for name in ("placed", "autosew", "one_round") if arguments.get(name)]
+            variants += _unusual(arguments, _usual_of_stitches())
             tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
+            if "foreign" in found:
+                tables[f"{FOREIGN}, {found['foreign']['garments']} patterns"] = _scores(found["foreign"])
             name = " ".join(["stitches", *variants])
             scores, kinds = _scores(found["one_to_one"]), _with_several(found)
             left_out = arguments.get("leave_out", "")
@@ -253,21 +266,44 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
             train = int(arguments["train"])
             return Entry(
                 "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found),
-                steps=int(arguments.get("steps", 0)),
+                steps=int(arguments.get("steps", 0)), asked=float(arguments.get("minutes", 0)),
             )  # fmt: skip
         options, kinds = found.get("options", {}), found["scores_of_kinds"]
-        steps = int(options.get("steps", 0)) if found["minutes"] else 0  # references take none
         left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
         train = int(options.get("train") or count)
         if count < LEAST_MADE * train and not left_out:
             train = count  # a folder may hold fewer garments than asked for
-        model = " ".join([found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items())])
+        unusual = _unusual(options, _usual_of(found["model"]))
+        model = " ".join(
+            [found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items()), *unusual]
+        )
         return Entry(
             found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            left_out, int(found.get("fresh", 0)), remark, **_tests(found), steps=steps,
+            left_out, int(found.get("fresh", 0)), remark, **_tests(found),
+            steps=int(options.get("steps", 0)), asked=float(options.get("minutes", 0)),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
+
+
+def _unusual(given: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
+    """``name=value`` of the options that differ from the usual ones."""
+    return [f"{name}={given[name]}" for name, value in usual.items() if given.get(name, value) != value]
+
+
+def _usual_of(model: str) -> dict[str, Any]:
+    """The usual options of a training, besides its length."""
+    usual = getattr(load_model(model), "USUAL", {}) if model in MODELS else {}
+    return {name: usual[name] for name in ("batch", "lr") if name in usual} | {"seed": 0}
+
+
+@cache
+def _usual_of_stitches() -> dict[str, Any]:
+    """The usual options of T3, besides its length."""
+    parser = argparse.ArgumentParser()
+    stitching.add_arguments(parser)
+    names = ("foreign", "width", "heads", "layers", "pair_width", "batch", "lr", "seed")
+    return {name: parser.get_default(name) for name in names}
 
 
 def _checked(entry: Entry, path: Path) -> Entry:
@@ -401,9 +437,14 @@ def _ranking(entries: Sequence[Entry], names: Sequence[str]) -> list[str]:
     """The scores of one test set; nothing without entries."""
     if not entries:
         return []
-    rows = [[e.model, e.trained_on, f"{e.minutes:.1f}", *(e.score(name) for name in names)] for e in entries]
+    rows = [[e.model, e.trained_on, _spent(e), *(e.score(name) for name in names)] for e in entries]
     about = f"Tested on {entries[0].tested:,} garments (patterns {entries[0].tests})."
     return [about, _table(["model", "trained on", "minutes", *names], rows)]
+
+
+def _spent(entry: Entry) -> str:
+    """The minutes of a training, and the steps if these were asked for."""
+    return f"{entry.minutes:.1f}" + (f" ({entry.length})" if entry.steps and entry.minutes else "")
 
 
 def _on_others(groups: Sequence[Sequence[Entry]], names: Sequence[str]) -> list[str]:
@@ -423,8 +464,9 @@ def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
         cells = [
             cell for name in names for cell in (_shown([known[name]] if name in known else None), entry.score(name))
         ]
-        lengths = list(dict.fromkeys(e.length for e in (*peers[:1], entry)))
-        rows.append([entry.left_out, entry.model, f"{entry.train:,}", ", ".join(lengths), f"{entry.tested:,}", *cells])
+        is_equal = not peers or peers[0].length == entry.length
+        length = entry.length if is_equal else f"{peers[0].length} with, {entry.length} without"
+        rows.append([entry.left_out, entry.model, f"{entry.train:,}", length, f"{entry.tested:,}", *cells])
     if not rows:
         return []
     head = [

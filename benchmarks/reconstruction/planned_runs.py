@@ -20,9 +20,9 @@ from gcd_dataset.errors import ConfigError
 __all__ = ["Planned", "read_plan"]
 
 PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}
-OWN = ("program", "model", "spare")
+OWN = ("program", "model", "spare", "expected")
 """Keys of a plan that are no options of the program."""
-SPARE = 1.0  # minutes
+SPARE = EXPECTED = 1.0  # minutes
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Planned:
     options: Mapping[str, Any] = field(default_factory=dict)
     spare: float = SPARE
     """Minutes to load and to score, without drapes."""
+    expected: float = EXPECTED
+    """Minutes that the steps of a training are expected to take, if it is not given a time."""
 
     @property
     def command(self) -> list[str]:
@@ -61,9 +63,9 @@ class Planned:
     @property
     def minutes(self) -> float:
         """Time of the training."""
-        if self.options.get("smoke") or "steps" in self.options:
-            return 1.0
-        if "minutes" in self.options:
+        if self.options.get("smoke") or self.options.get("steps"):
+            return self.expected
+        if self.options.get("minutes"):
             return float(self.options["minutes"])
         return stitching.MINUTES if self.program == "stitching.run" else MINUTES * _is_network(self.model)
 
@@ -119,14 +121,15 @@ def _runs(path: Path, name: str, group: Any) -> list[Planned]:
         if program == "train" and "model" not in chosen:
             raise ConfigError(f"{path}: [{name}] has no model: give model = …")
         options = {key: value for key, value in chosen.items() if key not in OWN}
-        for key in ("train", "minutes", "spare"):
+        for key in ("train", "steps", "minutes", "spare", "expected"):
             value = chosen.get(key, 0)
             if not isinstance(value, int | float) or not 0 <= value < float("inf"):
                 raise ConfigError(f"{path}: [{name}] {key} = {value!r:.99}: give a number, 0 or more")
         title = "-".join([name, *(str(value) for value in values)])
         if "/" in title or not title.isprintable() or title in (".", ".."):
             raise ConfigError(f"{path}: {title!r:.99} is no name for a folder: rename [{name}]")
-        run = Planned(title, program, str(chosen.get("model", "")), options, float(chosen.get("spare", SPARE)))
+        times = float(chosen.get("spare", SPARE)), float(chosen.get("expected", EXPECTED))
+        run = Planned(title, program, str(chosen.get("model", "")), options, *times)
         try:
             _require_usable(run)
         except ConfigError as error:

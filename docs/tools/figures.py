@@ -63,6 +63,11 @@ class Report:
             raise StaleError(f"benchmarks/reports/{self.name}.md has no {column}: change docs/tools/figures.py")
         return self.cells(*start)[heads[0].index(column)].split()[0]
 
+    def latest(self) -> str:
+        """The latest date of its lists, and the hardware beside it; empty without them."""
+        dated = re.findall(r"^- date: (.+)\n(?:- hardware: (.+))?", self.text, re.MULTILINE)
+        return ", ".join(part for part in max(dated, default=()) if part)
+
     def fact(self, name: str) -> str:
         """An entry of the list at its end, such as ``hardware``; empty without one."""
         match = re.search(FACT.format(name), self.text, re.MULTILINE)
@@ -294,8 +299,8 @@ FIGURES = (
         "seams predicted for the panels of unseen patterns: a network, trained on 24,000 for 2.5 minutes",
         "learning_T3",
         lambda r: (
-            f"F1 {r.cell('f1_symmetric', 'stitches', '24,000', '2.5')}, all seams of a pattern right "
-            f"{r.cell('perfect_symmetric', 'stitches', '24,000', '2.5')} (up to panels of equal shape)"
+            f"F1 {r.cell('f1_symmetric', 'stitches foreign=0.1', '24,000', '2.5')}, all seams of a pattern right "
+            f"{r.cell('perfect_symmetric', 'stitches foreign=0.1', '24,000', '2.5')} (up to panels of equal shape)"
         ),
         lambda r: "the longest edges joined first: F1 0.29",
         on="NVIDIA H100",
@@ -385,6 +390,7 @@ def report_list() -> str:
     for path in sorted(REPORTS.glob("*.md")):
         report = read_report(path.stem)
         title = report.text.splitlines()[0].removeprefix("# ")
-        facts = ", ".join(fact for fact in (report.fact("date"), report.fact("hardware")) if fact)
+        facts = ", ".join(part for part in (report.fact("date"), report.fact("hardware")) if part)
+        facts = report.latest() if path.stem.startswith("learning_") else facts
         lines.append(f"- [{path.stem}](../benchmarks/reports/{path.name}): {title}{f' ({facts})' if facts else ''}")
     return "\n".join(lines)

@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> None:
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
-        "arguments": vars(args),
+        "arguments": vars(args) | {"minutes": config.minutes},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash}
             for name, part in (("train", split.train), ("test", split.test))

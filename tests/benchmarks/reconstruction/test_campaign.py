@@ -376,6 +376,16 @@ def test_finished_runs_are_reported(plan: Path, tmp_path: Path) -> None:
     assert "toy_program short --task T0 --train 10 --minutes 1 --out runs/a-short-10`" in page
 
 
+def test_a_report_of_other_options_is_refused(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The leaderboard would name a command that did not make it."""
+    call = [str(plan), "--out", str(tmp_path / "runs"), "--gpus", "0", "--only", "a-short-10"]
+    assert main(call) == 0
+    plan.write_text(PLAN.replace("minutes = 1", "minutes = 2"))
+    assert main([*call, "--report", "--reports", str(tmp_path / "reports"), "--commit", "abc"]) == 1
+    assert "a-short-10 holds a run of other options" in capsys.readouterr().err
+    assert not (tmp_path / "reports").exists()
+
+
 @pytest.mark.parametrize("text", ['{"task": "T0", ', "", "[1]", "3"])
 def test_a_damaged_report_is_one_error(
     text: str, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -448,6 +458,7 @@ def test_families_are_compared_with_a_training_on_all() -> None:
     assert all(kinds == {"", *FAMILIES} for kinds in left_out.values())
     by_task = {task: {run.options["steps"] for run in runs if run.task == task} for task in left_out}
     assert all(len(steps) == 1 for steps in by_task.values())
+    assert sum(run.minutes for run in runs) == pytest.approx(25, abs=1), "the minutes that the plan states"
 
 
 def test_short_trainings_have_equal_time_and_garments() -> None:
