@@ -199,8 +199,8 @@ def test_trainings_of_other_lengths_are_rows_of_their_own(tmp_path: Path) -> Non
 
 def test_lengths_of_trainings_are_told_apart(tmp_path: Path) -> None:
     """2.4 and 2.5 minutes, measured with the last step, and steps whatever time they took."""
-    for exact, options, minutes in ((0.3, {}, 2.4003), (0.4, {}, 2.5008), (0.5, {"steps": 1200}, 2.5)):
-        added(tmp_path, result("T1", "panel_set", exact, **options) | {"minutes": minutes})
+    for exact, steps, minutes in ((0.3, 0, 2.4003), (0.4, 0, 2.5008), (0.5, 1200, 2.5)):
+        added(tmp_path, result("T1", "panel_set", exact, steps=steps) | {"minutes": minutes})
     added(tmp_path, result("T1", "panel_set", 0.5, train=8, steps=1200) | {"minutes": 7.0})
     page = (tmp_path / "learning_T1.md").read_text()
     for head in ("4 garments, 2.4 minutes", "4 garments, 2.5 minutes", "4 garments, 1,200 steps"):
@@ -222,7 +222,7 @@ def test_a_length_is_what_was_asked_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("changed", [{"seed": 1}, {"lr": 0.125}, {"batch": 7}])
 def test_unusual_options_make_another_model(changed: dict[str, Any], tmp_path: Path) -> None:
-    usual = {"seed": 0, **{name: load_model("parameters").USUAL[name] for name in ("batch", "lr")}}
+    usual: dict[str, Any] = {"seed": 0, **{name: load_model("parameters").USUAL[name] for name in ("batch", "lr")}}
     added(tmp_path, result("T0", "parameters", 0.5, **usual))
     added(tmp_path, result("T0", "parameters", 0.4, **{**usual, **changed}))
     ((name, value),) = changed.items()
@@ -261,8 +261,8 @@ def test_lengths_that_differ_are_shown_beside_a_kind_left_out(tmp_path: Path) ->
 
 def test_the_peer_of_a_left_out_kind_took_as_many_steps(tmp_path: Path) -> None:
     """Another training took about the same time."""
-    for value, options, minutes in ((0.25, {}, 1.0), (0.75, {"steps": 900}, 2.0)):
-        found = result("T0", "panel_set", 0.7, **options) | {"minutes": minutes}
+    for value, steps, minutes in ((0.25, 0, 1.0), (0.75, 900, 2.0)):
+        found = result("T0", "panel_set", 0.7, steps=steps) | {"minutes": minutes}
         added(tmp_path, found | {"scores_of_kinds": {"skirt": {"topology_exact": value}}})
     without = result("T0", "panel_set", 0.1, leave_out="skirt", steps=900, tested=70, patterns="12")
     added(tmp_path, without | {"minutes": 1.0})
