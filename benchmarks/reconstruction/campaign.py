@@ -42,7 +42,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reconstruction import leaderboard
+from benchmarks.reconstruction import leaderboard, results
 from benchmarks.reconstruction.planned_runs import Planned, read_plan
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import UNFINISHED, is_draped
@@ -129,7 +129,7 @@ def _report(runs: Sequence[Planned], args: argparse.Namespace) -> int:
         is_undraped = _is_to_drape(run, path)
         undraped += is_undraped
         remark = NOT_DRAPED if is_undraped else ""
-        leaderboard.add(path, args.reports / leaderboard.RESULTS, **told, remark=remark)
+        results.add(path, args.reports / leaderboard.RESULTS, **told, remark=remark)
     for path in leaderboard.write_pages(args.reports):
         print(path)
     print(f"{len(trained)} of {len(runs)} runs reported" + (f", {undraped} of them not draped" if undraped else ""))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.reconstruction.leaderboard import main, read_entries
+from benchmarks.reconstruction.leaderboard import main
 from benchmarks.reconstruction.models import load_model
+from benchmarks.reconstruction.results import read_entries
 
 
 def result(
