@@ -169,9 +169,10 @@ def _on_others(groups: Sequence[Sequence[Entry]], names: Sequence[str]) -> list[
 
 def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
     """The scores on each kind of garment, trained with and without it; nothing if no kind was left out."""
-    names, rows = _first_scores(task, entries), []
-    whole = by_test_set(entries)[0]
-    for entry in sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out)):
+    without = sorted((e for e in entries if e.left_out), key=lambda e: (e.model, e.train, e.left_out))
+    names = [name for name in _first_scores(task, entries) if any(e.score(name) for e in without)]
+    whole, rows = by_test_set(entries)[0], []
+    for entry in without:
         peers = [e for e in whole if (e.model, e.train, e.fresh) == (entry.model, entry.train, 0)]
         peers.sort(key=lambda e: (e.length != entry.length, abs(e.minutes - entry.minutes)))
         known = peers[0].kinds.get(entry.left_out, {}) if peers else {}

@@ -121,6 +121,16 @@ def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path)
         assert page.count("Tested on") == 1
 
 
+def test_a_score_that_no_training_without_a_kind_has_needs_no_columns(tmp_path: Path) -> None:
+    draped = result("T0", "panel_set", 0.7)
+    draped["scores"]["within_1cm"] = [0.4, 0.3, 0.5]
+    added(tmp_path, draped)
+    added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt", tested=70, patterns="12"))
+    page = (tmp_path / "learning_T0.md").read_text()
+    assert "within_1cm" in page
+    assert "| tested on | topology_exact, with | topology_exact, without |" in page
+
+
 def test_results_on_other_test_garments_have_a_table_of_their_own(tmp_path: Path) -> None:
     """Of few garments, of other patterns, and of drapes at another resolution; the ranked test set is the task's."""
     coarse = result("T0", "coarse", 0.97)
