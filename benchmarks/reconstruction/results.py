@@ -290,6 +290,7 @@ def by_test_set(entries: Sequence[Entry]) -> list[list[Entry]]:
 
 
 def shown(values: Sequence[float] | None) -> str:
+    """A mean, with the ends of its interval if given; empty for ``None``."""
     if not values:
         return ""
     if len(values) == 1:
