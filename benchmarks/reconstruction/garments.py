@@ -309,8 +309,8 @@ def fresh_garments(
 ) -> Iterator[tuple[int, Encoded]]:
     """Index and ``encode`` of each garment of a seed from index ``first`` on, a set of one; made by ``workers``.
 
-    Skips garments whose drape did not settle. With a GPU, this process renders the pictures on it and encodes the garments
-    that have pictures; with several GPUs, it renders on one that drapes.
+    Skips garments whose drape did not settle. With a GPU, this process renders the pictures on it and encodes the
+    garments that have pictures; with several GPUs, it renders on one that drapes.
     """
     _, read = _names(points, extra)
     options = {"picture": 0, "points": max(points, 1), "on_fail": "keep", **options, "fields": read, "dtype": None}
