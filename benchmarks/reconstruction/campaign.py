@@ -13,10 +13,13 @@ without drapes; ``expected``: minutes that ``steps`` may take.
 A run is trained if ``OUT/NAME/report.json`` exists. The garments of the runs are made, a set at a time, those without
 drapes first. Runs whose garments are there start, one for each GPU, the longest that fits into the time first; those
 with ``fresh`` garments when all sets are made. While runs on garments without drapes train, the last of several GPUs
-drapes the garments of the others and begins no run. With ``--at-once 2`` a GPU has two runs, which take turns to train:
-one loads or scores meanwhile. A run with ``drape = true`` is started twice:
-without ``--drape``, and again to drape its answers, when all garments are made, no training that fits into the time
-waits, and its GPU has no other run. It is finished when its report has the scores of drapes.
+drapes the garments of the others and begins no run. ``--make-only`` makes the garments alone, so that a later call
+trains while nothing is draped.
+
+With ``--at-once 2`` a GPU has two runs, which take turns to train: one loads or scores meanwhile. A run with
+``drape = true`` is started twice: without ``--drape``, and again to drape its answers, when all garments are made, no
+training that fits into the time waits, and its GPU has no other run. It is finished when its report has the scores of
+drapes.
 
 A call that ends early, or is killed, is repeated: trainings continue from their checkpoints, and answers whose drapes
 were stopped are draped again. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a run failed, else 0.
@@ -106,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--examples", default="", help="folder of specifications that the runs of T3 are tested on, too"
     )
+    parser.add_argument("--make-only", action="store_true", help="make the garments of the runs, start no run")
     parser.add_argument("--list", action="store_true", help="print state and time of the runs, start nothing")
     parser.add_argument("--report", action="store_true", help="add the reports to the leaderboard, draped or not")
     parser.add_argument("--reports", type=Path, default=leaderboard.REPORTS, help="folder of the leaderboard")
@@ -165,6 +169,7 @@ class _Campaign:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
+        self.makes_only = args.make_only
         self.data = args.data or args.out / "garments"
         gpus = _gpus() if args.gpus < 0 else args.gpus
         if args.at_once < 1:
@@ -212,7 +217,8 @@ class _Campaign:
         ready: list[Planned] = []
         sets = [[run for run in pending if run.garments == one] for one in dict.fromkeys(r.garments for r in pending)]
         sets.sort(key=_is_draped)
-        if any(self._may_train(run) for sharing in sets if not _is_draped(sharing) for run in sharing):
+        undraped = [run for sharing in sets if not _is_draped(sharing) for run in sharing]
+        if not self.makes_only and any(self._may_train(run) for run in undraped):
             self.maker = self._last_gpu() if any(map(_is_draped, sets)) else None
         while sets or ready or self.jobs:
             if self._left() <= 0:
@@ -314,7 +320,7 @@ class _Campaign:
         """Note how a program ended. Returns the runs that can start now."""
         if job.makes and code == 0:
             _say(f"garments made in {time.monotonic() - job.begun:.0f} s")
-            return job.makes
+            return () if self.makes_only else job.makes
         if job.makes:
             log = self._log_of_garments(job.run)
             _say(f"no garments, see {log}: {_last_line(log)}")

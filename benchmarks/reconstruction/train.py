@@ -71,6 +71,8 @@ __all__ = [
 
 MINUTES, TRAINED = 8.0, 4000
 REPORT, SCORES, EVALUATION = "report.json", "scores.csv", "evaluation.json"
+TIMES = ("ms",)
+"""Scores that are times: other programs on the device would lengthen them."""
 OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")
 """Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3
@@ -456,14 +458,20 @@ def _answers(
 def _report(
     options: Options, split: Split, scores: Sequence[Any], trained: Trained | None, times: Mapping[str, float]
 ) -> dict[str, Any]:
+    """The report. A run that shares its GPU (``turns``) reports no times."""
     kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
+    hidden = () if options.turns is None else TIMES
+
+    def told(figures: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in figures.items() if name not in hidden}
+
     return {
         "model": options.model,
         "task": options.task.name,
         "headline": options.task.headline,
         "identity": _identity_of_answers(options, split),
-        "scores": intervals(scores),
-        "scores_of_kinds": {kind: means_of(of_kind) for kind, of_kind in sorted(kinds.items())},
+        "scores": told(intervals(scores)),
+        "scores_of_kinds": {kind: told(means_of(of_kind)) for kind, of_kind in sorted(kinds.items())},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))

@@ -296,15 +296,15 @@ FIGURES = (
         ),
     ),
     Figure(
-        "seams predicted for the panels of unseen patterns: a network, trained on 24,000 for 2.5 minutes",
+        "seams predicted for the panels of unseen patterns: a network, trained on 24,000 for 8 minutes",
         "learning_T3",
         lambda r: (
-            f"F1 {r.cell('f1_symmetric', 'stitches foreign=0.1', '24,000', '2.5')}, all seams of a pattern right "
-            f"{r.cell('perfect_symmetric', 'stitches foreign=0.1', '24,000', '2.5')} (up to panels of equal shape)"
+            f"F1 {r.cell('f1_symmetric', 'stitches foreign=0.1', '24,000', '8.0')}, all seams of a pattern right "
+            f"{r.cell('perfect_symmetric', 'stitches foreign=0.1', '24,000', '8.0')} (up to panels of equal shape)"
         ),
         lambda r: "the longest edges joined first: F1 0.29",
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.stitching.run --foreign 0.1 --train 24000 --minutes 2.5 "
+        command="python -m benchmarks.reconstruction.stitching.run --foreign 0.1 --train 24000 --minutes 8 "
         "--checks 2 --compile --out OUT",
     ),
     Figure(

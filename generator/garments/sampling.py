@@ -29,6 +29,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments.design import LeftDesign, MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import HAS_UPPER_AND_BOTTOM, Kind, choice_of, possible_kinds, upper_choice
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
+from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict, with_new_numbers
 from gcd_dataset.generator.garments.wearable import wearable
@@ -51,6 +52,7 @@ __all__ = [
 HIPS_UNDER_SKIRT = 10.0  # cm, least difference of hips and waist that holds a skirt without a band
 HIPS_UNDER_BAND = 4.0  # cm, the same with a band
 SAME_CHOICES = 5  # attempts with the same choices; then others are drawn, since these may suit no wearer
+TRIED = 20  # attempts after which the uppers and bottoms of these are not drawn again, unless no others are left
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
@@ -59,9 +61,18 @@ def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind
     return kinds[int(rng.integers(len(kinds)))]
 
 
-def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
-    """A random outfit by the declared distributions alone, which may be impossible to sew or wear."""
-    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"]))
+def sample_draft(
+    rng: np.random.Generator,
+    *,
+    kind: Kind | None = None,
+    overlay: Overlay = NO_OVERLAY,
+    tried: Collection[MetaDesign] = (),
+) -> OutfitDesign:
+    """A random outfit by the declared distributions alone, which may be impossible to sew or wear.
+
+    ``tried``: their uppers and bottoms are not drawn where there are others.
+    """
+    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], tried))
     design = _with_sections(design, _own_sections(design), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
     parts = {part.field for part in bottom.parts(design)} if bottom else set()
@@ -83,9 +94,15 @@ def sample_design(
 
 
 def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
-    """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most."""
+    """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most.
+
+    A wearer whom fitted shirts never fit would otherwise use up all attempts with them, once in 33,000 samples.
+    """
     kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
-    return sample_draft(stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES), kind=kind, overlay=overlay)
+    earlier = range(0, TRIED, SAME_CHOICES) if attempt >= TRIED else ()
+    tried = [drafted_design(seed, number, before, overlay).meta for before in earlier]
+    rng = stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES)
+    return sample_draft(rng, kind=kind, overlay=overlay, tried=tried)
 
 
 def attempted_design(
@@ -94,7 +111,8 @@ def attempted_design(
     """Design ``number`` of a seed in its ``attempt``, counted from 0, with its redraws.
 
     All attempts have the same kind; ``SAME_CHOICES`` attempts have the same choices, such as upper and bottom, and
-    different numbers. Otherwise designs that are often rejected would become rare.
+    different numbers. Otherwise designs that are often rejected would become rare. From attempt ``TRIED`` on, an upper
+    or bottom that was tried is not drawn again while there are others.
     """
     draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
@@ -124,14 +142,23 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
 # ---------------------------------------------------------------------------------------------------------------- parts
 
 
-def _meta(rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign]) -> MetaDesign:
+def _meta(
+    rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign], tried: Collection[MetaDesign]
+) -> MetaDesign:
     """A random upper, band and bottom."""
     _, has_bottom = HAS_UPPER_AND_BOTTOM[kind]
-    upper = upper_choice(space, kind).draw(rng)
-    bottom = choice_of(space, "bottom").only(present=has_bottom).draw(rng)
+    uppers, bottoms = upper_choice(space, kind), choice_of(space, "bottom").only(present=has_bottom)
+    upper = _without(uppers, {meta.upper for meta in tried}).draw(rng)
+    bottom = _without(bottoms, {meta.bottom for meta in tried}).draw(rng)
     bands = choice_of(space, "wb")
     bands = bands if upper is None or upper.garment.carries else bands.only(present=False)
     return MetaDesign(upper, bands.draw(rng), bottom)
+
+
+def _without(choice: Choice, tried: Collection[Any]) -> Choice:
+    """The choice among the options that were not tried; among all if none is left."""
+    others = [option for option in choice.weighted_options if option not in tried]
+    return choice.narrowed(others) if tried and others else choice
 
 
 def _held_up(

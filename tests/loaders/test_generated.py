@@ -246,3 +246,10 @@ def test_box_meshes_do_not_import_warp() -> None:
         "sys.exit('warp' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_wearer_of_few_garments_does_not_stop_a_data_set() -> None:
+    """No fitted shirt suits her, and by chance her first twenty designs are all fitted shirts."""
+    item = GeneratedGarments(33_546, seed=0, stage="pattern", drape=None, fields=("meta", "panels"))[33_545]
+    assert item["meta"]["attempts"] > 20
+    assert len(item["panels"])

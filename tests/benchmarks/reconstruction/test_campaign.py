@@ -125,6 +125,15 @@ def test_a_repeated_call_starts_what_is_not_finished(
     assert "a-short-10  done                 topology_exact 0.500" in capsys.readouterr().out
 
 
+def test_garments_can_be_made_before_any_run(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Runs whose time is fixed take fewer steps while others drape."""
+    call = [str(plan), "--out", str(tmp_path / "runs"), "--gpus", "2", "--only", "a-short-*", "b"]
+    assert main([*call, "--make-only"]) == 0
+    assert sorted(starts(tmp_path / "runs")) == ["make a-short-20", "make b"]
+    assert "0 failed, 0 unfinished, 3 waiting" in capsys.readouterr().out
+    assert main(call) == 0
+
+
 def test_runs_at_once_have_gpus_of_their_own(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan.write_text("[a]\ntask = 'T0'\nmodel = 'short'\ntrain = [1, 2, 3]\nminutes = 1")
     assert main([str(plan), "--out", str(tmp_path / "runs"), "--gpus", "2"]) == 0
@@ -407,6 +416,7 @@ def test_a_damaged_report_is_one_error(
         ("h200.toml", {"T7"}),
         ("h200_short.toml", {"T7", "T1-scan"}),
         ("h200_hour.toml", {"T7"}),
+        ("h200_long.toml", {"T7", "T0", "T1-scan", "T5"}),
         ("h200_families.toml", {"T7", "T1-scan"}),
     ],
 )

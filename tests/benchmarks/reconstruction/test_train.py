@@ -97,6 +97,16 @@ def test_answers_wait_for_no_turn(tmp_path: Path) -> None:
     assert called.returncode == 0
 
 
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_times_are_reported_unless_the_device_is_shared(tmp_path: Path, is_shared: bool) -> None:
+    """Other programs on it would lengthen them."""
+    shared = ["--turns", str(tmp_path / "turns")] if is_shared else []
+    assert main(["box_mesh", "--task", "T6", *SMALL, "--out", str(tmp_path / "out"), *shared]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    for figures in (report["scores"], *report["scores_of_kinds"].values()):
+        assert ("ms" in figures, "error_cm" in figures) == (not is_shared, True)
+
+
 def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     """They would be scored as answers of the later model."""
     out = tmp_path / "out"

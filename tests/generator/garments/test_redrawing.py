@@ -1,11 +1,14 @@
 """A redraw changes the parameters named by its rule and no others, and is counted."""
 
+from collections import defaultdict
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gcd_dataset.generator.garments import OutfitDesign, Redraw, attempted_design, drafted_design, try_on
+from gcd_dataset.generator.garments.kind import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy
@@ -97,6 +100,22 @@ def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
     assert any(before != after for before, after in drafts)
     for before, after in drafts:  # the kind stays
         assert (before.upper is None, before.bottom is None) == (after.upper is None, after.bottom is None)
+
+
+def test_uppers_and_bottoms_of_twenty_attempts_are_not_drawn_again() -> None:
+    possible = defaultdict[tuple[str, Kind], set[Any]](set)
+    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 30, 5)] for number in range(150)]
+    for metas in drafts:
+        for part in ("upper", "bottom"):
+            possible[part, kind_of(metas[0])] |= {getattr(meta, part) for meta in metas}
+    renewed = 0
+    for metas in drafts:
+        for part in ("upper", "bottom"):
+            tried, later = ({getattr(meta, part) for meta in some} for some in (metas[:4], metas[4:]))
+            if tried != possible[part, kind_of(metas[0])]:
+                assert not tried & later
+                renewed += 1
+    assert renewed > 100
 
 
 def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -> None:
