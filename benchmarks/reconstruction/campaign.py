@@ -22,7 +22,8 @@ training that fits into the time waits, and its GPU has no other run. It is fini
 drapes.
 
 A call that ends early, or is killed, is repeated: trainings continue from their checkpoints, and answers whose drapes
-were stopped are draped again. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a run failed, else 0.
+were stopped are draped again. Each run has the log ``OUT/NAME/log.txt``. The exit code is 1 if a run failed, 3 if
+``--make-only`` did not make all garments, else 0.
 ``--report`` starts nothing: it hands the reports to ``leaderboard``, also those without the scores of drapes.
 """
 
@@ -170,6 +171,8 @@ class _Campaign:
     def __init__(self, args: argparse.Namespace) -> None:
         self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
         self.makes_only = args.make_only
+        self.unmade: set[str] = set()
+        """Runs whose garments are not made, or not known to be."""
         self.data = args.data or args.out / "garments"
         gpus = _gpus() if args.gpus < 0 else args.gpus
         if args.at_once < 1:
@@ -191,6 +194,7 @@ class _Campaign:
         for run in runs:
             self.states[run.name] = self._known(run)
         pending = [run for run in runs if self.states[run.name] is not State.DONE]
+        self.unmade = {run.name for run in pending}
         if not self.lists:
             with _locked(self.out / "lock") as self.lock:
                 before = signal.signal(signal.SIGTERM, _stop)
@@ -200,7 +204,12 @@ class _Campaign:
                     self._end_all()
                     signal.signal(signal.SIGTERM, before)
         self._print(runs)
-        return int(State.FAILED in self.states.values())
+        if State.FAILED in self.states.values():
+            return 1
+        if self.makes_only and self.unmade and not self.lists:
+            _say(f"the limit left no time for all garments of {', '.join(sorted(self.unmade))}: repeat the command")
+            return UNFINISHED
+        return 0
 
     def _known(self, run: Planned) -> State:
         """The state that the files tell. Raises ``ConfigError`` for files of other options."""
@@ -320,6 +329,7 @@ class _Campaign:
         """Note how a program ended. Returns the runs that can start now."""
         if job.makes and code == 0:
             _say(f"garments made in {time.monotonic() - job.begun:.0f} s")
+            self.unmade -= {run.name for run in job.makes}
             return () if self.makes_only else job.makes
         if job.makes:
             log = self._log_of_garments(job.run)

@@ -72,7 +72,7 @@ __all__ = [
 MINUTES, TRAINED = 8.0, 4000
 REPORT, SCORES, EVALUATION = "report.json", "scores.csv", "evaluation.json"
 TIMES = ("ms",)
-"""Scores that are times: other programs on the device would lengthen them."""
+"""Scores that are times, which other programs on the device lengthen."""
 OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")
 """Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3
@@ -458,7 +458,7 @@ def _answers(
 def _report(
     options: Options, split: Split, scores: Sequence[Any], trained: Trained | None, times: Mapping[str, float]
 ) -> dict[str, Any]:
-    """The report. A run that shares its GPU (``turns``) reports no times."""
+    """The report; without ``TIMES`` of a run that shares its GPU (``turns``)."""
     kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
     hidden = () if options.turns is None else TIMES
 

@@ -18,7 +18,7 @@ value outside the limits set by the rest of the design and by the wearers' measu
 - counts each redraw with its rule.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -52,7 +52,7 @@ __all__ = [
 HIPS_UNDER_SKIRT = 10.0  # cm, least difference of hips and waist that holds a skirt without a band
 HIPS_UNDER_BAND = 4.0  # cm, the same with a band
 SAME_CHOICES = 5  # attempts with the same choices; then others are drawn, since these may suit no wearer
-TRIED = 20  # attempts after which the uppers and bottoms of these are not drawn again, unless no others are left
+TRIED = 20  # attempts; later ones have each upper and each bottom in turn, first those that these did not have
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
@@ -66,13 +66,13 @@ def sample_draft(
     *,
     kind: Kind | None = None,
     overlay: Overlay = NO_OVERLAY,
-    tried: Collection[MetaDesign] = (),
+    narrow: Callable[[Choice], Choice] | None = None,
 ) -> OutfitDesign:
     """A random outfit by the declared distributions alone, which may be impossible to sew or wear.
 
-    ``tried``: their uppers and bottoms are not drawn where there are others.
+    ``narrow``: maps the uppers and the bottoms to those that are drawn from.
     """
-    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], tried))
+    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], narrow))
     design = _with_sections(design, _own_sections(design), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
     parts = {part.field for part in bottom.parts(design)} if bottom else set()
@@ -96,13 +96,24 @@ def sample_design(
 def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most.
 
-    A wearer whom fitted shirts never fit would otherwise use up all attempts with them, once in 33,000 samples.
+    Once in 33,000 samples, chance alone gives a wearer whom no fitted shirt suits one in each attempt. So attempts from
+    ``TRIED`` on, which few samples reach, do not leave the choices to chance.
     """
     kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
-    earlier = range(0, TRIED, SAME_CHOICES) if attempt >= TRIED else ()
-    tried = [drafted_design(seed, number, before, overlay).meta for before in earlier]
-    rng = stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES)
-    return sample_draft(rng, kind=kind, overlay=overlay, tried=tried)
+    group, untold = attempt // SAME_CHOICES, TRIED // SAME_CHOICES
+    rng = stream(seed, number, Stage.DRAFT, group)
+    if group < untold:
+        return sample_draft(rng, kind=kind, overlay=overlay)
+    earlier = [drafted_design(seed, number, before, overlay).meta for before in range(0, TRIED, SAME_CHOICES)]
+    tried = {option for meta in earlier for option in (meta.upper, meta.bottom)}
+
+    def narrow(choice: Choice) -> Choice:
+        options = list(dict.fromkeys(choice.weighted_options))
+        stream(seed, number, Stage.DRAFT, untold).shuffle(options)
+        options.sort(key=lambda option: option in tried)
+        return choice.narrowed([options[(group - untold) % len(options)]])
+
+    return sample_draft(rng, kind=kind, overlay=overlay, narrow=narrow)
 
 
 def attempted_design(
@@ -111,8 +122,8 @@ def attempted_design(
     """Design ``number`` of a seed in its ``attempt``, counted from 0, with its redraws.
 
     All attempts have the same kind; ``SAME_CHOICES`` attempts have the same choices, such as upper and bottom, and
-    different numbers. Otherwise designs that are often rejected would become rare. From attempt ``TRIED`` on, an upper
-    or bottom that was tried is not drawn again while there are others.
+    different numbers. Otherwise designs that are often rejected would become rare. From attempt ``TRIED`` on, the
+    uppers and bottoms take turns.
     """
     draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
@@ -143,22 +154,20 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
 
 
 def _meta(
-    rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign], tried: Collection[MetaDesign]
+    rng: np.random.Generator,
+    kind: Kind,
+    space: DesignSpace[MetaDesign],
+    narrow: Callable[[Choice], Choice] | None,
 ) -> MetaDesign:
     """A random upper, band and bottom."""
     _, has_bottom = HAS_UPPER_AND_BOTTOM[kind]
     uppers, bottoms = upper_choice(space, kind), choice_of(space, "bottom").only(present=has_bottom)
-    upper = _without(uppers, {meta.upper for meta in tried}).draw(rng)
-    bottom = _without(bottoms, {meta.bottom for meta in tried}).draw(rng)
+    if narrow is not None:
+        uppers, bottoms = narrow(uppers), narrow(bottoms)
+    upper, bottom = uppers.draw(rng), bottoms.draw(rng)
     bands = choice_of(space, "wb")
     bands = bands if upper is None or upper.garment.carries else bands.only(present=False)
     return MetaDesign(upper, bands.draw(rng), bottom)
-
-
-def _without(choice: Choice, tried: Collection[Any]) -> Choice:
-    """The choice among the options that were not tried; among all if none is left."""
-    others = [option for option in choice.weighted_options if option not in tried]
-    return choice.narrowed(others) if tried and others else choice
 
 
 def _held_up(

@@ -15,7 +15,7 @@ from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.planned_runs import Planned, read_plan
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import TASKS
-from benchmarks.reconstruction.train import add_arguments, options_from
+from benchmarks.reconstruction.train import UNFINISHED, add_arguments, options_from
 from gcd_dataset.errors import ConfigError
 
 PLANS = Path(campaign.__file__).parent / "plans"
@@ -131,6 +131,16 @@ def test_garments_can_be_made_before_any_run(plan: Path, tmp_path: Path, capsys:
     assert main([*call, "--make-only"]) == 0
     assert sorted(starts(tmp_path / "runs")) == ["make a-short-20", "make b"]
     assert "0 failed, 0 unfinished, 3 waiting" in capsys.readouterr().out
+    assert main(call) == 0
+    assert {"a-short-10", "a-short-20", "b"} <= set(starts(tmp_path / "runs"))
+
+
+def test_a_limit_that_leaves_garments_unmade_is_told(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = [str(plan), "--out", str(tmp_path), "--gpus", "0", "--make-only", "--only", "b"]
+    assert main([*call, "--limit-minutes", "1e-6"]) == UNFINISHED
+    assert "left no time for all garments of b: repeat the command" in capsys.readouterr().err
     assert main(call) == 0
 
 

@@ -102,20 +102,23 @@ def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
         assert (before.upper is None, before.bottom is None) == (after.upper is None, after.bottom is None)
 
 
-def test_uppers_and_bottoms_of_twenty_attempts_are_not_drawn_again() -> None:
+def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
+    """First those that the attempts before did not have; so each of them comes, however chance has it."""
+    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(60)]
     possible = defaultdict[tuple[str, Kind], set[Any]](set)
-    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 30, 5)] for number in range(150)]
     for metas in drafts:
         for part in ("upper", "bottom"):
             possible[part, kind_of(metas[0])] |= {getattr(meta, part) for meta in metas}
     renewed = 0
     for metas in drafts:
+        assert {kind_of(meta) for meta in metas} == {kind_of(metas[0])}
         for part in ("upper", "bottom"):
-            tried, later = ({getattr(meta, part) for meta in some} for some in (metas[:4], metas[4:]))
-            if tried != possible[part, kind_of(metas[0])]:
-                assert not tried & later
-                renewed += 1
-    assert renewed > 100
+            options, seen = possible[part, kind_of(metas[0])], [getattr(meta, part) for meta in metas]
+            untried = options - set(seen[:4])
+            assert set(seen[4 : 4 + len(untried)]) == untried
+            assert set(seen[4 : 4 + len(options)]) == set(seen[-len(options) :]) == options
+            renewed += bool(untried)
+    assert renewed > 40
 
 
 def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -> None:
