@@ -8,13 +8,16 @@ from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, BoxMesh
 
+DEPTH = 0.3  # cm under the skin: a cuff that touches it lies on either side of it, as the processor rounds
+
 
 def faces_through_limbs(mesh: BoxMesh, vertices: np.ndarray, body: Body) -> dict[str, int]:
-    """The number of edges of the body that pass through each panel."""
+    """The number of edges of the body, ``DEPTH`` under its skin, that pass through each panel."""
     cloth = trimesh.Trimesh(vertices, mesh.faces, process=False)
-    edges = trimesh.Trimesh(body.vertices, body.faces, process=False).edges_unique
-    start = body.vertices[edges[:, 0]]
-    along = body.vertices[edges[:, 1]] - start
+    skin = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    under, edges = body.vertices - DEPTH * skin.vertex_normals, skin.edges_unique
+    start = under[edges[:, 0]]
+    along = under[edges[:, 1]] - start
     length = np.linalg.norm(along, axis=1)
     hits, ray, face = cloth.ray.intersects_location(start, along / length[:, None], multiple_hits=False)
     pierced = mesh.panel_id[face[np.linalg.norm(hits - start[ray], axis=1) < length[ray]]]
