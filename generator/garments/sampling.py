@@ -52,7 +52,7 @@ __all__ = [
 HIPS_UNDER_SKIRT = 10.0  # cm, least difference of hips and waist that holds a skirt without a band
 HIPS_UNDER_BAND = 4.0  # cm, the same with a band
 SAME_CHOICES = 5  # attempts with the same choices; then others are drawn, since these may suit no wearer
-TRIED = 20  # attempts; later ones have each upper and each bottom in turn, first those that these did not have
+TRIED = 20  # attempts whose choices are random; later ones take every upper and bottom in turn, the new ones first
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
@@ -96,22 +96,22 @@ def sample_design(
 def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most.
 
-    Once in 33,000 samples, chance alone gives a wearer whom no fitted shirt suits one in each attempt. So attempts from
-    ``TRIED`` on, which few samples reach, do not leave the choices to chance.
+    After ``TRIED`` attempts the uppers and bottoms take turns: random ones may all be of a kind that the wearer cannot
+    wear, such as fitted shirts. One of 33,600 samples needed this.
     """
     kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
-    group, untold = attempt // SAME_CHOICES, TRIED // SAME_CHOICES
+    group, random_groups = attempt // SAME_CHOICES, TRIED // SAME_CHOICES
     rng = stream(seed, number, Stage.DRAFT, group)
-    if group < untold:
+    if group < random_groups:
         return sample_draft(rng, kind=kind, overlay=overlay)
     earlier = [drafted_design(seed, number, before, overlay).meta for before in range(0, TRIED, SAME_CHOICES)]
     tried = {option for meta in earlier for option in (meta.upper, meta.bottom)}
 
     def narrow(choice: Choice) -> Choice:
         options = list(dict.fromkeys(choice.weighted_options))
-        stream(seed, number, Stage.DRAFT, untold).shuffle(options)
+        stream(seed, number, Stage.DRAFT, random_groups).shuffle(options)
         options.sort(key=lambda option: option in tried)
-        return choice.narrowed([options[(group - untold) % len(options)]])
+        return choice.narrowed([options[(group - random_groups) % len(options)]])
 
     return sample_draft(rng, kind=kind, overlay=overlay, narrow=narrow)
 

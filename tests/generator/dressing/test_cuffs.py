@@ -8,7 +8,7 @@ from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, BoxMesh
 
-DEPTH = 0.3  # cm under the skin: a cuff that touches it lies on either side of it, as the processor rounds
+DEPTH = 0.3  # cm under the skin: rounding decides on which side of the skin a cuff lies that touches it
 
 
 def faces_through_limbs(mesh: BoxMesh, vertices: np.ndarray, body: Body) -> dict[str, int]:
