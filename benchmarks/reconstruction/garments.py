@@ -57,7 +57,7 @@ LOG_EVERY = 1000  # garments
 HASHED = 64  # points of a garment
 MOST_FRESH = 1_000_000  # garments of a stream
 TOGETHER = 16  # garments that a worker sends together
-PORTION = 4000  # garments that are made before the cache is written again
+PORTION = 4000  # garments of a file of the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +225,8 @@ def generated(
 ) -> GarmentSet:
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
 
-    ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set; a larger set there
-    holds the smaller one. It is written after each ``PORTION`` garments: a stopped call continues there.
+    ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set in files of
+    ``PORTION`` garments; a stopped call continues after the last of them, and a smaller set is read from the first.
     ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
     ``mesh``.
     """
@@ -237,20 +237,40 @@ def generated(
     told = whole.recipe(0)
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
     recipe |= {"points": points, "fields": sorted(names)}
-    path = None if cache is None else make_folder(cache) / f"generated-{_digest(recipe)}.npz"
-    kept = None if path is None or not path.exists() else GarmentSet.load(path)
-    made = 0 if kept is None else int(kept.recipe["made"])
-    if kept is None or made < count:
+    folder = None if cache is None else make_folder(cache / f"generated-{_digest(recipe)}")
+    parts = [] if folder is None else list(_kept(folder, count))
+    made = _end(parts)
+    if made < count:
         following = stream.encoded(whole.select(range(made, count)), _itself, first=made)
         for end, portion in _portions(following, made, count):
-            kept = portion if kept is None else GarmentSet.join([kept, portion])
-            kept = replace(kept, recipe={**recipe, "made": end})
-            if path is not None:
-                kept.save(path)
-    if kept is None:
+            one = replace(portion, recipe={**recipe, "made": end})
+            if folder is not None:
+                one.save(_file_of(folder, _end(parts)))
+            parts.append(one)
+    if not parts:
         raise ConfigError(f"{whole!r}: no garment that settled: give another data set")
-    wanted = [k for k, key in enumerate(kept.keys) if int(key.rsplit("_", 1)[1]) < count]
-    return kept.select(wanted) if len(wanted) < len(kept) else kept
+    found = replace(GarmentSet.join(parts), recipe=parts[-1].recipe)
+    wanted = [k for k, key in enumerate(found.keys) if int(key.rsplit("_", 1)[1]) < count]
+    return found.select(wanted) if len(wanted) < len(found) else found
+
+
+def _kept(folder: Path, count: int) -> Iterator[GarmentSet]:
+    """The portions of a set that a folder keeps without a gap, up to that of garment ``count`` - 1."""
+    made = 0
+    while made < count and (path := _file_of(folder, made)).exists():
+        portion = GarmentSet.load(path)
+        yield portion
+        made = int(portion.recipe["made"])
+
+
+def _end(portions: Sequence[GarmentSet]) -> int:
+    """Index after the last garment of the portions."""
+    return int(portions[-1].recipe["made"]) if portions else 0
+
+
+def _file_of(folder: Path, first: int) -> Path:
+    """The file of the portion that begins with garment ``first``."""
+    return folder / f"{first:09d}.npz"
 
 
 def _portions(found: Iterable[tuple[int, GarmentSet]], first: int, count: int) -> Iterator[tuple[int, GarmentSet]]:

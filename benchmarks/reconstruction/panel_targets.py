@@ -24,7 +24,16 @@ from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.validate import Severity, check_pattern
 
-__all__ = ["BENDS", "UNIT", "PanelTargets", "ToTargets", "fitted_curve", "patterns_from", "simple_panel"]
+__all__ = [
+    "BENDS",
+    "UNIT",
+    "PanelTargets",
+    "ToTargets",
+    "fitted_curve",
+    "patterns_from",
+    "scaled_points",
+    "simple_panel",
+]
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
 BENDS = 5  # inner points of an edge, at equal shares of its length
@@ -88,12 +97,7 @@ class ToTargets:
         """Targets of all garments; one beyond the sizes gets no panels, so that it can be answered for, not learned."""
         patterns = [garments.pattern(k) for k in range(len(garments))]
         found = PanelTargets.join([self.of(p if self.has_room(p) else Pattern("", (), ())) for p in patterns])
-        return replace(found, points=self.scaled(garments.points))
-
-    def scaled(self, points: Float[np.ndarray, "g n 6"]) -> Float[Tensor, "g m 6"]:
-        """The points of garments as networks read them."""
-        found = torch.from_numpy(points[:, : self.points])
-        return torch.cat([found[..., :3] / UNIT, found[..., 3:]], dim=-1)
+        return replace(found, points=scaled_points(garments.points[:, : self.points]))
 
     def has_room(self, pattern: Pattern) -> bool:
         """Whether the pattern is within the sizes."""
@@ -157,6 +161,12 @@ class ToTargets:
         padded = torch.zeros(1, self.queries, *shape)
         padded[0, : len(rows)] = torch.from_numpy(np.array(rows, np.float32).reshape(len(rows), *shape))
         return padded
+
+
+def scaled_points(points: Float[np.ndarray, "g n 6"], device: torch.device | None = None) -> Float[Tensor, "g n 6"]:
+    """Points [cm] and normals of garments as networks read them, on a device, the CPU by default."""
+    found = torch.from_numpy(points).to(device)
+    return torch.cat([found[..., :3] / UNIT, found[..., 3:]], dim=-1)
 
 
 def _number(label: str, table: Sequence[str]) -> int:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.attention import EncoderLayer
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
-from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from, scaled_points
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
@@ -96,7 +96,8 @@ class PointLearner(Learner[PanelTargets, Pattern]):
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
         edges = (targets.edge_panels >= 0).sum(dim=1)
-        whole = replace(targets, points=self.encoder().scaled(garments.points)).to(device)
+        points = scaled_points(garments.points[:, : self.stored_points], device)
+        whole = replace(targets.to(device), points=points)
         return DrawnPoints(whole, self.points, edges)
 
     def drawn_from(self, encoded: TensorExamples) -> "DrawnPoints":

@@ -425,7 +425,7 @@ def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, devic
 
 @dataclass(frozen=True)
 class _Check:
-    """Mean scores of the answers for some garments, and a picture of the first of them."""
+    """Mean scores of the answers for some garments, their losses, and a picture of the first of them."""
 
     garments: GarmentSet
     examples: Examples[Any]
@@ -433,11 +433,15 @@ class _Check:
     judge: Judge
 
     def __call__(self, step: int, learner: Learner[Any, Any]) -> Mapping[str, float]:
-        answers = learner.predict(self.examples.batch(torch.arange(len(self.garments))))
+        batch = self.examples.batch(torch.arange(len(self.garments)))
+        with torch.no_grad():
+            losses = learner.loss(batch)
+        answers = learner.predict(batch)
         picture = self.judge.picture(answers, self.garments)
         write_whole(make_folder(self.out / "pictures") / f"step_{step:06d}.png", png_bytes(picture))
         means = means_of(self.judge.scores(answers, self.garments))
-        return {f"check_{name}": value for name, value in means.items()}
+        told = {f"check_loss_{name}": float(loss) for name, loss in losses.items()}
+        return {"check_loss": sum(told.values()), **told, **{f"check_{name}": value for name, value in means.items()}}
 
 
 def _answers(

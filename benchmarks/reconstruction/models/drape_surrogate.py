@@ -108,7 +108,7 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
             net.compile_convolutions()
 
     def loss(self, batch: DrapeBatch) -> dict[str, Tensor]:
-        first, second, inside = self._moved(batch)
+        first, second = self._moved(batch)
         weight = 1 / (batch.surface.counts[batch.surface.garments] * batch.surface.size)
         truth = batch.draped
 
@@ -123,7 +123,7 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
             "first": mean(distance(first, truth)) / UNIT,
             "positions": mean(distance(second, truth)) / UNIT,
             "edges": mean(off.sum(dim=-1) / (lengths > 0).sum(dim=-1).clamp(min=1)),
-            "body": mean(inside) / UNIT,
+            "body": mean(depth(second, batch.surface, batch.body)) / UNIT,
         }
         return {name: WEIGHTS[name] * term for name, term in terms.items()}
 
@@ -135,15 +135,15 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
                 self._moved(batch)
                 self._is_warm = True
             begun = _synchronised(batch.draped.device)
-            _, found, _ = self._moved(batch)
+            _, found = self._moved(batch)
             seconds = _synchronised(batch.draped.device) - begun
         vertices = found.double().cpu().numpy() * METRE + CENTRE
         counts = batch.surface.counts.tolist()
         parts = np.split(vertices, np.cumsum(counts)[:-1])
         return [DrapedVertices(part, 1e3 * seconds / len(counts)) for part in parts]
 
-    def _moved(self, batch: DrapeBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions after each network [m], and the depth in the body after the second."""
+    def _moved(self, batch: DrapeBatch) -> tuple[Float[Tensor, "v 3"], Float[Tensor, "v 3"]]:
+        """Positions after each network [m]."""
         surface = batch.surface
         skin = batch.body[:, : self.body_tokens]
         context = self.body(torch.cat([skin, waves(skin[..., :3])], dim=-1))
@@ -156,7 +156,7 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         given = torch.cat([self.shared(features).float(), batch.given, near], dim=-1)
         features, _, _ = self.second(replace(surface, positions=put), given, context)
         second = first + UNIT * _in_float32(self.second_move, features)
-        return first, second, depth(second, surface, batch.body)
+        return first, second
 
 
 def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
@@ -196,9 +196,8 @@ def nearest_rows(
     positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Tensor, "b n 6"]
 ) -> Int[Tensor, " v"]:
     """The row of ``body``, all bodies one after the other, of the nearest point of the wearer."""
-    parts = torch.split(positions, surface.counts.tolist())
-    rows = [squared_distances(part, points[:, :3]).argmin(dim=1) for part, points in zip(parts, body, strict=True)]
-    return torch.cat(rows) + surface.garments * body.shape[1]
+    found = squared_distances(surface.padded(positions), body[..., :3]).argmin(dim=2)
+    return found[surface.garments, surface.slots] + surface.garments * body.shape[1]
 
 
 def nearest_skin(

@@ -40,7 +40,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, mean_of
 from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, best_pairs, edges_of
 from benchmarks.reconstruction.panel_net import Edges, Predicted, edge_numbers
-from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets, patterns_from, scaled_points
 from benchmarks.reconstruction.point_net import CHUNK, TOGETHER, DrawnPoints
 from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.tailor_net import LoopDecoder, PairNet, PointFeatures, SlotEncodings, TailorConfig, mlp
@@ -193,7 +193,8 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
             self._standardise(targets)
         edges, panels = (targets.edge_panels >= 0).sum(dim=1), targets.exists.sum(dim=1)
         loops = targets.edge_counts.amax(dim=1)
-        whole = replace(targets, points=self.encoder().targets.scaled(garments.points)).to(device)
+        points = scaled_points(garments.points[:, : self.config.stored_points], device)
+        whole = replace(targets.to(device), points=points)
         return DrawnPanels(DrawnPoints(whole, self.config.points, edges), panels, loops)
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPanels:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -19,7 +18,7 @@ from benchmarks.reconstruction.design_augmentation import DesignAugmentation
 from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
-from benchmarks.reconstruction.panel_targets import UNIT
+from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
 from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
@@ -67,12 +66,8 @@ class ToDesigns:
     points: int
 
     def __call__(self, garments: GarmentSet) -> Designs:
-        return Designs(**vars(DesignTargets.of(garments)), points=self.scaled(garments.points))
-
-    def scaled(self, points: Float[np.ndarray, "g n 6"]) -> Float[Tensor, "g m 6"]:
-        """The points of garments as networks read them."""
-        found = torch.from_numpy(points[:, : self.points])
-        return torch.cat([found[..., :3] / UNIT, found[..., 3:]], dim=-1)
+        points = scaled_points(garments.points[:, : self.points])
+        return Designs(**vars(DesignTargets.of(garments)), points=points)
 
 
 @dataclass(frozen=True)
@@ -139,12 +134,12 @@ class ParameterNet(Learner[Designs, Pattern]):
         Raises ``ConfigError`` for garments of fewer points than tokens.
         """
         require_tokens(self.config, self.config.points, garments.points.shape[1])
-        bare = replace(garments, points=garments.points[:, :0])
-        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
-        whole = Designs.join(list(parallel_map(self.encoder(), parts, workers)))
-        whole = replace(whole, points=self.encoder().scaled(garments.points))
         self.decoder.learn_range(garments)
-        return DrawnDesigns(whole.to(device), self.config.points, bool(self.config.augmented))
+        bare = replace(garments, points=garments.points[:, :0], ragged={"design": garments.ragged["design"]})
+        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
+        whole = Designs.join(list(parallel_map(self.encoder(), parts, workers))).to(device)
+        whole = replace(whole, points=scaled_points(garments.points[:, : self.config.stored_points], device))
+        return DrawnDesigns(whole, self.config.points, bool(self.config.augmented))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnDesigns:
         return DrawnDesigns(cast(Designs, encoded), self.config.points, bool(self.config.augmented))

@@ -248,7 +248,7 @@ def test_a_report_of_other_points_is_not_kept(tmp_path: Path, monkeypatch: pytes
 def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> None:
     flags = ["panel_set", *SMALL, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
     assert main([*flags, "--make-only"]) == 0
-    assert len(list((tmp_path / "data").glob("*.npz"))) == 3  # to train, to check, to test
+    assert len(list((tmp_path / "data").glob("*/*.npz"))) == 3  # to train, to check, to test
     assert not list((tmp_path / "out").iterdir())
     assert main([*flags, "--limit-minutes", "0.0001"]) == UNFINISHED
     assert (tmp_path / "out" / "checkpoint.pt").exists()
@@ -256,6 +256,17 @@ def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path) -> No
     assert main(flags) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert (report["steps"], report["options"]["train"]) == (4, report["data"]["train"]["count"])
+
+
+def test_curves_have_the_losses_of_unseen_garments(tmp_path: Path) -> None:
+    """Their terms add up, and a network that learns four garments by heart is worse on others."""
+    flags = ["--smoke", "--train", "4", "--test", "2", "--resolution", "6", "--device", "cpu"]
+    assert main(["parameters", *flags, "--steps", "120", "--checks", "1", "--out", str(tmp_path)]) == 0
+    with (tmp_path / "curves.csv").open() as file:
+        last = {name: float(value) for name, value in list(csv.DictReader(file))[-1].items()}
+    terms = ("choices", "numbers", "defaults", "measures")
+    assert last["check_loss"] == pytest.approx(sum(last[f"check_loss_{name}"] for name in terms), rel=1e-5)
+    assert last["check_loss"] > 2 * last["loss"]
 
 
 def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
