@@ -3,8 +3,10 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from benchmarks.reconstruction.design_codes import encode_design
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
@@ -21,6 +23,7 @@ __all__ = [
     "PANEL_NAMES",
     "PICTURES",
     "PICTURE_SIZE",
+    "POINT_LABELS",
     "Derived",
     "derived_arrays",
     "item_fields",
@@ -62,6 +65,10 @@ MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else ""
 """The label of the mirror image of an edge."""
 
 
+POINT_LABELS = ("box_labels", "draped_labels")
+"""Names of the arrays of labels of surface points: of the box mesh, and of the drape."""
+
+
 def panel_class(name: str) -> int:
     """The row of ``PANEL_CLASSES`` for the name of a panel.
 
@@ -98,6 +105,27 @@ def item_fields(names: Sequence[str]) -> list[str]:
 
 def _panel_classes(item: Item) -> np.ndarray:
     return np.array([panel_class(name) for name in item["meta"]["panel_names"]], np.int32)
+
+
+def _point_labels(item: Item, vertices: str) -> np.ndarray:
+    """The panel of the nearest triangle, by its centroid, and edge and seam of the nearest vertex, for each point.
+
+    ``vertices``: field of their positions.
+    """
+    place, points = (np.nan_to_num(item[name].numpy().astype(float))[:, :3] for name in (vertices, "points"))
+    faces, panels = item["faces"].numpy(), _panel_classes(item)[item["panel_id"].numpy()]
+    of_vertices = np.zeros((len(place), 2), np.uint8)
+    edges = item["labels"].numpy()
+    edges = edges[edges[:, 1] < len(EDGE_LABELS)]
+    of_vertices[edges[:, 0], 0] = edges[:, 1]
+    of_vertices[item["seams"].numpy()[:, 0], 1] = 1
+    nearest, face = (cKDTree(some).query(points)[1] for some in (place, place[faces].mean(axis=1)))
+    return np.column_stack([panels[face].astype(np.uint8), of_vertices[nearest]])
+
+
+def _labels_of(vertices: str) -> Derived:
+    needs = ("meta", "points", "faces", "panel_id", "labels", "seams", vertices)
+    return Derived(needs, partial(_point_labels, vertices=vertices))
 
 
 def _panel_names(item: Item) -> np.ndarray:
@@ -138,6 +166,8 @@ def _shown(item: Item) -> np.ndarray:
 
 
 DERIVED: Mapping[str, Derived] = {
+    "box_labels": _labels_of("box"),
+    "draped_labels": _labels_of("verts"),
     "design": Derived(("design",), _design),
     "panel_classes": Derived(("meta",), _panel_classes),
     "panel_names": Derived(("meta",), _panel_names),
@@ -146,7 +176,9 @@ DERIVED: Mapping[str, Derived] = {
     "scan": Derived(VIEW_FIELDS, _scan),
     "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
 }
-"""``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
+"""``box_labels``, ``draped_labels`` (n, 3): for each surface point the class of its panel, a row of
+``PANEL_CLASSES``, the label of its edge, a row of ``EDGE_LABELS``, and 1 on a seam, u8;
+``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
 ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):
 what their pixels show, u8 as ``pixel_labels``;

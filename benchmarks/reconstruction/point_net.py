@@ -171,16 +171,20 @@ class PointTokens(nn.Module):
 
     def forward(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
         """Tokens of the regions."""
+        return self.with_regions(points)[0]
+
+    def with_regions(self, points: Float[Tensor, "b n k"]) -> tuple[Float[Tensor, "b t w"], Float[Tensor, "b t m k"]]:
+        """Tokens of the regions, and their points; columns of ``points`` beyond the sixth have no effect on tokens."""
         with torch.autocast(points.device.type, enabled=False), torch.no_grad():
             regions = regions_of(points.float(), self.config.tokens)
             if self.training and self.config.seen:
                 regions = some_of(regions, self.config.seen)
             middles = regions.mean(dim=2)
             offsets = (regions[..., :3] - middles[:, :, None, :3]) * REGION_SCALE
-            inputs = torch.cat([offsets, regions[..., 3:]], dim=-1)
-            places = torch.cat([waves(middles[..., :3]), middles], dim=-1)
+            inputs = torch.cat([offsets, regions[..., 3:6]], dim=-1)
+            places = torch.cat([waves(middles[..., :3]), middles[..., :6]], dim=-1)
         tokens: Tensor = self.encoder(self.merge(self.features(inputs) + self.position(places)).float())
-        return tokens
+        return tokens, regions
 
 
 class RegionFeatures(nn.Module):
@@ -201,7 +205,7 @@ class RegionFeatures(nn.Module):
         return found
 
 
-def regions_of(points: Float[Tensor, "b n 6"], count: int) -> Float[Tensor, "b t m 6"]:
+def regions_of(points: Float[Tensor, "b n k"], count: int) -> Float[Tensor, "b t m k"]:
     """The points in ``count`` regions of equal numbers; some points are left out unless ``count`` divides their number.
 
     Each region is halved at the median of its longest side until there are enough; ``count`` is a power of 2.

@@ -95,8 +95,14 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("T0", "points of the box mesh", "pattern", "topology_exact", MESH, points=8192, extra=NAMED),
-        Task("T1", "points of the draped garment", "pattern", "topology_exact", DRAPE, points=8192, extra=NAMED),
+        Task(
+            "T0", "points of the box mesh", "pattern", "topology_exact", MESH,
+            points=8192, extra=(*NAMED, "box_labels"),
+        ),
+        Task(
+            "T1", "points of the draped garment", "pattern", "topology_exact", DRAPE,
+            points=8192, extra=(*NAMED, "draped_labels"),
+        ),
         Task(
             "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
             points=8192, extra=(*NAMED, "scan"),

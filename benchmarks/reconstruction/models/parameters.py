@@ -1,6 +1,8 @@
 """From surface points of a garment to design parameters and body measures, from which our own programs draw the answer.
 
-The tokens of the points are those of ``panel_set``; ``design_net`` reads designs from them. Answers are confined to
+The tokens of the points are those of ``panel_set``; ``design_net`` reads designs from them. With ``labelled``, each
+token also says in training which panels its points belong to, and whether they are on seams and labelled edges, as the
+tokens of pictures do (``picture_model``). Answers are confined to
 what the programs can draw, so this model answers garments of other origin by the most similar ones of ours.
 """
 
@@ -9,11 +11,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
 
-from benchmarks.reconstruction.derived import CENTRE
+from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, PANEL_CLASSES, POINT_LABELS
 from benchmarks.reconstruction.design_augmentation import DesignAugmentation
 from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
@@ -21,13 +25,17 @@ from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
 from benchmarks.reconstruction.sizes import sizes_from
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
+from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
 __all__ = ["SMOKE", "TASKS", "USUAL", "Designs", "ParameterNet", "ParametersConfig", "ToDesigns", "build"]
 
 TASKS = ("T0", "T1", "T1-scan")
 MOST_GROWTH = 0.1  # share, of the augmentation
+PANEL_WEIGHT, BORDER_WEIGHT = 1.0, 4.0
+"""Weights of the losses of panels, and of seams and edges, that tokens say."""
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
@@ -49,6 +57,8 @@ class ParametersConfig(EncoderConfig):
     """Points that they are drawn from."""
     augmented: int = 0
     """1: garments are mirrored and scaled in a training."""
+    labelled: int = 0
+    """1: tokens say in training what their points belong to."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,8 @@ class Designs(DesignTargets):
 
     points: Float[Tensor, "b n 6"]
     """Surface points relative to ``CENTRE`` [UNIT], and normals; f16."""
+    labels: UInt8[Tensor, "b m 3"]
+    """Labels of the points, as ``DERIVED``; m is n or 0."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +76,21 @@ class ToDesigns:
     """From garments with the field ``design`` to their ``Designs``, on a CPU."""
 
     points: int
+    labelled: bool
 
     def __call__(self, garments: GarmentSet) -> Designs:
-        points = scaled_points(garments.points[:, : self.points])
-        return Designs(**vars(DesignTargets.of(garments)), points=points)
+        points, targets = scaled_points(garments.points[:, : self.points]), DesignTargets.of(garments)
+        return Designs(**vars(targets), points=points, labels=self.labels(garments))
+
+    def labels(self, garments: GarmentSet) -> UInt8[Tensor, "g m 3"]:
+        """The labels of the points; of none unless ``labelled``. Raises ``ConfigError`` for garments without labels."""
+        if not self.labelled:
+            return torch.zeros(len(garments), 0, 3, dtype=torch.uint8)
+        found = [garments.ragged[name] for name in POINT_LABELS if name in garments.ragged]
+        if not found:
+            raise ConfigError("labelled 1: these garments have no labels of points: leave it out, or give T0 or T1")
+        rows = [found[0][k][: self.points] for k in range(len(garments))]
+        return torch.from_numpy(np.stack(rows))
 
 
 @dataclass(frozen=True)
@@ -88,21 +111,34 @@ class DrawnDesigns:
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Designs:
         found = self.whole.batch(rows)
         if chance is None:
-            chosen = torch.arange(min(self.points, found.points.shape[1]))
-        else:
-            chosen = torch.randperm(found.points.shape[1], generator=chance)[: self.points]
-        found = replace(found, points=found.points[:, uploaded(chosen, found.device)])
-        if chance is None or not self.augmented:
+            return found
+        chosen = uploaded(torch.randperm(found.points.shape[1], generator=chance)[: self.points], found.device)
+        labels = found.labels[:, chosen] if found.labels.shape[1] else found.labels
+        found = replace(found, points=found.points[:, chosen], labels=labels)
+        if not self.augmented:
             return found
         draws = uploaded(torch.rand(len(self), 2, generator=chance)[rows], found.device)
         mirrored = (draws[:, 0] < 0.5) & self._augmentation.can_mirror(found)
         scales = 1 + MOST_GROWTH * (2 * draws[:, 1] - 1)
         targets = self._augmentation.scaled(self._augmentation.mirrored(found, mirrored), scales)
-        return replace(targets, points=_augmented(found.points, mirrored, scales))
+        labels = torch.where(mirrored[:, None, None], self._mirrored_labels(found.labels), found.labels)
+        return replace(targets, points=_augmented(found.points, mirrored, scales), labels=labels)
+
+    def _mirrored_labels(self, labels: UInt8[Tensor, "b m 3"]) -> UInt8[Tensor, "b m 3"]:
+        rows = labels[..., :2].int()
+        return torch.stack([self._classes[rows[..., 0]], self._edges[rows[..., 1]], labels[..., 2]], dim=-1)
 
     @cached_property
     def _augmentation(self) -> DesignAugmentation:
         return DesignAugmentation(self.whole.device)
+
+    @cached_property
+    def _classes(self) -> UInt8[Tensor, " c"]:
+        return torch.tensor(MIRRORED, dtype=torch.uint8, device=self.whole.device)
+
+    @cached_property
+    def _edges(self) -> UInt8[Tensor, " l"]:
+        return torch.tensor(MIRRORED_EDGES, dtype=torch.uint8, device=self.whole.device)
 
 
 def _augmented(
@@ -127,6 +163,7 @@ class ParameterNet(Learner[Designs, Pattern]):
         require_tokens(config, config.points, config.stored_points)
         self.tokens = PointTokens(config)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
+        self.of_points = nn.Linear(config.width, len(PANEL_CLASSES) + len(EDGE_LABELS)) if config.labelled else None
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnDesigns:
         """Targets of the garments. The first set prepared, the training set, gives the range of the measures.
@@ -137,22 +174,30 @@ class ParameterNet(Learner[Designs, Pattern]):
         self.decoder.learn_range(garments)
         bare = replace(garments, points=garments.points[:, :0], ragged={"design": garments.ragged["design"]})
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
-        whole = Designs.join(list(parallel_map(self.encoder(), parts, workers))).to(device)
-        whole = replace(whole, points=scaled_points(garments.points[:, : self.config.stored_points], device))
+        targets = replace(self.encoder(), labelled=False)  # labels are joined below, not sent between processes
+        whole = Designs.join(list(parallel_map(targets, parts, workers))).to(device)
+        points = scaled_points(garments.points[:, : self.config.stored_points], device)
+        whole = replace(whole, points=points, labels=self.encoder().labels(garments).to(device))
         return DrawnDesigns(whole, self.config.points, bool(self.config.augmented))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnDesigns:
         return DrawnDesigns(cast(Designs, encoded), self.config.points, bool(self.config.augmented))
 
     def encoder(self) -> ToDesigns:
-        return ToDesigns(self.config.stored_points)
+        return ToDesigns(self.config.stored_points, bool(self.config.labelled))
 
     def compile_parts(self) -> None:
         for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.all_layers):
             part.compile()
 
     def loss(self, batch: Designs) -> dict[str, Tensor]:
-        return self.decoder.losses(self.decoder(self.tokens(batch.points), batch), batch)
+        points = batch.points[:, : self.config.points]
+        if self.of_points is None:
+            return self.decoder.losses(self.decoder(self.tokens(points), batch), batch)
+        labels = batch.labels[:, : self.config.points]
+        tokens, regions = self.tokens.with_regions(torch.cat([points.float(), labels.float()], dim=-1))
+        told = self.decoder.losses(self.decoder(tokens, batch), batch)
+        return {**told, **label_losses(self.of_points(tokens).float(), regions[..., 6:])}
 
     def predict(self, batch: Designs) -> list[Pattern]:
         return [drawn(one) for one in self._said(batch)]
@@ -168,8 +213,28 @@ class ParameterNet(Learner[Designs, Pattern]):
         return self.decoder.answers(*(self.tokens(part) for part in several if part.shape == several[0].shape))
 
 
+def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"]) -> dict[str, Tensor]:
+    """Losses of what tokens say about the points of their regions.
+
+    ``said``: logits of the classes of panels, of labelled edges but the first, which means none, and of a seam. The
+    truth is the share of the points.
+    """
+    classes = labels[..., 0].long()
+    shares = said.new_zeros(*classes.shape[:2], len(PANEL_CLASSES))
+    shares.scatter_add_(-1, classes, torch.full_like(labels[..., 0], 1 / classes.shape[-1], dtype=said.dtype))
+    rows = torch.arange(1, len(EDGE_LABELS), device=said.device)
+    on_edges = (labels[..., 1, None] == rows).to(said.dtype).mean(dim=2)
+    borders = torch.cat([on_edges, labels[..., 2].mean(dim=2, keepdim=True)], dim=-1)
+    panels, edges = said.split([len(PANEL_CLASSES), len(EDGE_LABELS)], dim=-1)
+    return {
+        "panels": PANEL_WEIGHT * functional.cross_entropy(panels.flatten(0, 1), shares.flatten(0, 1)),
+        "borders": BORDER_WEIGHT * functional.binary_cross_entropy_with_logits(edges, borders),
+    }
+
+
 def build(*, smoke: bool, options: Mapping[str, Any]) -> ParameterNet:
     """The learner; ``options``: fields of ``ParametersConfig``. Raises ``ConfigError`` for others."""
     given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
-    sizes, _ = sizes_from("parameters", ParametersConfig, given, least={"seen": 0, "augmented": 0}, heads=heads)
+    least = dict.fromkeys(("seen", "augmented", "labelled"), 0)
+    sizes, _ = sizes_from("parameters", ParametersConfig, given, least=least, heads=heads)
     return ParameterNet(sizes)

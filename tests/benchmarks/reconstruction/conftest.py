@@ -15,7 +15,8 @@ SKIRTS: dict[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["Skir
 @pytest.fixture(scope="session")
 def six() -> GarmentSet:
     """Six skirts with coarse box meshes."""
-    return generated(6, 0, points=512, extra=NAMED, drape=None, resolution=5.0, design=SKIRTS)
+    extra = (*NAMED, "box_labels")
+    return generated(6, 0, points=512, extra=extra, drape=None, resolution=5.0, design=SKIRTS)
 
 
 @pytest.fixture(scope="session")

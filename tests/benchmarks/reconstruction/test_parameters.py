@@ -190,6 +190,20 @@ def test_scaled_codes_draw_the_scaled_panels_on_the_scaled_body() -> None:
     assert np.mean(fits) > 0.9
 
 
+def test_answers_use_all_stored_points(six: GarmentSet) -> None:
+    """Also those beyond as many as a training step sees."""
+    network = learner().eval()
+    network.decoder.learn_range(six)
+    examples = network.prepare(six, device=CPU)
+    moved = examples.whole.points.clone()
+    moved[:, network.config.points :, 0] += 0.5
+    one, other = (
+        [answer.measures for answer in network._said(some.batch(torch.arange(6)))]
+        for some in (examples, replace(examples, whole=replace(examples.whole, points=moved)))
+    )
+    assert not np.allclose(one, other)
+
+
 def test_training_batches_are_mirrored_and_scaled(six: GarmentSet) -> None:
     tilted = {"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"low_angle": 12}}
     uneven = {"meta": {"upper": "Shirt"}, "left": {"enable_asym": True}}
