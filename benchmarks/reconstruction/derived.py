@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
+from trimesh.triangles import closest_point
 
 from benchmarks.reconstruction.design_codes import encode_design
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
@@ -53,6 +55,7 @@ PANEL_NAMES = (
     *(f"{name}_{number}" for name, count in MOST_NUMBERED.items() for number in range(count)),
 )
 """All names of panels that the generator draws, which are GarmentCode's; a garment has each at most once."""
+CANDIDATES = 4  # triangles whose distance to a point is measured
 SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 ROW_OF_NAME = {name: row for row, name in enumerate(PANEL_NAMES)}
 CLASS_OF = {name: row for row, name in enumerate(PANEL_CLASSES)}
@@ -108,19 +111,34 @@ def _panel_classes(item: Item) -> np.ndarray:
 
 
 def _point_labels(item: Item, vertices: str) -> np.ndarray:
-    """The panel of the nearest triangle, by its centroid, and edge and seam of the nearest vertex, for each point.
+    """For each point the panel of the nearest triangle, and edge and seam of the nearest of its corners.
 
-    ``vertices``: field of their positions.
+    ``vertices``: field of their positions, which a failed drape may lack.
     """
-    place, points = (np.nan_to_num(item[name].numpy().astype(float))[:, :3] for name in (vertices, "points"))
+    place, points = (
+        np.nan_to_num(item[name].numpy().astype(float), posinf=0.0, neginf=0.0)[:, :3] for name in (vertices, "points")
+    )
     faces, panels = item["faces"].numpy(), _panel_classes(item)[item["panel_id"].numpy()]
     of_vertices = np.zeros((len(place), 2), np.uint8)
     edges = item["labels"].numpy()
     edges = edges[edges[:, 1] < len(EDGE_LABELS)]
     of_vertices[edges[:, 0], 0] = edges[:, 1]
     of_vertices[item["seams"].numpy()[:, 0], 1] = 1
-    nearest, face = (cKDTree(some).query(points)[1] for some in (place, place[faces].mean(axis=1)))
-    return np.column_stack([panels[face].astype(np.uint8), of_vertices[nearest]])
+    face = _nearest_triangles(place[faces], points)
+    corners = faces[face]
+    nearest = np.linalg.norm(place[corners] - points[:, None], axis=2).argmin(axis=1)
+    return np.column_stack([panels[face].astype(np.uint8), of_vertices[corners[np.arange(len(points)), nearest]]])
+
+
+def _nearest_triangles(
+    triangles: Float[np.ndarray, "f 3 3"], points: Float[np.ndarray, "n 3"]
+) -> Int[np.ndarray, " n"]:
+    """Row of the nearest triangle of each point, among the ``CANDIDATES`` with the nearest centroids."""
+    count = min(CANDIDATES, len(triangles))
+    _, rows = cKDTree(triangles.mean(axis=1)).query(points, k=range(1, count + 1))
+    closest = closest_point(triangles[rows.ravel()], np.repeat(points, count, axis=0))
+    distance = np.linalg.norm(closest.reshape(-1, count, 3) - points[:, None], axis=2)
+    return rows[np.arange(len(points)), distance.argmin(axis=1)]
 
 
 def _labels_of(vertices: str) -> Derived:
@@ -177,7 +195,8 @@ DERIVED: Mapping[str, Derived] = {
     "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
 }
 """``box_labels``, ``draped_labels`` (n, 3): for each surface point the class of its panel, a row of
-``PANEL_CLASSES``, the label of its edge, a row of ``EDGE_LABELS``, and 1 on a seam, u8;
+``PANEL_CLASSES``; the label of the edge, a row of ``EDGE_LABELS``, and 1 for a seam, on which the nearest corner of
+its triangle lies: so bands along edges and seams are about as wide as a triangle; u8;
 ``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
 ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from benchmarks.reconstruction.derived import CENTRE, derived_arrays, item_fields, picture_views
+from benchmarks.reconstruction.derived import CENTRE, POINT_LABELS, derived_arrays, item_fields, picture_views
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, open_whole
@@ -139,6 +139,11 @@ class GarmentSet:
         ragged = {name: entry.select(chosen) for name, entry in self.ragged.items()}
         return replace(self, **columns, ragged=ragged)
 
+    def without_points(self) -> "GarmentSet":
+        """The garments without surface points and their labels, which are large."""
+        ragged = {name: rows for name, rows in self.ragged.items() if name not in POINT_LABELS}
+        return replace(self, points=self.points[:, :0], ragged=ragged)
+
     @staticmethod
     def join(parts: Sequence["GarmentSet"]) -> "GarmentSet":
         """The garments of several parts, in order; they have the same fields."""
@@ -226,7 +231,7 @@ def generated(
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
 
     ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set in files of
-    ``PORTION`` garments; a stopped call continues after the last of them, and a smaller set is read from the first.
+    ``PORTION`` garments: a stopped call continues after the last of them, and a smaller set reads the first files only.
     ``options``: of ``GeneratedGarments``. Drapes that fail are not drawn again, so the patterns are those of stage
     ``mesh``.
     """

@@ -89,6 +89,12 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         """``loss``: the call that ``DistributedDataParallel`` watches."""
         return self.loss(batch)
 
+    def require_fields(self, fields: Sequence[str]) -> None:
+        """Raise ``ConfigError`` if garments with these fields, besides those of all sets, are not enough to learn from.
+
+        By default they are.
+        """
+
     def compile_parts(self) -> None:
         """Compile the parts of the network that gain by it (``nn.Module.compile``). By default none."""
 

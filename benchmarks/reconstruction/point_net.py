@@ -92,7 +92,7 @@ class PointLearner(Learner[PanelTargets, Pattern]):
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
         """Targets of the garments. Raises ``ConfigError`` for garments of fewer points than tokens."""
         require_tokens(self.config, self.points, garments.points.shape[1])
-        bare = replace(garments, points=garments.points[:, :0])
+        bare = garments.without_points()
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
         edges = (targets.edge_panels >= 0).sum(dim=1)
@@ -120,7 +120,7 @@ class PointLearner(Learner[PanelTargets, Pattern]):
 
     def _predicted(self, batch: PanelTargets) -> PanelTargets:
         with torch.no_grad():
-            return self.decoded(self.tokens(batch.points[:, : self.points]))
+            return self.decoded(self.tokens(batch.points))
 
     @abstractmethod
     def decoded(self, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
@@ -151,7 +151,9 @@ class DrawnPoints:
         if self.edges is not None and len(rows):
             room = ROOM * math.ceil(max(1, int(self.edges[rows].max())) / ROOM)
             found = replace(found, **{name: getattr(found, name)[:, :room] for name in OF_EDGES})
-        return found if chance is None else found.with_points(self.points, chance)
+        if chance is None:
+            return replace(found, points=found.points[:, : self.points])
+        return found.with_points(self.points, chance)
 
 
 # ---------------------------------------------------------------------------------------------------------- the network

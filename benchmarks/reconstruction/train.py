@@ -304,6 +304,7 @@ def require_usable(options: Options) -> None:
             raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
     elif options.sizes or options.fresh:
         learner = module.build(smoke=options.smoke, options=options.sizes)
+        learner.require_fields(options.task.extra)
         if options.fresh and (learner.encoder() is None or options.source or options.leave_out):
             raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
     if 0 < options.fresh < options.train:

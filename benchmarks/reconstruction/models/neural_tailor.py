@@ -186,7 +186,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPanels:
         """Targets of the garments. The first set prepared, the training set, gives means and deviations."""
-        bare = replace(garments, points=garments.points[:, :0])
+        bare = garments.without_points()
         parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = NamedPanels.join(list(parallel_map(self.encoder(), parts, workers)))
         if not self.edge_deviation.any():
@@ -302,7 +302,7 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
     @torch.no_grad()
     def _said(self, batch: NamedPanels) -> PanelTargets:
         """The panels of the slots that are likely filled, at least one."""
-        encodings, logits = self.slots(self.points(batch.points[:, : self.config.points]))
+        encodings, logits = self.slots(self.points(batch.points))
         exists, names = logits.float().topk(min(self.config.panels, len(PANEL_NAMES)), dim=1)
         exists = (exists > 0) | (torch.arange(exists.shape[1], device=exists.device) == 0)
         drawn = self._drawn(encodings, names, self.config.loop)

@@ -1,12 +1,13 @@
 """From surface points of a garment to design parameters and body measures, from which our own programs draw the answer.
 
-The tokens of the points are those of ``panel_set``; ``design_net`` reads designs from them. With ``labelled``, each
-token also says in training which panels its points belong to, and whether they are on seams and labelled edges, as the
-tokens of pictures do (``picture_model``). Answers are confined to
+The tokens of the points are those of ``panel_set``; ``design_net`` reads designs from them. Answers are confined to
 what the programs can draw, so this model answers garments of other origin by the most similar ones of ours.
+
+With ``labelled``, each token also says in training which panels its points belong to, and how many of them are on seams
+and on labelled edges, as the tokens of pictures do (``picture_model``).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -34,6 +35,7 @@ __all__ = ["SMOKE", "TASKS", "USUAL", "Designs", "ParameterNet", "ParametersConf
 
 TASKS = ("T0", "T1", "T1-scan")
 MOST_GROWTH = 0.1  # share, of the augmentation
+UNLABELLED = "--set labelled=1: the points of these garments have no labels: leave it out, or choose T0 or T1"
 PANEL_WEIGHT, BORDER_WEIGHT = 1.0, 4.0
 """Weights of the losses of panels, and of seams and edges, that tokens say."""
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
@@ -68,7 +70,7 @@ class Designs(DesignTargets):
     points: Float[Tensor, "b n 6"]
     """Surface points relative to ``CENTRE`` [UNIT], and normals; f16."""
     labels: UInt8[Tensor, "b m 3"]
-    """Labels of the points, as ``DERIVED``; m is n or 0."""
+    """Labels of the points, as ``DERIVED``; m is n, or 0 if they are unknown or not used."""
 
 
 @dataclass(frozen=True)
@@ -83,14 +85,12 @@ class ToDesigns:
         return Designs(**vars(targets), points=points, labels=self.labels(garments))
 
     def labels(self, garments: GarmentSet) -> UInt8[Tensor, "g m 3"]:
-        """The labels of the points; of none unless ``labelled``. Raises ``ConfigError`` for garments without labels."""
-        if not self.labelled:
-            return torch.zeros(len(garments), 0, 3, dtype=torch.uint8)
-        found = [garments.ragged[name] for name in POINT_LABELS if name in garments.ragged]
+        """The labels of the points, of none unless they are ``labelled`` and known."""
+        found = [garments.ragged[name] for name in POINT_LABELS if self.labelled and name in garments.ragged]
         if not found:
-            raise ConfigError("labelled 1: these garments have no labels of points: leave it out, or give T0 or T1")
-        rows = [found[0][k][: self.points] for k in range(len(garments))]
-        return torch.from_numpy(np.stack(rows))
+            return torch.zeros(len(garments), 0, 3, dtype=torch.uint8)
+        count = min(self.points, garments.points.shape[1])
+        return torch.from_numpy(np.stack([found[0][k][:count] for k in range(len(garments))]))
 
 
 @dataclass(frozen=True)
@@ -186,14 +186,21 @@ class ParameterNet(Learner[Designs, Pattern]):
     def encoder(self) -> ToDesigns:
         return ToDesigns(self.config.stored_points, bool(self.config.labelled))
 
+    def require_fields(self, fields: Sequence[str]) -> None:
+        """Raise ``ConfigError`` for garments whose points have no labels, if they are to be learned from."""
+        if self.config.labelled and set(POINT_LABELS).isdisjoint(fields):
+            raise ConfigError(UNLABELLED)
+
     def compile_parts(self) -> None:
         for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.all_layers):
             part.compile()
 
     def loss(self, batch: Designs) -> dict[str, Tensor]:
         points = batch.points[:, : self.config.points]
-        if self.of_points is None:
+        if self.of_points is None or (not self.training and not batch.labels.shape[1]):
             return self.decoder.losses(self.decoder(self.tokens(points), batch), batch)
+        if not batch.labels.shape[1]:
+            raise ConfigError(UNLABELLED)
         labels = batch.labels[:, : self.config.points]
         tokens, regions = self.tokens.with_regions(torch.cat([points.float(), labels.float()], dim=-1))
         told = self.decoder.losses(self.decoder(tokens, batch), batch)
@@ -208,7 +215,7 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     @torch.no_grad()
     def _said(self, batch: Designs) -> list[Answer]:
-        """What is said about all stored points, as many at once as in a step."""
+        """What is said about the stored points, as many at once as in a step; a rest is left out."""
         several = torch.split(batch.points, self.config.points, dim=1)
         return self.decoder.answers(*(self.tokens(part) for part in several if part.shape == several[0].shape))
 

@@ -14,7 +14,7 @@ from benchmarks.reconstruction.drapes import (
 )
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models import box_mesh, solver
-from benchmarks.reconstruction.models.drape_surrogate import build, depth, nearest_skin
+from benchmarks.reconstruction.models.drape_surrogate import build, depth, nearest_rows, nearest_skin
 from benchmarks.reconstruction.wearers import body_points, box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
@@ -87,6 +87,16 @@ def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
     assert torch.allclose(depth(points - 0.001 * normals, surface, batch.body), torch.full((5,), 0.004), atol=1e-5)
     assert not depth(points + 0.01 * normals, surface, batch.body).any()
     assert torch.allclose(nearest_skin(points, surface, batch.body)[:, :3], torch.zeros(5, 3), atol=1e-5)
+
+
+def test_each_garment_is_compared_with_its_own_body(draped: GarmentSet) -> None:
+    batch = build(smoke=True, options={"body": 64}).prepare(draped, device=CPU).batch(torch.tensor([1, 0]))
+    counts = batch.surface.counts.tolist()
+    assert counts[0] != counts[1]
+    found = nearest_rows(batch.surface.positions, batch.surface, batch.body)
+    parts = torch.split(batch.surface.positions, counts)
+    expected = [torch.cdist(part, body[:, :3]).argmin(dim=1) for part, body in zip(parts, batch.body, strict=True)]
+    assert torch.equal(found, torch.cat([expected[0], expected[1] + 64]))
 
 
 def test_bodies_are_the_same_vertices_of_each_wearer(draped: GarmentSet) -> None:
