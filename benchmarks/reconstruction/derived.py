@@ -113,7 +113,7 @@ def _panel_classes(item: Item) -> np.ndarray:
 def _point_labels(item: Item, vertices: str) -> np.ndarray:
     """For each point the panel of the nearest triangle, and edge and seam of the nearest of its corners.
 
-    ``vertices``: field of their positions, which a failed drape may lack.
+    ``vertices``: field of their positions, which need not be finite: those of a failed drape may not be.
     """
     place, points = (
         np.nan_to_num(item[name].numpy().astype(float), posinf=0.0, neginf=0.0)[:, :3] for name in (vertices, "points")
@@ -138,7 +138,8 @@ def _nearest_triangles(
     _, rows = cKDTree(triangles.mean(axis=1)).query(points, k=range(1, count + 1))
     closest = closest_point(triangles[rows.ravel()], np.repeat(points, count, axis=0))
     distance = np.linalg.norm(closest.reshape(-1, count, 3) - points[:, None], axis=2)
-    return rows[np.arange(len(points)), distance.argmin(axis=1)]
+    known = np.nan_to_num(distance, nan=np.inf)  # of a triangle without area it may be unknown
+    return rows[np.arange(len(points)), known.argmin(axis=1)]
 
 
 def _labels_of(vertices: str) -> Derived:

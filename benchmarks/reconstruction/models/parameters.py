@@ -232,7 +232,7 @@ def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"])
     rows = torch.arange(1, len(EDGE_LABELS), device=said.device)
     on_edges = (labels[..., 1, None] == rows).to(said.dtype).mean(dim=2)
     borders = torch.cat([on_edges, labels[..., 2].mean(dim=2, keepdim=True)], dim=-1)
-    panels, edges = said.split([len(PANEL_CLASSES), len(EDGE_LABELS)], dim=-1)
+    panels, edges = torch.split(said, [len(PANEL_CLASSES), len(EDGE_LABELS)], dim=-1)
     return {
         "panels": PANEL_WEIGHT * functional.cross_entropy(panels.flatten(0, 1), shares.flatten(0, 1)),
         "borders": BORDER_WEIGHT * functional.binary_cross_entropy_with_logits(edges, borders),

@@ -159,7 +159,7 @@ def test_loops_are_computed_in_float32() -> None:
 def test_empty_rows_and_steps_change_no_loss(six: GarmentSet, targets: NamedPanels) -> None:
     network = learner()
     batch = network.prepare(six, device=CPU).batch(torch.arange(6))
-    whole = replace(targets[torch.arange(6)], points=targets.points)
+    whole = replace(targets[torch.arange(6)], points=batch.points)
     assert batch.corners.shape[1:3] < whole.corners.shape[1:3]
     # The steps' own loss is a mean over all steps of a batch.
     parts = [
