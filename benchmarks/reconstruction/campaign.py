@@ -172,7 +172,7 @@ class _Campaign:
         self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
         self.makes_only = args.make_only
         self.unmade: set[str] = set()
-        """Names of the unfinished runs whose garments this call has not made or found."""
+        """Names of the pending runs whose garments are still to be made."""
         self.data = args.data or args.out / "garments"
         gpus = _gpus() if args.gpus < 0 else args.gpus
         if args.at_once < 1:

@@ -195,9 +195,9 @@ DERIVED: Mapping[str, Derived] = {
     "scan": Derived(VIEW_FIELDS, _scan),
     "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
 }
-"""``box_labels``, ``draped_labels`` (n, 3): for each surface point the class of its panel, a row of
-``PANEL_CLASSES``; the label of the edge, a row of ``EDGE_LABELS``, and 1 for a seam, on which the nearest corner of
-its triangle lies: so bands along edges and seams are about as wide as a triangle; u8;
+"""``box_labels``, ``draped_labels`` (n, 3): labels of each surface point, u8. The first is the class of the panel of
+the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its nearest corner: the label of the edge, a
+row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore about as wide as a triangle;
 ``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
 ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):

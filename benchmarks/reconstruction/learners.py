@@ -90,9 +90,9 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         return self.loss(batch)
 
     def require_fields(self, fields: Sequence[str]) -> None:
-        """Raise ``ConfigError`` if garments with these fields, besides those of all sets, are not enough to learn from.
+        """Raise ``ConfigError`` if the training needs a field that the garments lack; by default it needs none.
 
-        By default they are.
+        ``fields``: those of the task besides the fields of every set (``Task.extra``).
         """
 
     def compile_parts(self) -> None:

@@ -3,8 +3,8 @@
 The tokens of the points are those of ``panel_set``; ``design_net`` reads designs from them. Answers are confined to
 what the programs can draw, so this model answers garments of other origin by the most similar ones of ours.
 
-With ``labelled``, each token also says in training which panels its points belong to, and how many of them are on seams
-and on labelled edges, as the tokens of pictures do (``picture_model``).
+With ``labelled``, each token also predicts the labels of its points in training: the shares of the points on each
+panel, on seams and on labelled edges, as the tokens of pictures do (``picture_model``).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +37,7 @@ TASKS = ("T0", "T1", "T1-scan")
 MOST_GROWTH = 0.1  # share, of the augmentation
 UNLABELLED = "--set labelled=1: the points of these garments have no labels: leave it out, or choose T0 or T1"
 PANEL_WEIGHT, BORDER_WEIGHT = 1.0, 4.0
-"""Weights of the losses of panels, and of seams and edges, that tokens say."""
+"""Weights of the losses of predicted labels: of panels, and of seams and labelled edges."""
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
@@ -60,7 +60,7 @@ class ParametersConfig(EncoderConfig):
     augmented: int = 0
     """1: garments are mirrored and scaled in a training."""
     labelled: int = 0
-    """1: tokens say in training what their points belong to."""
+    """1: tokens predict the labels of their points in training."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Designs(DesignTargets):
     points: Float[Tensor, "b n 6"]
     """Surface points relative to ``CENTRE`` [UNIT], and normals; f16."""
     labels: UInt8[Tensor, "b m 3"]
-    """Labels of the points, as ``DERIVED``; m is n, or 0 if they are unknown or not used."""
+    """Labels of the points (``POINT_LABELS``); m is n, or 0 if they are unknown or not used."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class ToDesigns:
         return Designs(**vars(targets), points=points, labels=self.labels(garments))
 
     def labels(self, garments: GarmentSet) -> UInt8[Tensor, "g m 3"]:
-        """The labels of the points, of none unless they are ``labelled`` and known."""
+        """The labels of the points; m is 0 without ``labelled``, and for garments without labels."""
         found = [garments.ragged[name] for name in POINT_LABELS if self.labelled and name in garments.ragged]
         if not found:
             return torch.zeros(len(garments), 0, 3, dtype=torch.uint8)
@@ -221,10 +221,10 @@ class ParameterNet(Learner[Designs, Pattern]):
 
 
 def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"]) -> dict[str, Tensor]:
-    """Losses of what tokens say about the points of their regions.
+    """Losses of the labels that tokens predict for the points of their regions.
 
-    ``said``: logits of the classes of panels, of labelled edges but the first, which means none, and of a seam. The
-    truth is the share of the points.
+    ``said``: logits of the classes of panels, of the edge labels but the first, which means none, and of a seam. The
+    targets are the shares of the points.
     """
     classes = labels[..., 0].long()
     shares = said.new_zeros(*classes.shape[:2], len(PANEL_CLASSES))

@@ -1,4 +1,4 @@
-"""Labels of surface points: where the points lie that have a label, what a network says of them, and their mirror."""
+"""Labels of surface points: they are true to the mesh, tokens learn them, and mirror images swap the sides."""
 
 from dataclasses import replace
 from functools import cache
