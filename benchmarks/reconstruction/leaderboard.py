@@ -28,6 +28,7 @@ __all__ = ["REPORTS", "RESULTS", "commit_here", "curves", "main", "pages", "writ
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
 CURVES, COLUMNS = 3, 5  # of the scores of ``HEADLINES``: drawn and shown by kind, and in the table of all tasks
+COLOURS, MARKS = 10, "os^Dv*"  # of the lines of curves
 LABEL_APART = 1.3  # least ratio of neighbouring tick labels on a logarithmic axis
 PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
@@ -239,6 +240,12 @@ def _curve_file(task: str) -> str:
     return f"learning_{task}.png"
 
 
+def _mark(number: int, *, fresh: bool) -> dict[str, Any]:
+    """Colour and marks of the line of a model: ten colours, then the same with other marks, for up to 60 models."""
+    mark = MARKS[number // COLOURS % len(MARKS)]
+    return {"fmt": f"{mark}-", "color": f"C{number % COLOURS}"} | ({"markerfacecolor": "white"} if fresh else {})
+
+
 def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
     """A plot for each of the first scores, a line for each model; bars are 95 % intervals, hollow marks fresh garments.
 
@@ -261,9 +268,8 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
                 if some:
                     x, y, below, above = zip(*some, strict=True)
                     label = f"{model}, fresh" if is_fresh else model
-                    style: dict[str, Any] = {"color": f"C{number}", "capsize": 2, "markersize": 5, "linewidth": 1.2}
-                    style |= {"markerfacecolor": "white"} if is_fresh else {}
-                    plot.errorbar(x, y, yerr=(below, above), fmt="o-", label=label, **style)
+                    style = {"capsize": 2, "markersize": 5, "linewidth": 1.2, **_mark(number, fresh=is_fresh)}
+                    plot.errorbar(x, y, yerr=(below, above), label=label, **style)
         plot.set_xscale("log")
         plot.set_xticks(_apart(sorted({e.train + e.fresh for e in entries})))
         plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))

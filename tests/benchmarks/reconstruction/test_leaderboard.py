@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.reconstruction.leaderboard import main
+from benchmarks.reconstruction.leaderboard import curves, main
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.results import read_entries
+from benchmarks.reconstruction.results import Entry, read_entries
 
 
 def result(
@@ -105,6 +105,25 @@ def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None
     picture = np.asarray(Image.open(tmp_path / "learning_T1.png").convert("RGB"))
     assert min(picture.shape[:2]) > 200
     assert (picture != 255).any(axis=2).mean() > 0.01
+
+
+def test_no_two_models_are_drawn_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.colors import to_rgba
+
+    drawn: dict[str, tuple[Any, ...]] = {}
+
+    def errorbar(*_: Any, label: str, **style: Any) -> None:
+        drawn[label] = (style["fmt"], to_rgba(style["color"]), style.get("markerfacecolor"))
+
+    monkeypatch.setattr("matplotlib.axes.Axes.errorbar", errorbar)
+    scores = {"topology_exact": [0.5, 0.4, 0.6]}
+    models = [f"model {k}" for k in range(25)]
+    curves([
+        Entry("T0", model, 10 * count, 8.0, scores, fresh=fresh, tested=500)
+        for model in models for count, fresh in ((1, 0), (2, 0), (2, 5))
+    ])  # fmt: skip
+    assert len(drawn) == 50
+    assert len(set(drawn.values())) == 50
 
 
 def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path) -> None:
