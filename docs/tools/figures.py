@@ -133,7 +133,7 @@ def _webdataset(fields: str) -> Callable[[Report], str]:
 
 
 def _of_patterns(report: Report, *start: str) -> str:
-    names = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "within 1 cm, draped,"}
+    names = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "draped within 1 cm"}
     return ", ".join(f"{text} {report.cell(name, *start)}" for name, text in names.items())
 
 
