@@ -48,6 +48,7 @@ from typing import Any
 
 from benchmarks.reconstruction import leaderboard, results
 from benchmarks.reconstruction.planned_runs import Planned, read_plan
+from benchmarks.reconstruction.run_files import REPORT
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import UNFINISHED, is_draped
 from gcd_dataset.errors import ConfigError, GcdError
@@ -62,7 +63,7 @@ DRAPING = 0.8  # minutes to drape the answers of a run
 LEAST = 1.5  # minutes; a training that cannot be finished is not begun with less
 INTERRUPTED = 130  # exit code
 LEAVE = 15.0  # s that a program has to write its checkpoint
-REPORT, LOG, PLANNED = "report.json", "log.txt", "planned.json"
+LOG, PLANNED = "log.txt", "planned.json"
 NOT_DRAPED = "Drapes of the answers are not scored yet."
 
 

@@ -2,43 +2,56 @@
 
     python -m benchmarks.reconstruction.compare FIRST SECOND
 
-``FIRST`` and ``SECOND``: folders of ``train --out``, or JSON files of ``evaluate --json``. Both must have scored the
-same garments in the same way. A line for each score of both:
+``FIRST`` and ``SECOND``: two folders of ``train --out``, or two JSON files of ``evaluate --json``. The test garments,
+and the settings of drapes, must be the same. A line for each score of both:
 
-    compare.iou +0.0138 [+0.00499, +0.0227] from 0.837 to 0.85 differs
+    compare.iou +0.0138 [+0.00474, +0.0225] from 0.837 to 0.85 better
 
-is the mean of SECOND - FIRST, its 95 % interval (percentile bootstrap over the garments), and the two means. "differs":
-the interval does not contain 0. The intervals of the two means may overlap although the models differ, since the same
-garments are hard for both; a paired interval leaves this out. It covers the choice of the test garments, not a repeated
-training. Of twenty scores of equal models one "differs" by chance: choose the score before you look.
+is the mean of SECOND - FIRST, its 95 % interval (percentile bootstrap over the garments), and the means of FIRST and of
+SECOND. "better", "worse", or "differs" if a score has no better side: the interval does not contain 0. Intervals of the
+two means may overlap although the models differ, since some garments are hard for both; pairing removes the variation
+between garments. The interval covers the choice of the test garments, not a repeated training, which changes scores,
+too. A score with a true difference of 0 is called different for one in twenty test sets.
 
-Exit code 0, or 1 with one line on what to correct.
+Times (``ms``) are left out: they depend on the machine. Exit code 0, or 1 with one line on what to correct.
 """
 
 import argparse
 import csv
 import io
 import math
+import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.garments import SPACING
-from benchmarks.reconstruction.train import EVALUATION, REPORT, SCORES
+from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES, TIMES
+from benchmarks.reconstruction.scoring.table import UNITS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json
+from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
 
 __all__ = ["Difference", "Scores", "differences", "main", "read_scores"]
 
-NO_SCORES = ("name", "key", "kind", "failure", "remarks")
-"""Columns of a garment that are no scores."""
-GIVE = "a folder of train --out or a JSON file of evaluate --json"
+LEAST_GARMENTS = 30  # of fewer, bootstrap intervals are too narrow: 12 % of equal models would differ on 8 garments
+DIGITS = 6  # decimals: differences of rounding errors count as 0
+NOT_SCORES = ("name", "key", "kind", "failure", "remarks", *TIMES)
+"""Columns that are not compared."""
+LOWER = frozenset({
+    *UNITS, *MEASURES, "error_cm", "error_p95_cm", "error_degrees", "stretch_error", "self_crossings", "body_crossings",
+    "body_through",
+})  # fmt: skip
+"""Scores of which the lower is the better."""
+NEITHER = frozenset({"seam_mismatch"})
+"""Scores that the true patterns do not have at 0 nor at 1."""
+FOLDERS = "a folder of train --out"
+FILES = "a JSON file of evaluate --json"
 
 
 @dataclass(frozen=True)
@@ -47,15 +60,14 @@ class Scores:
 
     source: Path
     garments: Mapping[str, Mapping[str, float]]
-    """Garment to its scores by name."""
-    about: Mapping[str, Any] = field(default_factory=dict)
-    """What must be equal for scores to be compared: task, test set, settings of the evaluator."""
+    """Garment to its scores by name; all garments have the same scores."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Test set and settings of drapes, which must be those of the other model where it has them, too."""
+    kind: str = FOLDERS
 
     @property
     def names(self) -> list[str]:
-        """The scores that all garments have."""
-        rows = list(self.garments.values())
-        return [name for name in rows[0] if all(name in row for row in rows)]
+        return list(next(iter(self.garments.values())))
 
 
 @dataclass(frozen=True)
@@ -75,130 +87,201 @@ class Difference:
         return self.second - self.first
 
     @property
-    def differs(self) -> bool:
-        """Whether the interval does not contain 0."""
-        return not self.low <= 0.0 <= self.high
+    def verdict(self) -> str:
+        """``better``, ``worse`` or ``differs``; empty if the interval contains 0."""
+        if round(self.low, DIGITS) <= 0.0 <= round(self.high, DIGITS):
+            return ""
+        if self.name in NEITHER:
+            return "differs"
+        return "better" if (self.mean < 0) == (self.name in LOWER) else "worse"
 
     def __str__(self) -> str:
-        values = f"{self.mean:+.3g} [{self.low:+.3g}, {self.high:+.3g}] from {self.first:.3g} to {self.second:.3g}"
-        return f"compare.{self.name} {values}{' differs' if self.differs else ''}"
+        mean, low, high = (f"{round(value, DIGITS) + 0.0:+.3g}" for value in (self.mean, self.low, self.high))
+        return f"compare.{self.name} {mean} [{low}, {high}] from {self.first:.3g} to {self.second:.3g} {self.verdict}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0, or 1 for input that cannot be compared. Exits 2 for wrong usage."""
+    formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
-        prog="benchmarks.reconstruction.compare",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="benchmarks.reconstruction.compare", description=__doc__, formatter_class=formatter
     )
     for name in ("first", "second"):
-        parser.add_argument(name, type=Path, metavar=name.upper(), help=GIVE)
+        parser.add_argument(name, type=Path, metavar=name.upper(), help=f"{FOLDERS}, or {FILES}")
     options = parser.parse_args(arguments)
     try:
         first, second = read_scores(options.first), read_scores(options.second)
         found = differences(first, second)
+        for remark in _remarks(first, second):
+            print(f"compare: {remark}", file=sys.stderr)
+        print(f"compare.garments {len(first.garments)} garments")
+        for difference in found:
+            print(str(difference).rstrip(), flush=True)
     except GcdError as error:
         print(f"compare: {error}", file=sys.stderr)
         return 1
-    print(f"compare.garments {len(first.garments)} garments")
-    for difference in found:
-        print(difference)
+    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0
 
 
+def _remarks(first: Scores, second: Scores) -> Iterator[str]:
+    for one, other in ((first, second), (second, first)):
+        if alone := [name for name in one.names if name not in other.names]:
+            yield f"{', '.join(alone)}: scores of {one.source} alone, not compared"
+
+
+# ------------------------------------------------------------------------------------------------------- the two inputs
+
+
 def read_scores(source: Path) -> Scores:
-    """The scores of a folder of ``train``, with those of drapes if there are, or of a file of ``evaluate --json``.
+    """The scores in a folder of ``train``, of ``EVALUATION`` if it is there, or in a file of ``evaluate --json``.
 
     Raises ``ConfigError`` for a source without scores of each garment, and for scores that are no finite numbers.
     """
     if not source.is_dir():
-        return _evaluated(source)
+        return _of_file(source)
+    report = read_json(source / REPORT, f"report of a finished training: {FOLDERS}", error=ConfigError)
+    settings = _test_set(report, source / REPORT)
+    if (source / EVALUATION).is_file():
+        garments, of_drapes = _evaluated(source / EVALUATION)
+        return Scores(source, garments, {**settings, **of_drapes})
     path = source / SCORES
-    text = read_whole(path, "table of scores, which train writes", limit=LARGEST_JSON, error=ConfigError)
-    report = read_json(source / REPORT, "report of a finished training", error=ConfigError)
+    if not path.exists():  # stitching.run writes none
+        raise ConfigError(f"{source}: no {SCORES}: give {FOLDERS}, of a task other than T3")
+    text = read_whole(path, "table of scores", limit=LARGEST_JSON, error=ConfigError).decode(errors="replace")
+    try:
+        rows = [dict(row) for row in csv.DictReader(io.StringIO(text, newline=""), restkey="")]
+    except csv.Error as error:
+        raise ConfigError(f"{path}: {error}: answer again") from error
+    return Scores(source, _by_garment(path, "key", [_numbered(row) for row in rows]), settings)
+
+
+def _test_set(report: Any, path: Path) -> dict[str, Any]:
     try:
         test = report["data"]["test"]
-        recipe = (test.get("recipe") or {}).get("recipe") or {}
-        about = {
-            "task": report["task"],
-            "hash of the test patterns": test["patterns"],
-            "hash of the test samples": test["ids"],
-            "resolution of the test garments": recipe.get("resolution"),
-        }
+        recipe = test.get("recipe") or {}
+        settings = {"task": report["task"], "hash of the test patterns": test["patterns"]}
+        settings["hash of the test samples"] = test["ids"]
+        drawn = {name: value for name, value in recipe.get("recipe", {}).items() if name != "device"}
+        return {**settings, **{f"{name} of the test garments": value for name, value in sorted(drawn.items())}}
     except (KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{source / REPORT}: {error!r}: no report of this version: train again") from error
-    if (source / EVALUATION).is_file():
-        evaluated = _evaluated(source / EVALUATION)
-        return Scores(source, evaluated.garments, {**about, **evaluated.about})
-    rows = csv.DictReader(io.StringIO(text.decode(errors="replace")))
-    return Scores(source, _by_garment(path, "key", rows), about)
+        raise ConfigError(f"{path}: {error!r}: no report of this version: give {FOLDERS}, or train again") from error
 
 
-def _evaluated(path: Path) -> Scores:
-    found = read_json(path, "folder of train --out or JSON file of evaluate --json", error=ConfigError)
+def _of_file(path: Path) -> Scores:
+    garments, of_drapes = _evaluated(path)
+    hashes = read_json(path, FILES, error=ConfigError)["settings"].get("hashes")
+    if not isinstance(hashes, dict) or "truth" not in hashes:
+        raise ConfigError(f"{path}: no hash of the true patterns: evaluate again with this version")
+    named = {f"hash of {name}": value for name, value in hashes.items()}
+    return Scores(path, garments, {**named, **of_drapes}, FILES)
+
+
+def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any]]:
+    """The scores of the evaluator by garment, and its settings of drapes, if any."""
+    found = read_json(path, FILES, error=ConfigError)
     settings = found.get("settings") if isinstance(found, dict) else None
     if not isinstance(settings, dict) or not isinstance(found.get("garments"), list):
-        raise ConfigError(f"{path}: no settings and garments: give {GIVE}")
-    about: dict[str, Any] = {}
+        raise ConfigError(f"{path}: no settings and garments: give {FILES}")
+    of_drapes = {}
     if settings.get("drape"):
-        about = {
-            "resolution of drapes": settings.get("resolution") or SPACING,
+        of_drapes = {
+            "resolution of the drapes": settings.get("resolution"),
             "--partial": bool(settings.get("partial")),
             "--inputs given": settings.get("inputs") is not None,
+            "version of the drapes": settings.get("gcd_dataset"),
         }
-    return Scores(path, _by_garment(path, "name", found["garments"]), about)
+    return _by_garment(path, "name", found["garments"]), of_drapes
+
+
+def _numbered(row: Mapping[Any, Any]) -> dict[Any, Any]:
+    """A row of a CSV file with floats where its texts are numbers."""
+
+    def number(text: Any) -> Any:
+        try:
+            return float(text)
+        except (TypeError, ValueError):
+            return text
+
+    return {name: value if name in NOT_SCORES else number(value) for name, value in row.items()}
 
 
 def _by_garment(path: Path, key: str, rows: Iterable[Any]) -> dict[str, dict[str, float]]:
-    """Garment to its scores. Raises ``ConfigError`` for rows without a name, twice the same, and for no numbers."""
+    """Garment to its scores. Raises ``ConfigError`` for rows without a name, or the same name, or the same scores."""
     garments: dict[str, dict[str, float]] = {}
-    for row in rows:
-        if not isinstance(row, dict) or not isinstance(row.get(key), str):
-            raise ConfigError(f"{path}: garment {len(garments)} has no {key}: give {GIVE}")
-        if row[key] in garments:
-            raise ConfigError(f"{path}: two garments {row[key]}: score them again")
-        scores = {name: _number(value) for name, value in row.items() if name not in NO_SCORES}
-        for name, value in scores.items():
-            if not math.isfinite(value):
-                raise ConfigError(f"{path}: garment {row[key]}: {name} is {row[name]!r:.99}: score them again")
-        garments[row[key]] = scores
-    if not garments:
-        raise ConfigError(f"{path}: no garments: give {GIVE}")
+    for number, row in enumerate(rows):
+        name = row.get(key) if isinstance(row, dict) else None
+        if not isinstance(name, str):
+            raise ConfigError(f"{path}: garment {number} has no {key}: give {FOLDERS}, or {FILES}")
+        if name in garments:
+            raise ConfigError(f"{path}: two garments {name}: score them again")
+        scores = {score: _finite(value, f"{path}: garment {name}: {score}") for score, value in row.items()
+                  if score not in NOT_SCORES}  # fmt: skip
+        if garments and scores.keys() != (expected := next(iter(garments.values()))).keys():
+            apart = sorted(scores.keys() ^ expected.keys())
+            raise ConfigError(f"{path}: garment {name}: other scores than the first ({apart[0]}): score them again")
+        garments[name] = scores
+    if not garments or not next(iter(garments.values())):
+        raise ConfigError(f"{path}: no scores of garments: give {FOLDERS}, or {FILES}")
     return garments
 
 
-def _number(value: Any) -> float:
+def _finite(value: Any, place: str) -> float:
     try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    except OverflowError:
+        pass
+    raise ConfigError(f"{place} is {value!r:.99}, no finite number: score the garments again")
+
+
+# ------------------------------------------------------------------------------------------------------ the differences
 
 
 def differences(first: Scores, second: Scores) -> list[Difference]:
     """The difference of each score that both have; the bootstrap has a fixed seed.
 
-    Raises ``ConfigError`` for scores of other garments or by other settings, and without a common score.
+    Raises ``ConfigError`` for fewer than ``LEAST_GARMENTS`` garments, for other test garments or settings, and without
+    a common score.
     """
-    for name in first.about.keys() & second.about.keys():
-        if (ours := first.about[name]) != (theirs := second.about[name]):
+    if first.kind != second.kind:
+        raise ConfigError(
+            f"{first.source} is {first.kind}, {second.source} {second.kind}: give two folders, or two files"
+        )
+    for name, value in first.settings.items():
+        if name in second.settings and second.settings[name] != value:
             raise ConfigError(
-                f"{second.source}: {name}: {theirs!r:.99}, but {ours!r:.99} in {first.source}: score both alike"
+                f"{second.source}: {name}: {_shown(second.settings[name])}, but {_shown(value)} in {first.source}: "
+                "give answers for the same test garments, scored alike"
             )
     if apart := sorted(first.garments.keys() ^ second.garments.keys()):
-        other = second if apart[0] in first.garments else first
+        without = second if apart[0] in first.garments else first
         raise ConfigError(
-            f"{other.source}: no garment {apart[0]} ({len(apart)} are in one alone): score both on the same garments"
+            f"{without.source}: no garment {apart[0]}; one of both lacks {len(apart)}: give answers for the same "
+            "test garments"
+        )
+    if len(first.garments) < LEAST_GARMENTS:
+        raise ConfigError(
+            f"{first.source}: {len(first.garments)} garments, too few to tell models apart: test on {LEAST_GARMENTS}"
         )
     names = [name for name in first.names if name in second.names]
     if not names:
-        raise ConfigError(f"{second.source}: no score that {first.source} has: compare models of one task")
-    ours, theirs = (
+        raise ConfigError(f"{second.source}: no score of {first.source}: compare models of one task")
+    before, after = (
         np.array([[scores.garments[key][name] for name in names] for key in sorted(first.garments)])
         for scores in (first, second)
     )
-    low, high = bootstrap_means(theirs - ours, np.random.default_rng(0))
-    columns = (ours.mean(axis=0).tolist(), theirs.mean(axis=0).tolist(), low.tolist(), high.tolist())
+    low, high = bootstrap_means(after - before, np.random.default_rng(0))
+    columns = (before.mean(axis=0).tolist(), after.mean(axis=0).tolist(), low.tolist(), high.tolist())
     return [Difference(*row) for row in zip(names, *columns, strict=True)]
+
+
+def _shown(value: Any) -> str:
+    """A setting for a message; of a hash, the beginning."""
+    text = str(value)
+    return text if len(text) <= 16 else f"{text[:16]}…"
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ definitions are in docs/evaluate.md. Exit code 0, or 1 with one line on what to 
 """
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -103,7 +104,8 @@ def evaluate(options: argparse.Namespace) -> Iterator[str]:
         for remark in _of_no_number(scores):
             print(f"evaluate: preset {preset}: {remark}", file=sys.stderr)
     if options.json is not None:
-        tree = tree_of(garments, figures, kinds, presets, _settings(options))
+        hashes = _hashes(options, {case.name: case.true for case in folders.cases})
+        tree = tree_of(garments, figures, kinds, presets, {**_settings(options), "hashes": hashes})
         write_whole(options.json, (json.dumps(_finite(tree), indent=1, allow_nan=False) + "\n").encode())
     yield garment_table(garments)
     yield ""
@@ -248,7 +250,38 @@ def _with_bar(scored: Iterable[Scored], total: int, word: str, quiet: bool) -> I
 
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
     given = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
+    if options.drape:
+        given["resolution"] = options.resolution or SPACING
     return {"gcd_dataset": __version__, "numpy": np.__version__, **given}
+
+
+def _hashes(options: argparse.Namespace, truth: Mapping[str, Path]) -> dict[str, str]:
+    """What the predictions are scored against: hashes of the true patterns, and of the bodies and inputs of drapes."""
+    found = {"truth": _hash_of(truth)}
+    if not options.drape:
+        return found
+    if options.inputs is not None:
+        from benchmarks.reconstruction.scoring.distances import input_files
+
+        files = input_files(options.inputs)
+        found["inputs"] = _hash_of({name: files[name] for name in truth})
+    from benchmarks.reconstruction.scoring.bodies import NEUTRAL
+
+    bodies = Path(named := options.bodies or NEUTRAL)
+    files = {str(path.relative_to(bodies)): path for path in (bodies.rglob("*") if bodies.is_dir() else [bodies])}
+    found["bodies"] = _hash_of(files) if bodies.exists() else hashlib.sha256(named.encode()).hexdigest()
+    return found
+
+
+def _hash_of(files: Mapping[str, Path]) -> str:
+    """SHA-256 of names and contents."""
+    found = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        if path.is_file():
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+            found.update(f"{name}\n{content}\n".encode())
+    return found.hexdigest()
 
 
 def _finite(tree: Any) -> Any:

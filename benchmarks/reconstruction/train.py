@@ -39,6 +39,7 @@ from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
+from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES, TIMES
 from benchmarks.reconstruction.scoring.table import DRAPED
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
@@ -70,9 +71,6 @@ __all__ = [
 ]
 
 MINUTES, TRAINED = 8.0, 4000
-REPORT, SCORES, EVALUATION = "report.json", "scores.csv", "evaluation.json"
-TIMES = ("ms",)
-"""Scores that are times, which other programs on the device lengthen."""
 OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")
 """Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3

@@ -205,8 +205,9 @@ class NeuralTailor(Learner[NamedPanels, Pattern]):
         return ToNamedPanels(ToTargets(config.panels, config.loop, config.edges, config.stored_points))
 
     def compile_parts(self) -> None:
-        for part in (*self.points.layers, self.pairs):
-            part.compile()
+        for layer in self.points.layers:
+            layer.compile()
+        self.pairs.compile(dynamic=True)  # batches differ in their number of edges
 
     def _standardise(self, targets: NamedPanels) -> None:
         within = torch.arange(targets.corners.shape[2]) < targets.edge_counts[..., None]

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.garments import Scored
 from gcd_dataset.metrics import bootstrap_means
+
+if TYPE_CHECKING:
+    from benchmarks.reconstruction.scoring.garments import Scored
 
 __all__ = ["DRAPED", "UNITS", "Summary", "garment_table", "line_of", "summaries", "summaries_by_kind", "tree_of"]
 
@@ -45,7 +47,7 @@ class Summary:
     unit: str
 
 
-def summaries(garments: Sequence[Scored]) -> list[Summary]:
+def summaries(garments: Sequence["Scored"]) -> list[Summary]:
     """Every score over the garments; the bootstrap has a fixed seed."""
     names = list(garments[0].values)
     values = np.array([[garment.values[name] for name in names] for garment in garments])
@@ -57,7 +59,7 @@ def summaries(garments: Sequence[Scored]) -> list[Summary]:
     ]
 
 
-def summaries_by_kind(garments: Sequence[Scored]) -> dict[str, list[Summary]]:
+def summaries_by_kind(garments: Sequence["Scored"]) -> dict[str, list[Summary]]:
     """Kind of garment to its scores, the kind with most garments first."""
     kinds: dict[str, list[Scored]] = {}
     for garment in garments:
@@ -73,7 +75,7 @@ def line_of(figure: Summary, prefix: str = "evaluate") -> str:
     return f"{prefix}.{figure.name} {mean} {figure.unit} [{low}, {high}] median {median}"
 
 
-def garment_table(garments: Sequence[Scored]) -> str:
+def garment_table(garments: Sequence["Scored"]) -> str:
     """One line for each garment, with the reason of a failure; of many garments, only those with a remark."""
     chosen = [garment for garment in garments if len(garments) <= MOST_ROWS or garment.failure or garment.remarks]
     columns = [name for name in (*COLUMNS, *DRAPED) if name in garments[0].values]
@@ -90,7 +92,7 @@ def garment_table(garments: Sequence[Scored]) -> str:
 
 
 def tree_of(
-    garments: Sequence[Scored],
+    garments: Sequence["Scored"],
     figures: Sequence[Summary],
     by_kind: Mapping[str, Sequence[Summary]],
     presets: Mapping[str, Mapping[str, float]],
