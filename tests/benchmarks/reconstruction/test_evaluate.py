@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
-from gcd_dataset.spec import spec_from_pattern
+from gcd_dataset.spec import spec_from_pattern, write_pattern
 from gcd_dataset.validate import MOST_EDGES, MOST_PANELS
 from tests.test_metrics import SAME, garment
+
+POINTS = np.random.default_rng(0).uniform(size=(100, 3))
 
 
 def save(folder: Path, patterns: dict[str, Pattern], *, order: bool = True, ending: str = "") -> Path:
@@ -258,6 +261,39 @@ def test_the_headline_counts_right_drapes_of_all_garments(tmp_path: Path, capsys
     rows = {row["name"]: row for row in json.loads((tmp_path / "out.json").read_text())["garments"]}
     assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
     assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100
+
+
+def test_hashes_tell_what_predictions_were_scored_against(
+    tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of drapes that nobody computes: only what is written beside the scores matters."""
+    monkeypatch.setattr("benchmarks.reconstruction.evaluate._draped", lambda garments, *_: iter(garments))
+    ours, bodies, inputs = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies", tmp_path / "inputs"
+    for folder in (bodies, inputs):
+        folder.mkdir()
+        for name in "abcd":
+            np.save(folder / f"{name}.npy", 80 * POINTS)
+
+    def settings(*options: Any) -> dict[str, Any]:
+        assert run(ours, truth, "--json", tmp_path / "out.json", *options) == 0
+        return dict(json.loads((tmp_path / "out.json").read_text())["settings"])
+
+    draped = ("--drape", "--bodies", bodies, "--inputs", inputs)
+    first = settings(*draped)
+    assert first["resolution"] == 2.0
+    assert first["hashes"].keys() == {"truth", "bodies", "inputs"}
+    assert settings(*draped)["hashes"] == first["hashes"]
+    assert settings("--drape")["hashes"] == settings("--drape", "--bodies", "neutral")["hashes"]
+    assert settings()["hashes"] == {"truth": first["hashes"]["truth"]}
+    changed = {"bodies": bodies / "a.npy", "inputs": inputs / "b.npy", "truth": truth / "c_specification.json"}
+    for name, path in changed.items():
+        before = settings(*draped)["hashes"]
+        if name == "truth":
+            write_pattern(replace(garment(), seams=()), path)
+        else:
+            np.save(path, 90 * POINTS)
+        after = settings(*draped)["hashes"]
+        assert {key for key in after if after[key] != before[key]} == {name}
 
 
 def test_a_device_that_is_missing(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
