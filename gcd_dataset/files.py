@@ -6,13 +6,23 @@ import fcntl
 import os
 import re
 import secrets
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from gcd_dataset.errors import GcdError, OutputError, shown
 
-__all__ = ["drafted", "make_folder", "open_whole", "read_whole", "user_path", "write_whole", "writing_to"]
+__all__ = [
+    "discard_stdout",
+    "drafted",
+    "make_folder",
+    "open_whole",
+    "read_whole",
+    "user_path",
+    "write_whole",
+    "writing_to",
+]
 
 URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # pathlib turns s3://bucket into s3:/bucket
 DRAFTS = 8  # numbered draft names for one target; further concurrent writers use random names
@@ -172,3 +182,8 @@ def writing_to(path: Path) -> Iterator[None]:
     except OSError as error:
         remedy = REMEDY_OF.get(error.errno or 0, "choose another folder")
         raise OutputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}") from error
+
+
+def discard_stdout() -> None:
+    """Discard what is printed from now on: the reader of stdout has exited, and the flush at exit would fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -20,7 +20,6 @@ import argparse
 import csv
 import io
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +31,7 @@ import numpy as np
 from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES, TIMES
 from benchmarks.reconstruction.scoring.table import UNITS
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.files import read_whole
+from gcd_dataset.files import discard_stdout, read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
@@ -97,7 +96,8 @@ class Difference:
 
     def __str__(self) -> str:
         mean, low, high = (f"{round(value, DIGITS) + 0.0:+.3g}" for value in (self.mean, self.low, self.high))
-        return f"compare.{self.name} {mean} [{low}, {high}] from {self.first:.3g} to {self.second:.3g} {self.verdict}"
+        line = f"compare.{self.name} {mean} [{low}, {high}] from {self.first:.3g} to {self.second:.3g} {self.verdict}"
+        return line.rstrip()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -112,16 +112,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         first, second = read_scores(options.first), read_scores(options.second)
         found = differences(first, second)
-        for remark in _remarks(first, second):
-            print(f"compare: {remark}", file=sys.stderr)
-        print(f"compare.garments {len(first.garments)} garments")
-        for difference in found:
-            print(str(difference).rstrip(), flush=True)
     except GcdError as error:
         print(f"compare: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for remark in _remarks(first, second):
+        print(f"compare: {remark}", file=sys.stderr)
+    try:
+        print(f"compare.garments {len(first.garments)} garments", *found, sep="\n", flush=True)
+    except BrokenPipeError:
+        discard_stdout()
         return 1
     return 0
 

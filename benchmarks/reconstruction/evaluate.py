@@ -11,7 +11,6 @@ import argparse
 import hashlib
 import json
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -32,7 +31,7 @@ from benchmarks.reconstruction.scoring.table import (
 )
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
-from gcd_dataset.files import write_whole
+from gcd_dataset.files import discard_stdout, write_whole
 from gcd_dataset.metrics import PatternScore, score_pattern
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
@@ -71,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GcdError as error:
         print(f"evaluate: {error}", file=sys.stderr)
         return 2 if isinstance(error, ConfigError) else 1
-    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        discard_stdout()
         return 1
     return 0
 

@@ -308,15 +308,15 @@ FIGURES = (
         "--checks 2 --compile --out OUT",
     ),
     Figure(
-        "patterns from the points of unseen draped garments: a network, trained on 40,000 garments for 7 minutes",
+        "patterns from points of unseen drapes: a network, 7 minutes on 40,000 garments",
         "learning_T1",
         lambda r: (
-            f"{_of_patterns(r, 'parameters augmented=1 labelled=1 seen=0', '40,000', '7.0')}; its answers are drawn by "
-            "the programs that drew the test garments"
+            f"{_of_patterns(r, 'parameters augmented=1 labelled=1 seen=0', '40,000', '7.0')}; answers drawn by the "
+            "test garments' programs"
         ),
         lambda r: (
-            f"on 16,000, H200: a set of panels, 2 minutes: {_of_patterns(r, 'panel_set', '16,000', '2.0')}; nearest "
-            f"neighbour: {_of_patterns(r, 'nearest', '16,000')}"
+            f"on 16,000, H200: `panel_set`, 2 minutes: {_of_patterns(r, 'panel_set', '16,000', '2.0')}; "
+            f"`nearest`: {_of_patterns(r, 'nearest', '16,000')}"
         ),
         on="NVIDIA H100",
         command="python -m benchmarks.reconstruction.train parameters --task T1 --set augmented=1 labelled=1 seen=0 "

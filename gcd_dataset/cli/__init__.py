@@ -7,7 +7,6 @@ the requested content. Exit 130 after Ctrl-C.
 
 import argparse
 import logging
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
@@ -30,7 +29,7 @@ from gcd_dataset.cli.verb import (
     stopped,
 )
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.files import user_path
+from gcd_dataset.files import discard_stdout, user_path
 from gcd_dataset.options import add_options, given_options, options_of, read_options
 
 __all__ = ["main"]
@@ -58,8 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GcdError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader of stdout has exited: redirect stdout, or the flush at exit would fail again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        discard_stdout()
         return 1
 
 

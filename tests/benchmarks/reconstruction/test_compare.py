@@ -2,6 +2,8 @@
 
 import csv
 import json
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -210,6 +212,16 @@ def test_a_folder_and_a_file_are_not_compared(tmp_path: Path) -> None:
     folder, file = run_folder(tmp_path / "a", equal(1)), evaluated(tmp_path / "b.json", equal(1))
     with pytest.raises(ConfigError, match="give two folders, or two files"):
         differences(read_scores(folder), read_scores(file))
+
+
+def test_a_reader_that_exits_early(tmp_path: Path) -> None:
+    file = evaluated(tmp_path / "a.json", equal(1))
+    command = [sys.executable, "-m", "benchmarks.reconstruction.compare", str(file), str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
 
 
 def test_missing_garments_are_named() -> None:
