@@ -49,8 +49,7 @@ LOWER = frozenset({
 """Scores of which the lower is the better."""
 NEITHER = frozenset({"seam_mismatch"})
 """Scores that the true patterns do not have at 0 nor at 1."""
-FOLDERS = "a folder of train --out"
-FILES = "a JSON file of evaluate --json"
+FOLDER, FILE = "folder of train --out", "JSON file of evaluate --json"
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Scores:
     """Garment to its scores by name; all garments have the same scores."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Test set and settings of drapes, which must be those of the other model where it has them, too."""
-    kind: str = FOLDERS
+    kind: str = FOLDER
 
     @property
     def names(self) -> list[str]:
@@ -107,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="benchmarks.reconstruction.compare", description=__doc__, formatter_class=formatter
     )
     for name in ("first", "second"):
-        parser.add_argument(name, type=Path, metavar=name.upper(), help=f"{FOLDERS}, or {FILES}")
+        parser.add_argument(name, type=Path, metavar=name.upper(), help=f"a {FOLDER}, or a {FILE}")
     options = parser.parse_args(arguments)
     try:
         first, second = read_scores(options.first), read_scores(options.second)
@@ -141,14 +140,14 @@ def read_scores(source: Path) -> Scores:
     """
     if not source.is_dir():
         return _of_file(source)
-    report = read_json(source / REPORT, f"report of a finished training: {FOLDERS}", error=ConfigError)
+    report = read_json(source / REPORT, f"report of a finished training: a {FOLDER}", error=ConfigError)
     settings = _test_set(report, source / REPORT)
     if (source / EVALUATION).is_file():
         garments, of_drapes = _evaluated(source / EVALUATION)
         return Scores(source, garments, {**settings, **of_drapes})
     path = source / SCORES
     if not path.exists():  # stitching.run writes none
-        raise ConfigError(f"{source}: no {SCORES}: give {FOLDERS}, of a task other than T3")
+        raise ConfigError(f"{source}: no {SCORES}: give a {FOLDER}, of a task other than T3")
     text = read_whole(path, "table of scores", limit=LARGEST_JSON, error=ConfigError).decode(errors="replace")
     try:
         rows = [dict(row) for row in csv.DictReader(io.StringIO(text, newline=""), restkey="")]
@@ -166,24 +165,24 @@ def _test_set(report: Any, path: Path) -> dict[str, Any]:
         drawn = {name: value for name, value in recipe.get("recipe", {}).items() if name != "device"}
         return {**settings, **{f"{name} of the test garments": value for name, value in sorted(drawn.items())}}
     except (KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path}: {error!r}: no report of this version: give {FOLDERS}, or train again") from error
+        raise ConfigError(f"{path}: {error!r}: no report of this version: give a {FOLDER}, or train again") from error
 
 
 def _of_file(path: Path) -> Scores:
     garments, of_drapes = _evaluated(path)
-    hashes = read_json(path, FILES, error=ConfigError)["settings"].get("hashes")
+    hashes = read_json(path, FILE, error=ConfigError)["settings"].get("hashes")
     if not isinstance(hashes, dict) or "truth" not in hashes:
         raise ConfigError(f"{path}: no hash of the true patterns: evaluate again with this version")
     named = {f"hash of {name}": value for name, value in hashes.items()}
-    return Scores(path, garments, {**named, **of_drapes}, FILES)
+    return Scores(path, garments, {**named, **of_drapes}, FILE)
 
 
 def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any]]:
     """The scores of the evaluator by garment, and its settings of drapes, if any."""
-    found = read_json(path, FILES, error=ConfigError)
+    found = read_json(path, FILE, error=ConfigError)
     settings = found.get("settings") if isinstance(found, dict) else None
     if not isinstance(settings, dict) or not isinstance(found.get("garments"), list):
-        raise ConfigError(f"{path}: no settings and garments: give {FILES}")
+        raise ConfigError(f"{path}: no settings and garments: give a {FILE}")
     of_drapes = {}
     if settings.get("drape"):
         of_drapes = {
@@ -213,7 +212,7 @@ def _by_garment(path: Path, key: str, rows: Iterable[Any]) -> dict[str, dict[str
     for number, row in enumerate(rows):
         name = row.get(key) if isinstance(row, dict) else None
         if not isinstance(name, str):
-            raise ConfigError(f"{path}: garment {number} has no {key}: give {FOLDERS}, or {FILES}")
+            raise ConfigError(f"{path}: garment {number} has no {key}: give a {FOLDER}, or a {FILE}")
         if name in garments:
             raise ConfigError(f"{path}: two garments {name}: score them again")
         scores = {score: _finite(value, f"{path}: garment {name}: {score}") for score, value in row.items()
@@ -223,7 +222,7 @@ def _by_garment(path: Path, key: str, rows: Iterable[Any]) -> dict[str, dict[str
             raise ConfigError(f"{path}: garment {name}: other scores than the first ({apart[0]}): score them again")
         garments[name] = scores
     if not garments or not next(iter(garments.values())):
-        raise ConfigError(f"{path}: no scores of garments: give {FOLDERS}, or {FILES}")
+        raise ConfigError(f"{path}: no scores of garments: give a {FOLDER}, or a {FILE}")
     return garments
 
 
@@ -247,7 +246,7 @@ def differences(first: Scores, second: Scores) -> list[Difference]:
     """
     if first.kind != second.kind:
         raise ConfigError(
-            f"{first.source} is {first.kind}, {second.source} {second.kind}: give two folders, or two files"
+            f"{first.source} is a {first.kind}, {second.source} a {second.kind}: give two folders, or two files"
         )
     for name, value in first.settings.items():
         if name in second.settings and second.settings[name] != value:

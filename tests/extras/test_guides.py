@@ -30,6 +30,7 @@ SMALLER = {
     "evaluate": {
         "--drape --bodies BODIES --inputs INPUTS": "--by-kind --workers 1",
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
+        "compare FIRST SECOND": "compare scores.json scores.json",
     },
     "guides/train": {"--count 1000": "--count 40", "EPOCHS = 25": "EPOCHS = 2"},
     "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
@@ -46,7 +47,7 @@ BEFORE = {
     "scans": [GARMENTS],
     "sketches": [GARMENTS],
     "exports": ["gcd generate shards --count 2 --resolution 6 --picture 0 --quiet"],
-    "evaluate": ["gcd generate garments --count 2 --stage pattern --seed 3 --quiet", "python specifications.py"],
+    "evaluate": ["gcd generate garments --count 30 --stage pattern --seed 3 --quiet", "python specifications.py"],
 }
 """Document to the commands that make what it takes for granted."""
 SPECIFICATIONS = """

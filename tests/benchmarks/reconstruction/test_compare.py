@@ -214,6 +214,12 @@ def test_a_folder_and_a_file_are_not_compared(tmp_path: Path) -> None:
         differences(read_scores(folder), read_scores(file))
 
 
+def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "none.json"), str(tmp_path)]) == 1
+    line = capsys.readouterr().err
+    assert line == f"compare: {tmp_path}/none.json: no such file: give the path of a JSON file of evaluate --json\n"
+
+
 def test_a_reader_that_exits_early(tmp_path: Path) -> None:
     file = evaluated(tmp_path / "a.json", equal(1))
     command = [sys.executable, "-m", "benchmarks.reconstruction.compare", str(file), str(file)]
@@ -292,6 +298,7 @@ def test_folders_without_results_are_refused(tmp_path: Path) -> None:
         ('{"settings": {}, "garments": [1]}', "garment 0 has no name"),
         ('{"settings": {}, "garments": [{"name": "g", "iou": 1}]}', "no hash of the true patterns: evaluate again"),
         ("{", "correct the JSON"),
+        ("", "correct the JSON"),
     ],
 )
 def test_json_of_another_kind_is_refused(
