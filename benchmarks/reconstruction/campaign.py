@@ -173,7 +173,7 @@ class _Campaign:
         self.out, self.examples, self.lists = make_folder(args.out), args.examples, args.list
         self.makes_only = args.make_only
         self.unmade: set[str] = set()
-        """Names of the pending runs whose garments are still to be made."""
+        """Names of the pending runs that have no garments yet."""
         self.data = args.data or args.out / "garments"
         gpus = _gpus() if args.gpus < 0 else args.gpus
         if args.at_once < 1:

@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES, TIMES
-from benchmarks.reconstruction.scoring.table import UNITS
+from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
+from benchmarks.reconstruction.scoring.table import TIMES, UNITS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json
@@ -48,7 +48,7 @@ LOWER = frozenset({
 })  # fmt: skip
 """Scores of which the lower is the better."""
 NEITHER = frozenset({"seam_mismatch"})
-"""Scores that the true patterns do not have at 0 nor at 1."""
+"""Scores without a better side: the true patterns have a mismatch, too, since gathers count."""
 FOLDER, FILE = "folder of train --out", "JSON file of evaluate --json"
 
 
@@ -143,7 +143,7 @@ def read_scores(source: Path) -> Scores:
     report = read_json(source / REPORT, f"report of a finished training: a {FOLDER}", error=ConfigError)
     settings = _test_set(report, source / REPORT)
     if (source / EVALUATION).is_file():
-        garments, of_drapes = _evaluated(source / EVALUATION)
+        garments, of_drapes, _ = _evaluated(source / EVALUATION)
         return Scores(source, garments, {**settings, **of_drapes})
     path = source / SCORES
     if not path.exists():  # stitching.run writes none
@@ -169,16 +169,15 @@ def _test_set(report: Any, path: Path) -> dict[str, Any]:
 
 
 def _of_file(path: Path) -> Scores:
-    garments, of_drapes = _evaluated(path)
-    hashes = read_json(path, FILE, error=ConfigError)["settings"].get("hashes")
+    garments, of_drapes, hashes = _evaluated(path)
     if not isinstance(hashes, dict) or "truth" not in hashes:
         raise ConfigError(f"{path}: no hash of the true patterns: evaluate again with this version")
     named = {f"hash of {name}": value for name, value in hashes.items()}
     return Scores(path, garments, {**named, **of_drapes}, FILE)
 
 
-def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any]]:
-    """The scores of the evaluator by garment, and its settings of drapes, if any."""
+def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any], Any]:
+    """The evaluator's scores by garment, its settings of drapes, if any, and the hashes of what it scored against."""
     found = read_json(path, FILE, error=ConfigError)
     settings = found.get("settings") if isinstance(found, dict) else None
     if not isinstance(settings, dict) or not isinstance(found.get("garments"), list):
@@ -191,7 +190,7 @@ def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any]]
             "--inputs given": settings.get("inputs") is not None,
             "version of the drapes": settings.get("gcd_dataset"),
         }
-    return _by_garment(path, "name", found["garments"]), of_drapes
+    return _by_garment(path, "name", found["garments"]), of_drapes, settings.get("hashes")
 
 
 def _numbered(row: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -207,7 +206,11 @@ def _numbered(row: Mapping[Any, Any]) -> dict[Any, Any]:
 
 
 def _by_garment(path: Path, key: str, rows: Iterable[Any]) -> dict[str, dict[str, float]]:
-    """Garment to its scores. Raises ``ConfigError`` for rows without a name, or the same name, or the same scores."""
+    """Garment to its scores.
+
+    Raises ``ConfigError`` for a row without a name, a name twice, a value that is no finite number, rows with different
+    scores, and without rows or scores.
+    """
     garments: dict[str, dict[str, float]] = {}
     for number, row in enumerate(rows):
         name = row.get(key) if isinstance(row, dict) else None

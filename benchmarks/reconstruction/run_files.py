@@ -1,6 +1,6 @@
 """Names of the files in the folder of a training, ``train --out``, which other programs read."""
 
-__all__ = ["EVALUATION", "REPORT", "SCORES", "TIMES"]
+__all__ = ["EVALUATION", "REPORT", "SCORES"]
 
 REPORT = "report.json"
 """Mean scores, options, and hashes of the data."""
@@ -8,5 +8,3 @@ SCORES = "scores.csv"
 """A row of scores for each test garment."""
 EVALUATION = "evaluation.json"
 """Scores of the evaluator, those of drapes among them."""
-TIMES = ("ms",)
-"""Scores that are times, which other programs on the device lengthen."""

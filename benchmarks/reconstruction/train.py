@@ -39,8 +39,8 @@ from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES, TIMES
-from benchmarks.reconstruction.scoring.table import DRAPED
+from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
+from benchmarks.reconstruction.scoring.table import DRAPED, TIMES
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,

@@ -11,7 +11,17 @@ from gcd_dataset.metrics import bootstrap_means
 if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.garments import Scored
 
-__all__ = ["DRAPED", "UNITS", "Summary", "garment_table", "line_of", "summaries", "summaries_by_kind", "tree_of"]
+__all__ = [
+    "DRAPED",
+    "TIMES",
+    "UNITS",
+    "Summary",
+    "garment_table",
+    "line_of",
+    "summaries",
+    "summaries_by_kind",
+    "tree_of",
+]
 
 UNITS = {
     "boxmesh_cd": "cm",
@@ -25,6 +35,8 @@ UNITS = {
 COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "topology_exact")
 DRAPED = ("sim_ok", "redrape_cd_cm", "within_1cm")
 """Scores of drapes."""
+TIMES = ("ms",)
+"""Scores that are times, which other programs on the device lengthen."""
 SHORT = {
     "panel_count_acc": "panels", "edge_count_acc": "edges", "stitch_f1": "stitch", "stitch_nm_f1": "n:m",
     "topology_exact": "exact", "redrape_cd_cm": "drape cm", "within_1cm": "≤1 cm", "sim_ok": "sim ok",
