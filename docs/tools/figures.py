@@ -132,9 +132,15 @@ def _webdataset(fields: str) -> Callable[[Report], str]:
     return beside
 
 
+OF_PATTERNS = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "draped within 1 cm"}
+
+
 def _of_patterns(report: Report, *start: str) -> str:
-    names = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "draped within 1 cm"}
-    return ", ".join(f"{text} {report.cell(name, *start)}" for name, text in names.items())
+    return ", ".join(f"{text} {report.cell(name, *start)}" for name, text in OF_PATTERNS.items())
+
+
+def _values_of_patterns(report: Report, *start: str) -> str:
+    return ", ".join(report.cell(name, *start) for name in OF_PATTERNS)
 
 
 def _loading(fields: str) -> Callable[[Report], str]:
@@ -315,8 +321,11 @@ FIGURES = (
             "test garments' programs"
         ),
         lambda r: (
-            f"on 16,000, H200: `panel_set`, 2 minutes: {_of_patterns(r, 'panel_set', '16,000', '2.0')}; "
-            f"`nearest`: {_of_patterns(r, 'nearest', '16,000')}"
+            "the same garments and minutes: "
+            f"`panel_set` {_values_of_patterns(r, 'panel_set', '40,000', '7.0')}; "
+            f"`edge_tokens` {_values_of_patterns(r, 'edge_tokens', '40,000', '7.0')}; "
+            f"`neural_tailor` {_values_of_patterns(r, 'neural_tailor points=2048', '40,000', '7.0')}; "
+            f"`nearest` {_values_of_patterns(r, 'nearest', '40,000')}"
         ),
         on="NVIDIA H100",
         command="python -m benchmarks.reconstruction.train parameters --task T1 --set augmented=1 labelled=1 seen=0 "
