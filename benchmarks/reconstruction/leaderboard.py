@@ -32,8 +32,10 @@ COLOURS, MARKS = 10, "os^Dv*"  # of the lines of curves
 LABEL_APART = 1.3  # least ratio of neighbouring tick labels on a logarithmic axis
 PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
-    "answers with similar ones that they draw. `neural_tailor` follows the paper, with extensions that its docstring "
-    "lists. `ceiling` is no model: the truth in the output format of `panel_set`."
+    "answers with similar ones that they draw. Where no remark says otherwise, its answers are means over all points "
+    "of a garment; `panel_set` and `edge_tokens` answer from 4,096 points, `neural_tailor` from 4,096 or `points`, and "
+    "`nearest` compares 512. `neural_tailor` follows the paper, with extensions that its docstring lists. `ceiling` is "
+    "no model: the truth in the output format of `panel_set`."
 )
 NOTES: Mapping[str, str] = {
     **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),

@@ -15,6 +15,8 @@ __all__ = ["FIGURES", "Figure", "Report", "StaleError", "figures_table", "read_r
 REPORTS = Path(__file__).resolve().parents[2] / "benchmarks" / "reports"
 FIGURE = re.compile(r"^\| ([a-z_]+\.[\w.]+) \| (\S+) \|", re.MULTILINE)
 OTHERS = ("webdataset", "litdata", "hdf5")  # loaders
+OF_PATTERNS = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "draped within 1 cm"}
+"""Scores of patterns, and their names in the table."""
 FACT = r"^- {}: (.*(?:\n  .*)*)$"
 
 
@@ -64,9 +66,11 @@ class Report:
         return self.cells(*start)[heads[0].index(column)].split()[0]
 
     def latest(self) -> str:
-        """The latest date of its lists, and the hardware beside it; empty without them."""
+        """The latest date of its lists, and the hardware beside that date; empty without them."""
         dated = re.findall(r"^- date: (.+)\n(?:- hardware: (.+))?", self.text, re.MULTILINE)
-        return ", ".join(part for part in max(dated, default=()) if part)
+        latest = max((date for date, _ in dated), default="")
+        hardware = sorted({name for date, name in dated if date == latest and name})
+        return ", ".join(part for part in (latest, " and ".join(hardware)) if part)
 
     def fact(self, name: str) -> str:
         """An entry of the list at its end, such as ``hardware``; empty without one."""
@@ -130,9 +134,6 @@ def _webdataset(fields: str) -> Callable[[Report], str]:
         return f"{ratios}; the bytes read and copied once {floor / ours:.2f} ×"
 
     return beside
-
-
-OF_PATTERNS = {"iou": "IoU", "topology_exact": "topology right", "within_1cm": "draped within 1 cm"}
 
 
 def _of_patterns(report: Report, *start: str) -> str:
@@ -321,11 +322,11 @@ FIGURES = (
             "test garments' programs"
         ),
         lambda r: (
-            "the same garments and minutes: "
+            "these scores of others, as long on these garments: "
             f"`panel_set` {_values_of_patterns(r, 'panel_set', '40,000', '7.0')}; "
             f"`edge_tokens` {_values_of_patterns(r, 'edge_tokens', '40,000', '7.0')}; "
             f"`neural_tailor` {_values_of_patterns(r, 'neural_tailor points=2048', '40,000', '7.0')}; "
-            f"`nearest` {_values_of_patterns(r, 'nearest', '40,000')}"
+            f"`nearest`, untrained, {_values_of_patterns(r, 'nearest', '40,000')}"
         ),
         on="NVIDIA H100",
         command="python -m benchmarks.reconstruction.train parameters --task T1 --set augmented=1 labelled=1 seen=0 "
