@@ -177,7 +177,10 @@ def _of_file(path: Path) -> Scores:
 
 
 def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any], Any]:
-    """The evaluator's scores by garment, its settings of drapes, if any, and the hashes of what it scored against."""
+    """The contents of a file of ``evaluate --json``: scores of each garment, settings of drapes, hashes of the inputs.
+
+    The settings are empty without drapes. The hashes are not checked.
+    """
     found = read_json(path, FILE, error=ConfigError)
     settings = found.get("settings") if isinstance(found, dict) else None
     if not isinstance(settings, dict) or not isinstance(found.get("garments"), list):
