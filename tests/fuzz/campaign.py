@@ -1,6 +1,7 @@
 """Give each reader many damaged inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``."""
 
 import argparse
+import random
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,10 +10,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from benchmarks.cases.figures import Measured
 from benchmarks.report import report_text
+from tests.fuzz.expensive import EXPENSIVE, expensive
 from tests.fuzz.readers import DOCUMENTS, READERS, damaged, edited_documents, reader_named
 from tests.fuzz.trial import Tally, Verdict, try_all
 
-__all__ = ["documents", "try_documents", "try_files"]
+__all__ = ["documents", "try_documents", "try_expensive", "try_files"]
+
+EXPENSIVE_SHARE = 20  # an expensive input takes as long to read as this number of damaged ones
 
 ABOUT = """
 Readers of files from outside, each given damaged files and documents: `make fuzz N=10000`. A file is damaged by one to
@@ -26,6 +30,13 @@ def try_files(name: str, folder: Path, count: int) -> Tally:
     """The tally of a reader on ``count`` damaged files."""
     reader = reader_named(name, folder)
     return try_all(reader.read, damaged(reader, name, count), expected=reader.expected())
+
+
+def try_expensive(name: str, folder: Path, count: int) -> Tally:
+    """The tally of a reader on ``count`` expensive inputs."""
+    reader = reader_named(name, folder)
+    inputs = (expensive(name, reader.content, random.Random(f"{name}:{number}")) for number in range(count))
+    return try_all(reader.read, inputs, expected=None)
 
 
 def try_documents(name: str, folder: Path, count: int) -> Tally:
@@ -75,11 +86,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _tallies(names: Sequence[str], count: int) -> Iterator[tuple[str, str, Tally]]:
+    few = max(count // EXPENSIVE_SHARE, 1)
+    trials = {"bytes": (try_files, READERS, count), "documents": (try_documents, DOCUMENTS, count)}
     for name in names:
-        for kind, trial in {"bytes": try_files, "documents": try_documents}.items():
-            if kind == "bytes" or name in DOCUMENTS:
+        for kind, (trial, readers, tried) in (trials | {"expensive": (try_expensive, EXPENSIVE, few)}).items():
+            if name in readers:
                 with tempfile.TemporaryDirectory() as folder:
-                    yield kind, name, trial(name, Path(folder), count)
+                    yield kind, name, trial(name, Path(folder), tried)
 
 
 if __name__ == "__main__":

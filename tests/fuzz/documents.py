@@ -6,7 +6,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-__all__ = ["edited", "json_bytes"]
+__all__ = ["edited", "json_bytes", "replaced"]
 
 DEEP = 3000  # levels: more than any parser of the standard library recurses
 MOST_EDITS = 3
@@ -18,6 +18,12 @@ def edited(document: Any) -> st.SearchStrategy[Any]:
     return st.lists(st.tuples(st.integers(0, 10**6), _edits()), min_size=1, max_size=MOST_EDITS).map(
         lambda edits: _apply(document, edits)
     )
+
+
+def replaced(document: Any, number: int, text: str) -> Any:
+    """The document with one of its branches replaced by JSON ``text``."""
+    places = list(_places(document))
+    return _changed(document, places[number % len(places)], "replace", _Raw(text))
 
 
 def json_bytes(document: Any) -> bytes:

@@ -1,6 +1,7 @@
 """Every reader of external files: its input, its result in comparable form, and whether checksums protect it."""
 
 import json
+import os
 import random
 import shutil
 import tarfile
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import torch
@@ -18,8 +20,13 @@ from hypothesis.strategies import SearchStrategy
 
 from gcd_dataset.bodyfiles import measurements_text
 from gcd_dataset.errors import GcdError
-from gcd_dataset.generator.body import read_body
+from gcd_dataset.generator.body import named_body, read_body
+from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.dressing import dress
+from gcd_dataset.generator.garments.design_file import read_design, write_design
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.jsonfile import parse_json
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -31,11 +38,14 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.codec import decode_field, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS
-from gcd_dataset.spec import read_pattern, spec_from_pattern
+from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.tomlfile import read_toml
-from gcd_dataset.validate import check_pattern
+from gcd_dataset.validate import check_pattern, require_valid
 from gcd_dataset.verbs import generate_people
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
+from gcd_dataset.viewer.album import spec_album
+from gcd_dataset.viewer.design_desk import Desk, controls
+from gcd_dataset.viewer.server import Design, Gallery
 from tests.fuzz.documents import edited, json_bytes
 from tests.fuzz.mutation import mutated
 from tests.fuzz.workshop import garments, small_body, write_shards
@@ -240,6 +250,57 @@ def _specification(folder: Path) -> Reader:
     return Reader(json.dumps(spec_from_pattern(garments()[0].pattern)).encode(), read, protected=False)
 
 
+def _mesh(folder: Path) -> Reader:
+    """A specification that is draped: checked, placed on a body and triangulated."""
+    path, (body, size, _) = folder / "garment_specification.json", named_body("neutral")
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        pattern = dress(require_valid(read_pattern(path)), body, size).pattern
+        return len(build_box_mesh(pattern, spacing=1.0).vertices)
+
+    return Reader(json.dumps(spec_from_pattern(garments()[0].pattern)).encode(), read, protected=False)
+
+
+def _design(folder: Path) -> Reader:
+    path = folder / "design_params.yaml"
+    write_design(garments()[0].design, path)
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        return str(read_design(path))
+
+    return Reader(path.read_bytes(), read, protected=False)
+
+
+def _drawing(_: Path) -> Reader:
+    """The parameters and measures that the design page sends."""
+    values = {f"{one.path}": one.value for one in controls() if one.section in ("meta", "skirt", "sleeve")}
+    measures = dict(list(garments()[0].measurements.to_file_values().items())[:4])
+    page = Design(Desk())
+
+    def read(data: bytes) -> Any:
+        return page.post("/draw", parse_json(data, source="request"))[0]
+
+    return Reader(json.dumps({"values": values, "measures": measures}).encode(), read, protected=False)
+
+
+def _query(folder: Path) -> Reader:
+    """The address of a request to the gallery."""
+    write_pattern(garments()[0].pattern, folder / "a.json")
+    album = spec_album(folder, None)
+    galleries: dict[int, Gallery] = {}
+
+    def read(data: bytes) -> Any:
+        url = urlsplit(data.decode("latin-1"))
+        query = {name: values[-1] for name, values in parse_qs(url.query).items()}
+        if os.getpid() not in galleries:  # its threads do not survive a fork
+            galleries[os.getpid()] = Gallery(album)
+        return galleries[os.getpid()].get(url.path, query)[0]
+
+    return Reader(b"/find?position=0&kind=&grade=clean&outcome=&text=a&side=0&rank=0", read, protected=False)
+
+
 def _config(folder: Path) -> Reader:
     path = folder / "config.toml"
     content = (
@@ -266,6 +327,8 @@ def _body(folder: Path, changed: str) -> Reader:
     files = {
         "body.obj": shape.export(file_type="obj").encode(),
         "body.ply": shape.export(file_type="ply"),
+        "body.stl": shape.export(file_type="stl"),
+        "body.glb": shape.export(file_type="glb"),
         "measures.yaml": measurements_text(garments()[0].measurements).encode(),
         "parts.json": json.dumps(parts).encode(),
     }
@@ -281,6 +344,17 @@ def _body(folder: Path, changed: str) -> Reader:
         return size.to_file_values()
 
     return Reader(files[changed], read, protected=False)
+
+
+def _landmarks(folder: Path) -> Reader:
+    path, vertices = folder / "marks.json", np.asarray(small_body().vertices)
+    content = {"shoulder_right": 5, "waist": [7, [0.0, 90.0, 20.0]], "bust": [1, 2, 3]}
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        return _plain(read_landmarks(path, vertices, 1.0).rings)
+
+    return Reader(json.dumps(content).encode(), read, protected=False)
 
 
 READERS: dict[str, Callable[[Path], Reader]] = {
@@ -315,8 +389,15 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "config": _config,
     "body-obj": partial(_body, changed="body.obj"),
     "body-ply": partial(_body, changed="body.ply"),
+    "body-stl": partial(_body, changed="body.stl"),
+    "body-glb": partial(_body, changed="body.glb"),
     "measurements": partial(_body, changed="measures.yaml"),
     "body-parts": partial(_body, changed="parts.json"),
+    "landmarks": _landmarks,
+    "specification-mesh": _mesh,
+    "design": _design,
+    "viewer-design": _drawing,
+    "viewer-query": _query,
 }
 """Name to a function that makes the reader, with its files in a given folder."""
 
@@ -335,10 +416,12 @@ DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
             "member-meta",
             "sample-meta",
             "sample-measures",
+            "landmarks",
+            "viewer-design",
         ),
         json.loads,
     ),
-    **dict.fromkeys(("measurements", "release-design", "release-labels"), yaml.safe_load),
+    **dict.fromkeys(("measurements", "design", "release-design", "release-labels"), yaml.safe_load),
 }
 """Readers of documents, with the parser of each document: its tree is edited in addition to its bytes."""
 

@@ -1,0 +1,320 @@
+"""Inputs that are valid, or nearly so, and expensive: what a file may hold, in amounts that no garment has."""
+
+import json
+import math
+import random
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from tests.fuzz.documents import json_bytes, replaced
+
+__all__ = ["EXPENSIVE", "expensive"]
+
+Writer = Callable[[bytes, random.Random], bytes]
+"""Makes an input from the reader's own file."""
+
+
+def expensive(name: str, content: bytes, chance: random.Random) -> bytes:
+    """An expensive input of a reader of ``EXPENSIVE``; ``content``: its own file."""
+    return chance.choice(EXPENSIVE[name])(content, chance)
+
+
+def _amount(chance: random.Random, most: int) -> int:
+    return chance.choice((most, most, most // 8, most // 64))
+
+
+# ----------------------------------------------------------------------------------------------------- JSON, YAML, TOML
+
+
+def _json_bomb(chance: random.Random) -> str:
+    n = _amount(chance, 60_000)
+    return chance.choice(
+        (
+            "{" + "".join(f'"k{i}":0,' for i in range(n)) + '"z":0,"z":1}',
+            "{" + "".join(f'"k{i}":0,' for i in range(n)) + '"z":0}',
+            "[" + "[" * 58 + ",".join("[]" for _ in range(n)) + "]" * 58 + "]",
+            "[" + ",".join(["1"] * n) + "]",
+            "[" + ",".join(["9" * 4000] * (n // 1000)) + "]",
+            "[" + ",".join([f"0.{'0' * 500}1"] * (n // 100)) + "]",
+            "1." + "0" * n,
+            "1e" + "9" * n,
+            '"' + "\\u0041" * n + '"',
+            '"' + "x" * 20 * n + '"',
+            '{"' + "x" * 20 * n + '":1}',
+            '["' + '","'.join(f"name {i}" for i in range(n)) + '"]',
+            "[" + ",".join(["null"] * n) + "]",
+            " " * 20 * n + "1",
+        )
+    )
+
+
+def _bombed_json(content: bytes, chance: random.Random) -> bytes:
+    """The document with one of its branches replaced by much JSON."""
+    return json_bytes(replaced(json.loads(content), chance.randrange(10**6), _json_bomb(chance)))
+
+
+def _bombed_yaml(content: bytes, chance: random.Random) -> bytes:
+    """YAML of the same top level with a costly branch: JSON, aliases, merge keys, keys repeated at the end."""
+    n, top = _amount(chance, 20_000), chance.choice(("body", "design", "v", "sim"))
+    levels = "a0: &a0 {x: [1, 2]}\n" + "".join(f"a{i}: &a{i} {{x: *a{i - 1}, y: *a{i - 1}}}\n" for i in range(1, 40))
+    merged = "a0: &a0 {x0: 1}\n" + "".join(
+        f"a{i}: &a{i} {{x{i}: 1, <<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12)
+    )
+    return chance.choice(
+        (
+            f"{top}: {_json_bomb(chance)}\n",
+            f"{top}:\n" + "".join(f"  k{i}: 0\n" for i in range(n)) + "  z: 0\n  z: 1\n",
+            f"{levels}{top}: {{meta: {{upper: {{v: *a39}}}}, height: *a39}}\n",
+            f"{merged}{top}: *a11\n",
+            "".join(f"a{i}: &a{i} [{f'*a{i - 1}' if i else 1}]\n" for i in range(n // 10))
+            + f"{top}: *a{n // 10 - 1}\n",
+            f"{top}: &a {{x: *a, meta: *a}}\n",
+            f"{top}: {{height: {'1:' * n}1}}\n",
+            f"{top}: {{height: {'0' * n}7}}\n",
+            f"{top}: {{height: 1{'_0' * n}}}\n",
+            f"{top}: !!binary {'QUJD' * n}\n",
+            f"{top}: {{height: '" + "''" * n + "'}\n",
+            f"{top}:\n" + "".join(f"  - {i}\n" for i in range(n)),
+            f"{top}: {'[' * 60}{'1,' * n}{']' * 60}\n",
+            "".join(f"--- {i}\n" for i in range(n)),
+            "#" * 40 * n + f"\n{top}: 1\n",
+        )
+    ).encode()
+
+
+def _bombed_toml(content: bytes, chance: random.Random) -> bytes:
+    n = _amount(chance, 40_000)
+    return (
+        content
+        + chance.choice(
+            (
+                ".".join(["a"] * n) + " = 1\n",
+                "[" + ".".join(["b"] * n) + "]\n",
+                "".join(f"[a.b.c.d{i}]\n" for i in range(n)),
+                "[[a]]\n" * n,
+                "".join(f"k{i} = {i}\n" for i in range(n)),
+                f"a = {'[' * 90}{'1,' * n}{']' * 90}\n",
+                f"a = {'{a=' * 90}1{'}' * 90}\n",
+                "a = [" + "{}," * n + "]\n",
+                'a = "' + "\\u0041" * n + '"\n',
+                "a = '''" + "x\n" * n + "'''\n",
+                f"a = 0x{'f' * n}\n",
+                f"a = {'9' * n}.0\n",
+                ("a" * 100 + ".b" * 900 + "\n") * (n // 1000),
+                "".join(f"a{i}.b.c.d.e.f.g = 1\n" for i in range(n // 4)),
+                f"[design.{'x' * n}]\na = 1\n",
+            )
+        ).encode()
+    )
+
+
+# ------------------------------------------------------------------------------------------------------- specifications
+
+
+def _spec(panels: Mapping[str, Any], stitches: Sequence[Any] = (), **properties: Any) -> bytes:
+    body = {"panels": panels, "stitches": list(stitches)}
+    return json.dumps({"pattern": body, "properties": {"units_in_meter": 100, **properties}}).encode()
+
+
+def _panel(corners: Sequence[Sequence[float]], curvature: Any = None, x: float = 0.0) -> dict[str, Any]:
+    n = len(corners)
+    edges = [{"endpoints": [i, (i + 1) % n], "curvature": curvature} for i in range(n)]
+    return {"translation": [x, 100, 20], "rotation": [0, 0, 0], "vertices": corners, "edges": edges}
+
+
+def _square(size: float = 40.0) -> list[list[float]]:
+    return [[0, 0], [size, 0], [size, size], [0, size]]
+
+
+def _ring(n: int, radius: float, *, step: int = 1, inner: float = 1.0) -> list[list[float]]:
+    """Corners on a circle; with a ``step``, a star that crosses itself; every second corner at ``inner`` radii."""
+    angles = [2 * math.pi * i * step / n for i in range(n)]
+    radii = [radius * (inner if i % 2 else 1.0) for i in range(n)]
+    return [[r * math.cos(a), r * math.sin(a)] for r, a in zip(radii, angles, strict=True)]
+
+
+def _costly_pattern(content: bytes, chance: random.Random) -> bytes:
+    """A specification with many or large parts."""
+    n, big = _amount(chance, 1999), _amount(chance, 40_000)
+    name, far = "x" * big, chance.choice((1e3, 1e6, 1e11))
+    wild = chance.choice(
+        (
+            {"type": "quadratic", "params": [[0.5, far]]},
+            {"type": "cubic", "params": [[far, far], [-far, far]]},
+            {"type": "circle", "params": [far, 1, 1]},
+            {"type": "circle", "params": [20.001, 1, 0]},
+            {"type": "cubic", "params": [[12.0, 9.0], [-11.0, 9.0]]},
+        )
+    )
+    between = [[{"panel": "p0", "edge": 0}, {"panel": "p0", "edge": 1}]]
+    row = {f"p{i}": _panel(_square(), x=i) for i in range(min(n, 500))}
+    chain = [[{"panel": f"p{i}", "edge": 1}, {"panel": f"p{i + 1}", "edge": 3}] for i in range(len(row) - 1)]
+    many = chance.choice((3, 100, 500))
+    return chance.choice(
+        (
+            lambda: _spec(row, chain),
+            lambda: _spec({f"p{i}": _panel(_square(), x=i) for i in range(n)}, chain),
+            lambda: _spec({f"p{i}": _panel(_ring(n, 300), x=i) for i in range(many)}),
+            lambda: _spec({"p0": _panel(_ring(n, 40))}, between * big),
+            lambda: _spec({"p0": _panel(_square())}, between * big),
+            lambda: _spec({"p0": _panel(_square())}, [[{"panel": name, "edge": 0}, {"panel": "q", "edge": 0}]] * 50),
+            lambda: _spec({"p0": _panel(_ring(n | 1, 300, step=(n | 1) // 2))}),
+            lambda: _spec({f"p{i}": _panel(_ring(n | 1, 300, step=(n | 1) // 2)) for i in range(many // 50 + 1)}),
+            lambda: _spec({"p0": _panel(_ring(n // 2 * 2 + 4, 450, inner=0.02))}),
+            lambda: _spec({"p0": _panel(_square(), wild)}),
+            lambda: _spec({f"p{i}": _panel(_square(), wild, x=i) for i in range(many)}),
+            lambda: _spec({"p0": _panel(_ring(n, 300), {"type": "cubic", "params": [[0.2, 30.0], [0.8, -30.0]]})}),
+            lambda: _spec({f"p{i}": _panel(_square(990), x=i) for i in range(many)}),
+            lambda: _spec({"p0": _panel([[0, 0], [990, 0], [990, 0.001], [0, 0.001]])}),
+            lambda: _spec({f"p{i}": _panel([[0, 0], [990, 0], [990, 0.02], [0, 0.02]], x=i) for i in range(many)}),
+            lambda: _spec({"p0": _panel(_square()) | {"vertices": _square() + [[1, 1]] * big}}),
+            lambda: _spec({name: _panel(_square()), name + "y": _panel(_ring(n | 1, 9, step=2))}),
+            lambda: _spec({"p0": _panel(_square(9e-7))}, units_in_meter=1e-6),
+            lambda: _spec({"p0": _panel(_square(4e5))}, units_in_meter=1e6),
+        )
+    )()
+
+
+# --------------------------------------------------------------------------------------------------------------- meshes
+
+
+def _costly_obj(content: bytes, chance: random.Random) -> bytes:
+    n = _amount(chance, 100_000)
+    grid = "".join(f"v {i % 300} {i // 300} 0\n" for i in range(n))
+    return chance.choice(
+        (
+            lambda: grid + "f " + " ".join(str(i + 1) for i in range(n)) + "\n",
+            lambda: grid + "f 1 2 3\n" * n,
+            lambda: grid + "".join(f"f {i}//{i} {i + 1}//{i} {i + 2}//{i}\n" for i in range(1, n - 1)),
+            lambda: grid + "f " + " ".join(["1 2 3"] * n) + "\n",
+            lambda: "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "".join(f"g {i}\nf 1 2 3\n" for i in range(n)),
+            lambda: "v " + "0 " * 10 * n + "\nf 1 1 1\n",
+            lambda: "v 0 0 0\n" + "f 1/" + "1/" * n + " 1 1\n",
+            lambda: "v 0 0 0\nf \\\n" + "1 \\\n" * n + "1\n",
+            lambda: "v 1e" + "9" * n + " 0 0\nf 1 1 1\n",
+            lambda: "".join(f"v {i} 0 0\nf -1 -2 -3\n" for i in range(n)),
+            lambda: "\n" * 20 * n + "v 0 0 0\nf 1 1 1\n",
+        )
+    )().encode()
+
+
+def _costly_ply(content: bytes, chance: random.Random) -> bytes:
+    n, count = _amount(chance, 100_000), chance.choice((1, 10**6, 4_000_000_000, 10**18, -1))
+    points = "property float x\nproperty float y\nproperty float z\n"
+    three = "end_header\n0 0 0\n1 0 0\n0 1 0\n"
+    faces = "property list uchar int vertex_indices\n"
+    form = chance.choice(("ascii", "binary_little_endian"))
+    return chance.choice(
+        (
+            f"ply\nformat {form} 1.0\nelement vertex {count}\n{points}element face {count}\n{faces}end_header\n0 0 0\n",
+            f"ply\nformat {form} 1.0\n" + "comment x\n" * n + f"element vertex 1\n{points}end_header\n0 0 0\n",
+            f"ply\nformat {form} 1.0\nelement vertex 1\n" + f"{points}" * (n // 10) + "end_header\n" + "0 " * n,
+            f"ply\nformat {form} 1.0\n"
+            + "".join(f"element e{i} {count}\n{faces}" for i in range(n // 10))
+            + "end_header\n",
+            f"ply\nformat ascii 1.0\nelement vertex {n}\n{points}element face 1\n{faces}end_header\n"
+            + "0 0 0\n" * n
+            + f"{n} "
+            + " ".join(map(str, range(n))),
+            f"ply\nformat ascii 1.0\nelement vertex 3\n{points}element face {n}\n{faces}{three}" + "3 0 1 2\n" * n,
+            f"ply\nformat ascii 1.0\nelement vertex 3\n{points}element face {n}\n{faces}{three}"
+            + "".join(f"{3 + i % 60}{' 0' * (3 + i % 60)}\n" for i in range(n // 10)),
+        )
+    ).encode()
+
+
+def _costly_stl(content: bytes, chance: random.Random) -> bytes:
+    n, count = _amount(chance, 60_000), chance.choice((0, 1, 10**6, 4_000_000_000))
+    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 {i} 0\nendloop\nendfacet\n"
+    triangle = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
+    return chance.choice(
+        (
+            lambda: bytes(80) + struct.pack("<I", count) + triangle,
+            lambda: bytes(80) + struct.pack("<I", n) + triangle * n,
+            lambda: b"solid x\n" + "".join(facet.format(i=i) for i in range(n // 4)).encode() + b"endsolid\n",
+            lambda: b"solid " + b"x" * 20 * n + facet.encode() + b"endsolid\n",
+            lambda: b"solid x\n" + b"endsolid\nsolid x\n" * n,
+            lambda: b"solid x\nfacet normal" + b" 0" * 20 * n + b"\n",
+            lambda: b"solid x\n" + b"\n" * 20 * n + facet.format(i=1).encode(),
+        )
+    )()
+
+
+def _glb(tree: Mapping[str, Any], binary: bytes = b"") -> bytes:
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _costly_glb(content: bytes, chance: random.Random) -> bytes:
+    """One triangle, counted, named, placed or chained too often."""
+    n, count = _amount(chance, 9_999), chance.choice((3, 10**4, 10**9, 4_000_000_000, 10**18))
+    points = struct.pack("<9f3I", 0, 0, 0, 1, 0, 0, 0, 170, 0, 0, 1, 2)
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(points)}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 12}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    accessor, primitive = tree["accessors"][0], tree["meshes"][0]["primitives"][0]
+    change = chance.choice(
+        (
+            {"accessors": [accessor | {"count": count}, tree["accessors"][1]]},
+            {"accessors": [accessor, tree["accessors"][1] | {"count": count}]},
+            {"accessors": [accessor, {"componentType": 5125, "count": count, "type": "SCALAR"}]},
+            {"accessors": [accessor | {"sparse": {"count": count, "indices": {}, "values": {}}}, tree["accessors"][1]]},
+            {"accessors": tree["accessors"] * n},
+            {"bufferViews": tree["bufferViews"] * n},
+            {"meshes": [{"primitives": [primitive] * n}]},
+            {"meshes": [{"primitives": [primitive | {"targets": [{"POSITION": 0}] * n}]}]},
+            {
+                "meshes": tree["meshes"] * n,
+                "nodes": [{"mesh": i} for i in range(n)],
+                "scenes": [{"nodes": [*range(n)]}],
+            },
+            {"nodes": [{"mesh": 0}] * n, "scenes": [{"nodes": [*range(n)]}]},
+            {"nodes": [{"children": [i + 1]} for i in range(n)] + [{"mesh": 0}]},
+            {"nodes": [{"mesh": 0, "children": [i + 1], "scale": [9, 9, 9]} for i in range(n)] + [{"mesh": 0}]},
+            {"nodes": [{"children": [*range(1, n)]}] + [{"mesh": 0, "name": "x" * 500}] * (n - 1)},
+            {"scenes": [{"nodes": [0] * n}]},
+            {"scenes": tree["scenes"] * n},
+            {"images": [{"uri": "data:image/png;base64," + "A" * 100}] * n},
+            {"materials": [{"name": str(i)} for i in range(n)]},
+            {"animations": [{"channels": [], "samplers": [{"input": 0, "output": 0}] * n}]},
+            {"skins": [{"joints": [0] * n}]},
+            {"buffers": [{"byteLength": count}]},
+            {"buffers": [{"byteLength": 48}, *({"uri": "data:;base64,AAAA", "byteLength": 3} for _ in range(n))]},
+            {"extras": dict.fromkeys(map(str, range(n)), 0)},
+        )
+    )
+    return _glb(tree | change, points)
+
+
+# -------------------------------------------------------------------------------------------------------------- readers
+
+
+EXPENSIVE: Mapping[str, Sequence[Writer]] = {
+    "specification": (_costly_pattern, _costly_pattern, _bombed_json),
+    "specification-mesh": (_costly_pattern,),
+    "release-specification": (_costly_pattern, _bombed_json),
+    **dict.fromkeys(("body-parts", "landmarks", "loader-state", "release-split", "viewer-design"), (_bombed_json,)),
+    "measurements": (_bombed_yaml,),
+    **dict.fromkeys(
+        ("design", "release-design", "release-measures", "release-labels", "release-properties"), (_bombed_yaml,)
+    ),
+    "config": (_bombed_toml,),
+    "body-obj": (_costly_obj,),
+    "body-ply": (_costly_ply,),
+    "body-stl": (_costly_stl,),
+    "body-glb": (_costly_glb,),
+}
+"""Reader to the writers of its expensive inputs."""
