@@ -117,7 +117,7 @@ def test_exit_codes_are_the_same_for_every_verb(
         ("show shards --index 2", 1, "shards: garment 2 of 2: give one from 0 to 1"),
         ("show spec.json --index 3", 1, "spec.json: garment 3 of 1: leave --index out"),
         ("show spec.json --index 3 --svg a.svg", 1, "spec.json: garment 3 of 1: leave --index out"),
-        ("show broken.json", 1, "broken.json: line 1, column 1"),
+        ("show broken.json", 1, "broken.json: empty, not a specification JSON"),
         ("show spec.json --truth none", 2, "--truth none: no specification file"),
         (f"show {'long' * 100} --html a.html", 1, "cannot be read .File name too long."),
     ],

@@ -23,10 +23,10 @@ from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.body import named_body, read_body
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.dressing import dress
-from gcd_dataset.generator.garments.design_file import read_design, write_design
+from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.jsonfile import parse_json
+from gcd_dataset.jsonfile import JsonPath, parse_json
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -264,13 +264,12 @@ def _mesh(folder: Path) -> Reader:
 
 def _design(folder: Path) -> Reader:
     path = folder / "design_params.yaml"
-    write_design(garments()[0].design, path)
 
     def read(data: bytes) -> Any:
         path.write_bytes(data)
         return str(read_design(path))
 
-    return Reader(path.read_bytes(), read, protected=False)
+    return Reader(yaml.safe_dump({"design": garments()[0].design}).encode(), read, protected=False)
 
 
 def _drawing(_: Path) -> Reader:
@@ -280,7 +279,8 @@ def _drawing(_: Path) -> Reader:
     page = Design(Desk())
 
     def read(data: bytes) -> Any:
-        return page.post("/draw", parse_json(data, source="request"))[0]
+        given = JsonPath("request").mapping(parse_json(data, source="request"), "")
+        return page.post("/draw", given)[0]
 
     return Reader(json.dumps({"values": values, "measures": measures}).encode(), read, protected=False)
 
