@@ -22,6 +22,7 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: shorter edges have defeated cloth simulators (a fifth of published patterns have one)
+NARROWEST_DART = 0.5  # cm: a narrower dart is lost in the thickness of its own seam
 LARGEST = 1000.0  # cm: a panel ten metres across is in the wrong unit
 LONGEST_OUTLINE = 10_000.0  # cm: a ruffle of 8 m has an outline of 20 m
 MOST_NAMES = 40  # most names listed in a message

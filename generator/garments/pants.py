@@ -5,8 +5,8 @@ down into the crotch and back along the inside leg.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from math import hypot, tan
+from dataclasses import dataclass, replace
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +16,18 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
 from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
 from gcd_dataset.generator.garments.tags import Tag
-from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import (
+    back_at_rise,
+    drawn_rise,
+    girth_at_rise,
+    sides_and_darts,
+    waist_back,
+    waist_front,
+)
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
@@ -85,9 +93,11 @@ class _Quarter:
     """Darts that take in the rest of the difference of hips and waist, from the centre outwards."""
 
 
-def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
+def pants(size: Measurements, design: PantsDesign, *, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """Two legs sewn at the crotch; offers the ring ``top``."""
-    right = _leg(size, design, rise)
+    drawn = drawn_rise(size, rise)
+    design = replace(design, length=design.length - (drawn - rise) * size.hips_line / size.leg_length)
+    right = _leg(size, design, drawn, mends)
     left = right.mirrored("_r", "_l")
     return (
         Component.of(right, left)
@@ -118,10 +128,10 @@ def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> 
     return girth, float(np.interp(levels, LEG_LEVELS, LEG_GIRTHS).max()) * size.leg_circ
 
 
-def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
+def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend]) -> Component:
     """The right leg; offers the edges that meet the left leg or the waistband."""
-    front_quarter = _front_quarter(size, rise)
-    back_quarter = _back_quarter(size, rise, crotch=_back_crotch(size, design, front_quarter.crotch))
+    front_quarter = _front_quarter(size, rise, mends)
+    back_quarter = _back_quarter(size, rise, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
     front = _panel("pant_f_r", size, design, front_quarter).moved((0, 0, FRONT))
     back = _panel("pant_b_r", size, design, back_quarter).moved((0, 0, BACK))
     leg = (
@@ -174,19 +184,18 @@ def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float
     return crotch
 
 
-def _front_quarter(size: Measurements, rise: float) -> _Quarter:
-    waist = 0.5 * (girth_at_rise(size, rise) - _back_at_rise(size, rise))
+def _front_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> _Quarter:
+    waist = 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     hips, depth = 0.5 * (size.hips - size.hip_back_width), rise * size.hips_line
-    lean = _lean(size, depth, hips - waist)
-    width = hips - waist - lean
+    lean, width = sides_and_darts(size, hips - waist, depth, darts=1, mends=mends)
     darts = (_Dart("dart", width, DART_DEPTH * depth, 0.5 * size.bust_points + 0.5 * width),) if width > 0 else ()
     return _Quarter(waist, hips, depth, lean, FRONT_CROTCH * hips, darts)
 
 
-def _back_quarter(size: Measurements, rise: float, *, crotch: float) -> _Quarter:
-    waist, hips, depth = 0.5 * _back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
-    lean = _lean(size, depth, hips - waist)
-    darts = _back_darts(0.5 * size.bum_points, hips - waist - lean, DART_DEPTH * depth)
+def _back_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS, *, crotch: float) -> _Quarter:
+    waist, hips, depth = 0.5 * back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
+    lean, width = sides_and_darts(size, hips - waist, depth, darts=2, mends=mends)
+    darts = _back_darts(0.5 * size.bum_points, width, DART_DEPTH * depth)
     return _Quarter(waist, hips, depth, lean, crotch, darts)
 
 
@@ -197,15 +206,6 @@ def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
     inner = _Dart("inner_dart", 0.5 * width, leg, 0.75 * seat + 0.25 * width)
     outer = _Dart("outer_dart", 0.5 * width, OUTER_DART * leg, 1.25 * seat + 0.75 * width)
     return inner, outer
-
-
-def _back_at_rise(size: Measurements, rise: float) -> float:
-    return blend(size.hip_back_width, size.waist_back_width, rise)
-
-
-def _lean(size: Measurements, depth: float, excess: float) -> float:
-    """Distance by which the side leans in from hips to waist [cm]: by the hips' slope, at most by their excess."""
-    return min(depth * tan(size.drawn_hip_inclination), excess)
 
 
 def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter) -> Piece:
@@ -280,7 +280,8 @@ PANTS = SimpleBottom(
     name="Pants",
     section="pants",
     design=PantsDesign,
-    cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
+    mends=frozenset({Mend.FOLDED_DART}),
+    cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise, mends=cutting.mends),
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
     legs=True,
