@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from itertools import islice
-from math import dist, isclose, log
+from math import dist, hypot, isclose, log
 
 import numpy as np
 from jaxtyping import Complex
@@ -23,6 +23,8 @@ __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_patt
 
 SHORTEST_EDGE = 0.5  # cm: shorter edges have defeated cloth simulators (a fifth of published patterns have one)
 NARROWEST_DART = 0.5  # cm: a narrower dart is lost in the thickness of its own seam
+NARROWEST_PANEL = 0.5  # cm: mean width of the narrowest binding
+SMALLEST_PANEL = 4.0  # cm²: a smaller panel has no cloth left between its seams
 LARGEST = 1000.0  # cm: a panel ten metres across is in the wrong unit
 LONGEST_OUTLINE = 10_000.0  # cm: a ruffle of 8 m has an outline of 20 m
 MOST_NAMES = 40  # most names listed in a message
@@ -68,6 +70,8 @@ class Rule(Enum):
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
     SHORT_EDGE = "edge under 0.5 cm"
+    NARROW_DART = "dart under 0.5 cm"
+    SMALL_PANEL = "panel too small to sew"
     SEAM_LENGTHS = "seam lengths differ"
     SEWN_CROSSWISE = "stitch joins the far ends"
 
@@ -77,7 +81,16 @@ class Rule(Enum):
         return Severity.WARNING if self in SEWABLE else Severity.ERROR
 
 
-SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
+SEWABLE = frozenset(
+    {
+        Rule.UNLIKELY_SIZE,
+        Rule.SHORT_EDGE,
+        Rule.NARROW_DART,
+        Rule.SMALL_PANEL,
+        Rule.SEAM_LENGTHS,
+        Rule.SEWN_CROSSWISE,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +138,9 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
             figure = f"its outline is {outline / 100:.0f} m long: check units_in_meter, and the curvature of its edges"
             faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
             del drawn[number]
-    for number, fault in _crossings(pattern.panels, drawn, edge_lengths):
+    crossings = list(_crossings(pattern.panels, drawn, edge_lengths))
+    simple = {number: drawn[number] for number in drawn.keys() - dict(crossings).keys()}  # others have no area
+    for number, fault in (*crossings, *_small_panels(pattern.panels, simple)):
         faults[number].append(fault)
     lengths = {
         EdgeRef(pattern.panels[number].name, index): length
@@ -134,7 +149,8 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     }
     of_panels = (fault for number in sorted(faults) for fault in faults[number])
     of_all = _unlikely_size(pattern, list(drawn.values()), lengths.values(), units) if len(drawn) == len(faults) else ()
-    return (*of_all, *_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
+    of_seams = (*_narrow_darts(pattern, lengths), *_seam_faults(pattern, lengths))
+    return (*of_all, *_name_faults(pattern.panels), *of_panels, *of_seams)
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:
@@ -274,6 +290,21 @@ def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
             yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
 
 
+def _small_panels(
+    panels: Sequence[Panel], hulls: Mapping[int, Complex[np.ndarray, "e 4"]]
+) -> Iterator[tuple[int, Fault]]:
+    """Panel number and fault for panels with too little cloth; each curve is taken through its middle point."""
+    for number, points in hulls.items():
+        is_arc = np.array([isinstance(edge.curve, Arc) for edge in panels[number].edges])
+        middles = np.where(is_arc, 0.5 * (points[:, 1] + points[:, 2]), points @ [0.125, 0.375, 0.375, 0.125])
+        loop = np.stack([points[:, 0], middles], axis=1).ravel()
+        area = 0.5 * abs(float((loop.conj() * np.roll(loop, -1)).imag.sum()))
+        across = float(hypot(np.ptp(loop.real), np.ptp(loop.imag)))
+        if area < max(SMALLEST_PANEL, NARROWEST_PANEL * across):
+            figure = f"{area:.3g} cm² over a length of {across:.3g} cm: join it to its neighbour"
+            yield number, Fault(Rule.SMALL_PANEL, panels[number].name, None, figure)
+
+
 def _crossings(
     panels: Sequence[Panel],
     hulls: Mapping[int, Complex[np.ndarray, "e 4"]],
@@ -313,6 +344,34 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
             yield from _unlike_sides(number, seam, labels, lengths)
         if seam.left in lengths and seam.right in lengths:
             yield from _crosswise(number, seam, panels, corners)
+
+
+def _narrow_darts(pattern: Pattern, lengths: Collection[EdgeRef]) -> Iterator[Fault]:
+    """Darts with a narrow mouth: neighbouring edges of a panel, sewn together from their common corner outwards."""
+    sewn = {frozenset((seam.left, seam.right)) for seam in pattern.seams}
+    panels = {panel.name: panel for panel in pattern.panels}
+    for seam in pattern.seams:
+        if seam.left.panel != seam.right.panel or seam.left not in lengths or seam.right not in lengths:
+            continue
+        panel, count = panels[seam.left.panel], len(panels[seam.left.panel].edges)
+        steps = (seam.right.edge - seam.left.edge) % count, (seam.left.edge - seam.right.edge) % count
+        if 1 not in steps:
+            continue
+        first = seam.left.edge if steps[0] == 1 else seam.right.edge
+        last = first + 1
+        while last - first < count - 2 and _pair(panel, first - 1, last + 1) in sewn:
+            first, last = first - 1, last + 1
+        start, end = panel.edges[first % count].start, panel.edges[last % count].end
+        width = dist(*panel.vertices[[start, end]].tolist())
+        if start != end and width < NARROWEST_DART:
+            figure = (
+                f"with edge {last % count} it is {width:.3g} cm wide: leave it out, and take its width in at a seam"
+            )
+            yield Fault(Rule.NARROW_DART, panel.name, first % count, figure)
+
+
+def _pair(panel: Panel, *edges: int) -> frozenset[EdgeRef]:
+    return frozenset(EdgeRef(panel.name, edge % len(panel.edges)) for edge in edges)
 
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:

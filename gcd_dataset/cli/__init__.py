@@ -223,21 +223,21 @@ def _validate(options: argparse.Namespace) -> int:
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import Severity, check_pattern
 
-    count = 0
-    for path in options.spec:
+    found: list[Severity] = []
+    for path in dict.fromkeys(options.spec):
         try:
             faults = check_pattern(read_pattern(path))
         except GcdError as error:
             print(f"gcd validate: {error}", file=sys.stderr)
-            count += 1
+            found.append(Severity.ERROR)
             continue
         listed = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
-        for fault in listed:
-            print(f"{path}: {fault}")
-        count += len(listed)
-    if not count:
+        if listed:
+            print(f"{path}:", *listed, sep="\n  ")
+        found += [fault.severity for fault in listed]
+    if not found:
         print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
-    return 1 if count else 0
+    return 1 if found and (options.strict or Severity.ERROR in found) else 0
 
 
 # ------------------------------------------------------------------------------------------------------------- options
@@ -311,9 +311,10 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     _add_drape(verbs)
     _add_measure(verbs)
 
-    validate = add_verb(verbs, "validate", _validate, "list the faults of patterns; exit 1 if there are any")
+    validate = add_verb(verbs, "validate", _validate, "list the faults of patterns; exit 1 if one forbids sewing")
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     validate.add_argument("--errors", action="store_true", help="only faults that forbid sewing, no warnings")
+    validate.add_argument("--strict", action="store_true", help="exit 1 for warnings too")
 
     show.add_verbs(verbs)
     datasets.add_verbs(verbs)
