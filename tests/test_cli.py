@@ -181,7 +181,7 @@ def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.
     assert main(["validate", str(bad), str(broken), str(tmp_path / "missing.json")]) == 1
     said = capsys.readouterr()
     lines = said.out.splitlines() + said.err.splitlines()
-    assert any(f"bad.json: panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
+    assert any(f"  panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
     assert any("broken.json: line 1, column 2" in line for line in lines)
     assert any("missing.json: no such file" in line for line in lines)
 
@@ -192,10 +192,17 @@ def test_validate_finds_nothing_in_a_plain_pattern(tmp_path: Path, capsys: pytes
     assert "no fault found" in capsys.readouterr().out
 
 
-def test_warnings_can_be_left_out(tmp_path: Path) -> None:
+def test_warnings_are_listed_under_their_file_and_fail_only_a_strict_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gathered = str(tmp_path / "gathered.json")
     write_pattern(sewn_unequally(), tmp_path / "gathered.json")
-    assert main(["validate", str(tmp_path / "gathered.json")]) == 1
-    assert main(["validate", "--errors", str(tmp_path / "gathered.json")]) == 0
+    assert main(["validate", gathered, gathered]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == f"{gathered}:"
+    assert main(["validate", "--strict", gathered]) == 1
+    assert capsys.readouterr().out.count("gathered.json") == 1
+    assert main(["validate", "--errors", "--strict", gathered]) == 0
+    assert "no fault found" in capsys.readouterr().out
 
 
 def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ UPWARDS = pi / 2  # heading of the side [rad]
 def fitted_front(size: Measurements, mends: frozenset[Mend]) -> TorsoHalf:
     """Half a front, with a side dart at the bust and a waist dart under the bust.
 
-    Without a side dart the side is longer than the back's by the dart's width, and is eased to it.
+    Without a side dart the front is as long over the bust as beside it, so that its side matches the back's.
     """
     bust, waist = 0.5 * (size.bust - size.back_width), 0.5 * (size.waist - size.waist_back_width)
     shoulder = 0.5 * size.shoulder_w
@@ -47,7 +47,9 @@ def fitted_front(size: Measurements, mends: frozenset[Mend]) -> TorsoHalf:
         drawn = drawn.line(-point, 0, name="bottom")
         drawn = _with_dart(drawn, LEFTWARDS, intake, WAIST_DART_LEG * to_bust, "waist_dart")
     drawn = drawn.line(-(waist + intake), 0, name="bottom").line(-bust, to_bust, name="side")
-    if not folds(opening, mends):
+    if folds(opening, mends):
+        level -= opening
+    else:
         darts = (*darts, "side_dart")
         drawn = _with_dart(drawn, UPWARDS, opening, SIDE_DART_LEG * (bust - point), "side_dart")
     under = drawn.pen[1]

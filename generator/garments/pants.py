@@ -57,7 +57,8 @@ class PantsDesign(Design):
     """Trousers from the hips or the waist."""
 
     length: float = real(0.3, 0.2, 0.9)
-    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor; cuffs included."""
+    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor;
+    cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
     """Width of the crotch, as a fraction of the smallest possible width."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
