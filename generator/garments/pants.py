@@ -5,7 +5,7 @@ down into the crotch and back along the inside leg.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot
 from typing import NamedTuple
 
@@ -96,9 +96,7 @@ class _Quarter:
 
 def pants(size: Measurements, design: PantsDesign, *, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """Two legs sewn at the crotch; offers the ring ``top``."""
-    drawn = drawn_rise(size, rise)
-    design = replace(design, length=design.length - (drawn - rise) * size.hips_line / size.leg_length)
-    right = _leg(size, design, drawn, mends)
+    right = _leg(size, design, rise, mends)
     left = right.mirrored("_r", "_l")
     return (
         Component.of(right, left)
@@ -131,10 +129,12 @@ def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> 
 
 def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend]) -> Component:
     """The right leg; offers the edges that meet the left leg or the waistband."""
-    front_quarter = _front_quarter(size, rise, mends)
-    back_quarter = _back_quarter(size, rise, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
-    front = _panel("pant_f_r", size, design, front_quarter).moved((0, 0, FRONT))
-    back = _panel("pant_b_r", size, design, back_quarter).moved((0, 0, BACK))
+    drawn = drawn_rise(size, rise)
+    below_hips = length_below_waist(size, design.length, rise=rise - drawn) - _cuff_length(size, design)
+    front_quarter = _front_quarter(size, drawn, mends)
+    back_quarter = _back_quarter(size, drawn, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
+    front = _panel("pant_f_r", size, design, front_quarter, below_hips).moved((0, 0, FRONT))
+    back = _panel("pant_b_r", size, design, back_quarter, below_hips).moved((0, 0, BACK))
     leg = (
         Component.of(front, back)
         .sewn(front.along("outside", "hip"), back.along("outside") + back.along("hip", ruffle=BACK_RAISE))
@@ -209,9 +209,8 @@ def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
     return inner, outer
 
 
-def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter) -> Piece:
+def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Piece:
     """The front or the back of the right leg, its crotch beside the wearer's axis and its waist at the rise."""
-    leg = design.length * size.leg_length - _cuff_length(size, design)
     outline = _outline(size, design, quarter, leg)
     for drawn in quarter.darts:
         at = quarter.hips - quarter.lean - drawn.from_centre

@@ -91,3 +91,12 @@ def test_darts_under_half_a_centimetre_are_folded_into_the_side(
         narrow |= {fault.panel for fault in before if fault.rule is Rule.NARROW_DART}
         assert {fault.rule for fault in after} <= {fault.rule for fault in before} & {Rule.SEAM_LENGTHS}
     assert len(narrow) > 1
+
+
+def test_the_shortest_trousers_under_a_band_down_to_the_hips_have_their_length(woman: Measurements) -> None:
+    """A centimetre above the hips is drawn, and a centimetre less below them."""
+    values = {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "waistband": {"width": 1.0}, "pants": {"length": 0.2}}
+    pattern = outfit(woman, design_from_dict(values))
+    assert not [fault for fault in check_pattern(pattern) if fault.rule is not Rule.SEAM_LENGTHS]
+    side = sum(length(pattern.panel("pant_f_r"), edge) for edge in ("outside", "hip"))
+    assert side == pytest.approx(0.2 * woman.leg_length, abs=0.1)
