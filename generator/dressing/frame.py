@@ -4,7 +4,6 @@ Some data sets put the origin at the pelvis or the neck instead of the floor bet
 edge is placed where nobody wears it is moved as a whole.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.dressing.openings import (
     ASIDE,
-    Opening,
     edge_points,
     is_armhole,
     middle_of,
@@ -32,22 +30,23 @@ UNDER_HIPS = 4.0  # cm below the hips: the lowest place of a waist
 OVER_HEAD = 40.0  # cm above the head: the highest place of a hood, before it is sewn
 WIDE = 28.0  # cm: an opening or a garment that goes round the trunk is wider
 ABOVE_NECKLINE = ("hood", "collar", "lapel")  # parts of the names of panels above the neckline
+SLEEVES = ("sleeve", "sl_")  # parts of the names of panels round an arm
 WAISTBANDS = ("wb", "waist")  # parts of the names of panels above a skirt or trousers
 DIRECTIONS = (("left", "right"), ("up", "down"), ("forward", "back"))
 
 
 @dataclass(frozen=True)
 class _Support:
-    """The edge that holds a garment up, with heights of its highest point [cm]."""
+    """The edge that holds a garment up: the height of its highest point as placed, and as worn [cm].
+
+    ``lowest`` and ``highest`` bound the heights at which a pattern places it on purpose.
+    """
 
     name: str
     height: float
-    """As the panels are placed."""
     level: float
-    """As it is worn."""
     lowest: float
     highest: float
-    """Limits of ``height`` for a garment that is placed on the body."""
 
 
 def in_body_frame(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -87,40 +86,44 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
 
     ``middle``: x of the garment's plane of symmetry [cm].
     """
-    nape, armpit, waist, hips = wearer.nape, wearer.armpit, wearer.waist, wearer.hips - UNDER_HIPS
-    head = float(wearer.body.vertices[:, 1].max())
-    openings = openings_of(pattern)
-    points = _trunk_points(pattern, openings, middle)
-    top = float(points[:, 1].max())
-    arms = _armholes(pattern, openings, middle)
+    panels, openings, roles = pattern.panels, openings_of(pattern), {p.name: _role(p) for p in pattern.panels}
+    neck, armpit, waist = wearer.nape - UNDER_NAPE, wearer.armpit, wearer.waist
+    hips, head = wearer.hips - UNDER_HIPS, float(wearer.body.vertices[:, 1].max())
     collar = _labelled(pattern, EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR)
     if collar is None and (strapless := _labelled(pattern, EdgeRole.STRAPLESS_TOP)) is not None:
         return _Support("top edge", strapless, armpit, waist, armpit + OVER)
-    if collar is not None or arms or any(_role(panel) == PanelRole.ARM for panel in pattern.panels):
-        neckline, highest = top if collar is None else collar, nape - UNDER_NAPE + OVER
-        hooded = collar is None and not any(role_by_name(panel.name) for panel in pattern.panels)
-        if hooded and any(hole.centre[1] < nape for hole in arms):  # without names a hood looks like a bodice
-            highest = head + OVER_HEAD
-        return _Support("neckline", neckline, nape - UNDER_NAPE, armpit - UNDER_ARMPIT, highest)
+    inner = [o for o in openings if abs(o.centre[0] - middle) <= ASIDE]
+    trunk = {p.name for p in panels if roles[p.name] == PanelRole.BODY and not _has(p, ABOVE_NECKLINE)}
+    round_top = trunk or {ref.panel for o in inner[:1] for ref in o.edges} or set(roles)
+    heights = np.concatenate([placed_outline(panel)[:, 1] for panel in panels if panel.name in round_top])
+    top, low = float(heights.max()), float(heights.min())
+    arms = [
+        o
+        for o in openings
+        if abs(o.centre[0] - middle) > ASIDE
+        and (len(inner) > 1 or is_armhole(o, openings, middle))
+        and all(roles[ref.panel] != PanelRole.LEG for ref in o.edges)
+    ]
+    if collar is not None or arms or any(p.label == PanelRole.ARM or _has(p, SLEEVES) for p in panels):
+        height = top if collar is None else collar
+        unsure = height != collar and not trunk and (not arms or any(hole.centre[1] < wearer.nape for hole in arms))
+        highest = head + OVER_HEAD if unsure else neck + OVER  # without names a hood looks like a bodice
+        return _Support("neckline", height, neck, armpit - UNDER_ARMPIT, highest)
     if (waistline := _labelled(pattern, EdgeRole.LOWER_INTERFACE)) is not None:
         return _Support("waist", waistline, waist, hips, waist + OVER)
-    if any(is_bodice(panel.name) and _role(panel) != PanelRole.LEG for panel in pattern.panels):
-        return _Support("top edge", top, armpit, waist, nape - UNDER_NAPE + OVER)
-    if all(_role(panel) == PanelRole.LEG or _has(panel, WAISTBANDS) for panel in pattern.panels):
+    if any(is_bodice(panel.name) and roles[panel.name] != PanelRole.LEG for panel in panels):
+        return _Support("top edge", top, armpit, waist, neck + OVER)
+    if all(roles[panel.name] == PanelRole.LEG or _has(panel, WAISTBANDS) for panel in panels):
         return _Support("waist", top, waist, hips, waist + OVER)
     if openings and _goes_round(np.stack([openings[0].low, openings[0].high]), wearer):
-        return _Support("top edge", float(openings[0].high[1]), waist, hips, nape - UNDER_NAPE + OVER)
-    middle, low = float(points[:, 1].mean()), float(points[:, 1].min())
-    return _Support("top", top, waist + top - middle, 0.0, head + top - low)
+        return _Support("top edge", float(openings[0].high[1]), waist, hips, neck + OVER)
+    return _Support("top", top, waist + top - float(heights.mean()), 0.0, head + top - low)
 
 
 def _to_trunk(pattern: Pattern, wearer: Wearer) -> Float[np.ndarray, "3"]:
     """The horizontal shift [cm] of a garment round the trunk that is placed beside it; zeros for others."""
-    points, axis = (
-        np.concatenate([placed_outline(panel) for panel in pattern.panels]),
-        wearer.limbs[BodyPart.TRUNK].origin,
-    )
-    low, high = points.min(axis=0), points.max(axis=0)
+    points = np.concatenate([placed_outline(panel) for panel in pattern.panels])
+    low, high, axis = points.min(axis=0), points.max(axis=0), wearer.limbs[BodyPart.TRUNK].origin
     beside = ((axis < low) | (axis > high)) & [True, False, True]
     return np.where(beside & _goes_round(points, wearer), axis - 0.5 * (low + high), 0.0)
 
@@ -130,41 +133,12 @@ def _goes_round(points: Float[np.ndarray, "n 3"], wearer: Wearer) -> bool:
     return bool(wide > WIDE and deep > wearer.limbs[BodyPart.TRUNK].deep)
 
 
-def _trunk_points(pattern: Pattern, openings: Sequence[Opening], middle: float) -> Float[np.ndarray, "n 3"]:
-    """The outlines of the panels round the trunk by label or name, or else round the highest opening; of all if none.
-
-    Without hoods and collars, which rise above the neckline.
-    """
-    named = {
-        panel.name for panel in pattern.panels if _role(panel) == PanelRole.BODY and not _has(panel, ABOVE_NECKLINE)
-    }
-    highest = next((o for o in openings if abs(o.centre[0] - middle) < ASIDE), None)
-    names = named or {ref.panel for ref in (highest.edges if highest else ())}
-    return np.concatenate([placed_outline(panel) for panel in pattern.panels if not names or panel.name in names])
-
-
-def _armholes(pattern: Pattern, openings: Sequence[Opening], middle: float) -> list[Opening]:
-    """The openings for arms: beside the middle, and the garment is open below them; in no panel of a skirt or trousers.
-
-    ``middle``: x of the garment's plane of symmetry [cm].
-    """
-    legs = {panel.name for panel in pattern.panels if _role(panel) == PanelRole.LEG}
-    aside = [o for o in openings if abs(o.centre[0] - middle) > ASIDE and not legs & {ref.panel for ref in o.edges}]
-    neck_and_hem = sum(abs(o.centre[0] - middle) <= ASIDE for o in openings) > 1
-    return [o for o in aside if neck_and_hem or is_armhole(o, openings, middle)]
-
-
 def _labelled(pattern: Pattern, *labels: EdgeRole) -> float | None:
     """The highest point of the edges with these labels [cm]; ``None`` without such edges."""
-    return max(
-        (
-            float(edge_points(panel, index)[:, 1].max())
-            for panel in pattern.panels
-            for index, edge in enumerate(panel.edges)
-            if edge.label in labels
-        ),
-        default=None,
+    edges = (
+        (panel, index) for panel in pattern.panels for index, edge in enumerate(panel.edges) if edge.label in labels
     )
+    return max((float(edge_points(panel, index)[:, 1].max()) for panel, index in edges), default=None)
 
 
 def _role(panel: Panel) -> PanelRole | str | None:
