@@ -250,11 +250,11 @@ def test_a_band_cut_too_small_is_overstretched() -> None:
     """A ring cut for half the girth of its body is stretched to twice its length."""
     barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
     barrel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    barrel.apply_translation([0.0, 30.0, 0.0])
+    barrel.apply_translation([0.0, 90.0, 0.0])
     body = body_from(barrel.subdivide().subdivide())
     for share, outcome in ((0.5, Outcome.OVERSTRETCHED), (0.97, Outcome.SETTLED)):
         columns = round(share * 2 * np.pi * 12.5 / 2.0)
-        band = tube(columns, 4, radius=13.0, spacing=2.0, height=30.0)
+        band = tube(columns, 4, radius=13.0, spacing=2.0, height=90.0)
         [drape] = drape_batch([DrapeJob(band, body, SIZE, Fabric(friction=3.0))], device="cpu")
         assert drape.outcome is outcome
 
