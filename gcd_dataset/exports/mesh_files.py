@@ -1,5 +1,7 @@
 """Draped garments as GLB, OBJ and PLY, panel by panel: a material each, texture coordinates in one scale."""
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,6 @@ import numpy as np
 from gcd_dataset.exports.cloth import SKIN, TILE, panel_colour, smooth_normals, texture_coordinates
 from gcd_dataset.exports.inputs import body_of, draped_mesh, require_suffix
 from gcd_dataset.files import open_whole, write_whole
-from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Sample
 
 __all__ = ["BODY", "GLB_FACTS", "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
@@ -63,7 +64,7 @@ def glb_bytes(sample: Sample, *, tile: float = TILE, body: bool = True) -> bytes
     mesh, drape = draped_mesh(sample)
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
     scene = trimesh.Scene()
-    for number, name in enumerate(mesh.panel_names):
+    for number, (name, part) in enumerate(zip(mesh.panel_names, _part_names(mesh.panel_names), strict=True)):
         rows, corners = np.unique(mesh.corners[mesh.panel_id == number], return_inverse=True)
         if not len(rows):
             continue
@@ -76,7 +77,7 @@ def glb_bytes(sample: Sample, *, tile: float = TILE, body: bool = True) -> bytes
             metadata={PANEL: name},
             process=False,
         )
-        scene.add_geometry(panel, geom_name=name, node_name=name)
+        scene.add_geometry(panel, geom_name=part, node_name=part)
     worn = body_of(sample) if body else None
     if worn is not None:
         scene.add_geometry(_skin(worn), geom_name="body", node_name="body")
@@ -94,7 +95,7 @@ def obj_text(sample: Sample, *, materials: str, tile: float = TILE, body: bool =
     """The contents of the OBJ file and of the MTL file called ``materials``."""
     mesh, drape = draped_mesh(sample)
     uv, worn = texture_coordinates(mesh, tile), body_of(sample) if body else None
-    names = _material_names(mesh)
+    names = _part_names(re.sub(r"[\s#\\]+", "_", panel) for panel in mesh.panel_names)
     lines = [
         f"# gcd_dataset {sample.key}: centimetres, y up; a texture covers {tile:g} cm",
         f"mtllib {materials}",
@@ -148,12 +149,11 @@ def _skin(body: Body) -> Any:
     return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
 
 
-def _material_names(mesh: BoxMesh) -> list[str]:
-    """A name without white space for the material of each panel, none of them ``body``."""
+def _part_names(panels: Iterable[str]) -> list[str]:
+    """A name for the part of each panel: none is empty, another's, that of the body, or of the root of a scene."""
     names: list[str] = []
-    for panel in mesh.panel_names:
-        name = safe_name(panel)
-        while name in names or name == "body":
+    for name in panels:
+        while name in (*names, "", "body", "world"):
             name += "_"
         names.append(name)
     return names

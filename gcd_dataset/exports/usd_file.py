@@ -1,6 +1,8 @@
 """Draped garments as USD: garment with a subset and a material for each panel, body, and seams as curves."""
 
+import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from gcd_dataset.exports.cloth import (
 )
 from gcd_dataset.exports.inputs import body_of, draped_mesh, optional, require_suffix
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import plain_names
 from gcd_dataset.records import Body, Sample
 
 __all__ = ["usd"]
@@ -24,6 +27,7 @@ METRES_PER_UNIT = 0.01
 SEAM_WIDTH = 0.3  # cm
 SEAM_COLOUR = (0.15, 0.15, 0.15)
 ROUGHNESS = 0.9
+LONGEST_NAME = 60  # letters
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
@@ -46,12 +50,12 @@ def usd(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
 
 
 def _stage(sample: Sample, tile: float, with_body: bool) -> Any:
-    pxr_usd, geom, tf = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom", "Tf"))
+    pxr_usd, geom = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom"))
     draped_mesh(sample)
     stage = pxr_usd.Stage.CreateInMemory()
     geom.SetStageUpAxis(stage, geom.Tokens.y)
     geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
-    root = geom.Xform.Define(stage, f"/{tf.MakeValidIdentifier(sample.key)}")
+    root = geom.Xform.Define(stage, f"/{_identifiers([sample.key], 'garment')[0]}")
     root.GetPrim().SetCustomDataByKey("pattern", sample.pattern.name)
     stage.SetDefaultPrim(root.GetPrim())
     top = str(root.GetPath())
@@ -63,7 +67,7 @@ def _stage(sample: Sample, tile: float, with_body: bool) -> Any:
 
 
 def _add_garment(stage: Any, top: str, sample: Sample, tile: float) -> None:
-    geom, shade, sdf, tf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf", "Tf"))
+    geom, shade, sdf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf"))
     mesh, drape = draped_mesh(sample)
     garment = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
     garment.CreateDoubleSidedAttr(True)
@@ -75,13 +79,14 @@ def _add_garment(stage: Any, top: str, sample: Sample, tile: float) -> None:
     display = garment.CreateDisplayColorPrimvar(geom.Tokens.uniform)
     display.Set(_array("Vec3fArray", colours))
     display.SetIndices(_array("IntArray", mesh.panel_id))
-    names = _identifiers(mesh.panel_names, tf)
+    names = _identifiers(mesh.panel_names, "panel")
     for number, name in enumerate(names):
         faces = _array("IntArray", np.flatnonzero(mesh.panel_id == number))
         subset = geom.Subset.CreateGeomSubset(
             garment, name, geom.Tokens.face, faces, shade.Tokens.materialBind, geom.Tokens.partition
         )
         subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
+        subset.GetPrim().SetDisplayName(mesh.panel_names[number])
         _bind(stage, subset, f"{top}/materials/{name}", panel_colour(number))
 
 
@@ -143,12 +148,8 @@ def _array(kind: str, values: np.ndarray) -> Any:
     return getattr(optional("pxr.Vt"), kind).FromNumpy(np.ascontiguousarray(values, dtype))
 
 
-def _identifiers(names: tuple[str, ...], tf: Any) -> list[str]:
-    """A different identifier for each panel; ``body`` is that of the skin's material."""
-    found: list[str] = []
-    for name in names:
-        identifier = tf.MakeValidIdentifier(name)
-        while identifier in found or identifier == "body":
-            identifier += "_"
-        found.append(identifier)
-    return found
+def _identifiers(names: Sequence[str], stem: str) -> list[str]:
+    """A different identifier for each name, in ASCII: USD before 24.03 refuses other letters; none is ``body``."""
+    plain = plain_names(names, longest=LONGEST_NAME, stem=stem)
+    free = [f"_{name}" if name[0].isdigit() or name == "body" else name for name in plain]
+    return [re.sub(r"\W", "_", name) for name in plain_names(free, longest=LONGEST_NAME + 1)]
