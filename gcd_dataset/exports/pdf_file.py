@@ -9,7 +9,6 @@ a plain name stands beside it. Bookmarks hold all names.
 
 import contextlib
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,7 +92,7 @@ class _Sheet:
 
     name: str
     pieces: tuple[CutPiece, ...]
-    labels: tuple[str, ...]
+    labels: list[str]
     """Names of the pieces in Latin letters."""
     shifts: Float[np.ndarray, "p 2"]
     """From each panel's plane to the sheet, y up [cm]."""
@@ -115,8 +114,8 @@ def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowan
     if paper.is_large:
         x, y = tiling.corners[-1].tolist()
         legend_at = (x, y + LEGEND[1])
-    name = pattern.name if _can_be_drawn(pattern.name) else _labels([pattern.name], "pattern")[0]
-    labels = _labels([piece.name for piece in pieces], "piece")
+    name = pattern.name if _can_be_drawn(pattern.name) else _latin([pattern.name], "pattern")[0]
+    labels = _latin([piece.name for piece in pieces], "piece")
     return _Sheet(name, pieces, labels, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
 
 
@@ -494,8 +493,10 @@ def _can_be_drawn(name: str) -> bool:
     return _font_of(name) is not None and len(name) <= LONGEST_NAME
 
 
-def _labels(names: Sequence[str], stem: str) -> tuple[str, ...]:
-    """The names that are short and in Latin letters, plain names for the others."""
+def _latin(names: list[str], stem: str) -> list[str]:
+    """The names that are short and in letters of ``FONT``, plain names for the others."""
     plain = plain_names(names, longest=LONGEST_NAME, stem=stem)
-    is_latin = [_font_of(name) == FONT and len(name) <= LONGEST_NAME for name in names]
-    return tuple(name if keep else other for name, keep, other in zip(names, is_latin, plain, strict=True))
+    return [
+        name if _can_be_drawn(name) and _font_of(name) == FONT else other
+        for name, other in zip(names, plain, strict=True)
+    ]
