@@ -79,7 +79,7 @@ def _add_garment(stage: Any, top: str, sample: Sample, tile: float) -> None:
     display = garment.CreateDisplayColorPrimvar(geom.Tokens.uniform)
     display.Set(_array("Vec3fArray", colours))
     display.SetIndices(_array("IntArray", mesh.panel_id))
-    names = _identifiers(mesh.panel_names, "panel")
+    names = _identifiers(mesh.panel_names, "piece")
     for number, name in enumerate(names):
         faces = _array("IntArray", np.flatnonzero(mesh.panel_id == number))
         subset = geom.Subset.CreateGeomSubset(
