@@ -211,6 +211,12 @@ class Picture {
     return { eye, back, right, up, view, slope, aspect, distance };
   }
 
+  /** Pixels of the page that a centimetre takes at the middle of the garment. */
+  pixelsPerCm() {
+    const { distance, slope } = this.camera();
+    return this.canvas.clientHeight / (2 * slope * distance);
+  }
+
   resize() {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));

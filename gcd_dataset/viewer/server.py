@@ -363,6 +363,7 @@ def _json(value: Mapping[str, Any]) -> Answer:
 
 def _html(name: str, title: str, given: Mapping[str, Any], status: HTTPStatus = HTTPStatus.OK) -> Answer:
     styled = asset(name).replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
+    styled = styled.replace("{{scale}}", asset("scale.js"), 1)
     head, _, tail = styled.partition("{{data}}")
     return status, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 
