@@ -20,7 +20,7 @@ NAME = re.compile(r"\w[\w .()+-]*")
 OTHERS = re.compile(r"[^\w .()+-]+")
 LONGEST = 120  # bytes in UTF-8: file systems allow 255, and endings such as _vertex_labels.yaml are appended
 HASH = 12  # hexadecimal digits appended to a replaced name, so that different names stay different
-LATIN = str.maketrans(dict(zip("ßẞæÆœŒøØłŁđĐðÐþÞıħĦ", "ss SS ae AE oe OE o O l L d D d D th Th i h H".split(), strict=True)))
+LATIN = str.maketrans({"ß": "ss", "æ": "ae", "œ": "oe", "ø": "o", "ł": "l", "đ": "d", "ð": "d", "þ": "th", "ı": "i"})
 """Latin letters that are not a letter and an accent."""
 _LETTER = re.compile(r"[A-Za-z0-9]")
 
@@ -74,7 +74,8 @@ def _letters(name: str) -> str:
 
 
 def _without_accents(text: str) -> str:
-    decomposed = unicodedata.normalize("NFKD", text.translate(LATIN))
+    text = "".join(c.lower().translate(LATIN).upper() if c.isupper() else c.translate(LATIN) for c in text)
+    decomposed = unicodedata.normalize("NFKD", text)
     return "".join(letter for letter in decomposed if not unicodedata.combining(letter))
 
 

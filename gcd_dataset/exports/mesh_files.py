@@ -10,7 +10,7 @@ import numpy as np
 from gcd_dataset.exports.cloth import SKIN, TILE, panel_colour, smooth_normals, texture_coordinates
 from gcd_dataset.exports.inputs import body_of, draped_mesh, require_suffix
 from gcd_dataset.files import open_whole, write_whole
-from gcd_dataset.records import Body, BoxMesh, Sample
+from gcd_dataset.records import Body, Sample
 
 __all__ = ["BODY", "GLB_FACTS", "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
 

@@ -77,11 +77,9 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
     for number, page in enumerate(sheet.tiling.pages):
         _begin(canvas)
         _draw_page(canvas, sheet, page, number)
-        for piece, shift in zip(pieces, sheet.shifts, strict=True):
-            if sheet.tiling.page_at(*(piece.name_at + shift).tolist()) == page:
-                canvas.bookmarkPage(piece.name)
-                canvas.addOutlineEntry(piece.name, piece.name)
         canvas.showPage()
+    for piece in pieces:
+        canvas.addOutlineEntry(piece.name, piece.name)
     canvas.save()
     return file.getvalue()
 
@@ -92,8 +90,8 @@ class _Sheet:
 
     name: str
     pieces: tuple[CutPiece, ...]
-    labels: list[str]
-    """Names of the pieces in Latin letters."""
+    names: list[tuple[str, str]]
+    """Of the pieces: as drawn, and in Latin letters."""
     shifts: Float[np.ndarray, "p 2"]
     """From each panel's plane to the sheet, y up [cm]."""
     tiling: Tiling
@@ -114,9 +112,8 @@ def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowan
     if paper.is_large:
         x, y = tiling.corners[-1].tolist()
         legend_at = (x, y + LEGEND[1])
-    name = pattern.name if _can_be_drawn(pattern.name) else _latin([pattern.name], "pattern")[0]
-    labels = _latin([piece.name for piece in pieces], "piece")
-    return _Sheet(name, pieces, labels, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
+    [(name, _)], names = _names([pattern.name], "pattern"), _names([piece.name for piece in pieces], "piece")
+    return _Sheet(name, pieces, names, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
@@ -138,11 +135,12 @@ def _draw_page(canvas: Any, sheet: _Sheet, page: Page, number: int) -> None:
     canvas.clipPath(clip, stroke=0, fill=0)
     canvas.translate(MARGIN - x, MARGIN + height - y)  # the sheet, y up
     window = shapely.box(x, y - height, x + width, y)
-    for piece, label, shift in zip(sheet.pieces, sheet.labels, sheet.shifts, strict=True):
+    for piece, names, shift in zip(sheet.pieces, sheet.names, sheet.shifts, strict=True):
         if shapely.Polygon(piece.cut + shift).intersects(window):
             canvas.saveState()
             canvas.translate(*shift.tolist())
-            _draw_piece(canvas, piece, label)
+            _draw_piece(canvas, piece, *names)
+            canvas.bookmarkPage(piece.name)
             canvas.restoreState()
     if sheet.legend_at is not None:
         _draw_legend(canvas, sheet, *sheet.legend_at)
@@ -216,7 +214,7 @@ def _diamond(canvas: Any, x: float, y: float) -> None:
 # -------------------------------------------------------------------------------------------------------------- pieces
 
 
-def _draw_piece(canvas: Any, piece: CutPiece, label: str) -> None:
+def _draw_piece(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     """A piece in the panel's plane [cm]."""
     canvas.setLineWidth(CUT_WIDTH)
     _polygon(canvas, piece.cut)
@@ -237,7 +235,7 @@ def _draw_piece(canvas: Any, piece: CutPiece, label: str) -> None:
     canvas.setLineWidth(GRAIN_WIDTH)
     _arrow(canvas, piece.grain[0], piece.grain[1])
     _arrow(canvas, piece.grain[1], piece.grain[0])
-    _write_name(canvas, piece, label)
+    _write_name(canvas, piece, name, latin)
     canvas.setFillGray(GREY)
     for number in piece.numbers:
         size = min(SMALL, 0.3 * number.room)
@@ -246,10 +244,8 @@ def _draw_piece(canvas: Any, piece: CutPiece, label: str) -> None:
     canvas.setFillGray(0)
 
 
-def _write_name(canvas: Any, piece: CutPiece, label: str) -> None:
-    name, notes = label, "cut 1, right side up"
-    if piece.name != label and _can_be_drawn(piece.name):
-        name, notes = piece.name, f"{label}: {notes}"
+def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
+    notes = f"{'' if name == latin else f'{latin}: '}cut 1, right side up"
     room = NAME_SHARE * piece.name_room
     x, y = piece.name_at.tolist()
     largest = min(NAME, NAME_HEIGHT * float(np.ptp(piece.cut[:, 1])))
@@ -422,11 +418,10 @@ def _list_pieces(canvas: Any, sheet: _Sheet, top: float) -> None:
     rows, wide = -(-len(sheet.pieces) // columns), LEGEND[0] / columns
     step = min(0.46, 2.9 / rows)
     size = min(TINY, 0.75 * step)
-    for number, (piece, label) in enumerate(zip(sheet.pieces, sheet.labels, strict=True)):
+    for number, (piece, (name, latin)) in enumerate(zip(sheet.pieces, sheet.names, strict=True)):
         column, row = divmod(number, rows)
         width, height = (piece.box[1] - piece.box[0]).tolist()
-        name = f"{label} ({piece.name})" if piece.name != label and _can_be_drawn(piece.name) else label
-        line = f"{name}: {width:.1f} × {height:.1f} cm"
+        line = f"{latin}{'' if name == latin else f' ({name})'}: {width:.1f} × {height:.1f} cm"
         _text(canvas, line, column * wide, top - step * row, size, centred=False, room=wide - 0.3)
 
 
@@ -489,14 +484,10 @@ def _font_of(text: str, font: str = FONT) -> str | None:
     return None
 
 
-def _can_be_drawn(name: str) -> bool:
-    return _font_of(name) is not None and len(name) <= LONGEST_NAME
-
-
-def _latin(names: list[str], stem: str) -> list[str]:
-    """The names that are short and in letters of ``FONT``, plain names for the others."""
-    plain = plain_names(names, longest=LONGEST_NAME, stem=stem)
-    return [
-        name if _can_be_drawn(name) and _font_of(name) == FONT else other
-        for name, other in zip(names, plain, strict=True)
-    ]
+def _names(names: list[str], stem: str) -> list[tuple[str, str]]:
+    """Each name as it is drawn, and in Latin letters; plain names where no font has the letters, and for long ones."""
+    found = []
+    for name, plain in zip(names, plain_names(names, longest=LONGEST_NAME, stem=stem), strict=True):
+        font = _font_of(name) if len(name) <= LONGEST_NAME else None
+        found.append((name if font else plain, name if font == FONT else plain))
+    return found

@@ -100,11 +100,6 @@ class Tiling:
         across, down = self.paper.cell
         return page.column * across, self.height - page.row * down
 
-    def page_at(self, x: float, y: float) -> Page:
-        """The page with a point of the sheet in its cell."""
-        across, down = self.paper.cell
-        return Page(min(int((self.height - y) / down), self.rows - 1), min(int(x / across), self.columns - 1))
-
 
 def tile(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper) -> Tiling:
     """The tiling with the fewest pages.

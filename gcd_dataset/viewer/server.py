@@ -233,8 +233,8 @@ def serve(
 ) -> None:
     """Serve until interrupted; ``port`` 0 takes a free one. Raises ``ConfigError`` for a port in use.
 
-    ``show``: called with the address and its token; by default prints it, and opens a browser where there is a display. ``started``:
-    called with the server, to shut it down from another thread.
+    ``show``: called with the address, which holds the token; by default prints it, and opens a browser where there is a
+    display. ``started``: called with the server, to shut it down from another thread.
     """
     token = secrets.token_urlsafe()
     try:
