@@ -5,14 +5,15 @@ import logging
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, MeshError
+from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
@@ -24,11 +25,11 @@ from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
 from gcd_dataset.names import safe_name
-from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["Fitting", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
+__all__ = ["Fitting", "Refusal", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +58,7 @@ class Fitting:
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
             "outcome": self.drape.outcome.name,
+            "reason": self.drape.reason,
             "frames": self.drape.frames,
             "self_crossings": self.drape.self_crossings,
             "body_crossings": self.drape.body_crossings,
@@ -68,32 +70,61 @@ class Fitting:
         }
 
 
-def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
-    """The valid patterns in specification files.
+@dataclass(frozen=True)
+class Refusal:
+    """A pattern that was not draped: it cannot be read, sewn, placed or meshed."""
 
-    Raises ``SpecError`` or ``PatternError`` with the file, and ``ConfigError`` for two patterns with the same name.
+    name: str
+    reason: str
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The entry of a report."""
+        return {"pattern": self.name, "outcome": Outcome.REFUSED.name, "reason": self.reason}
+
+
+def read_patterns(paths: Sequence[Path | str]) -> Iterator[Pattern | Refusal]:
+    """The patterns in specification files, or why one cannot be read or sewn, in order.
+
+    Outputs go by a pattern's name: of two files of one name the second gets a number, as in ``dress-2``.
     """
-    patterns = tuple(require_valid(read_pattern(path), source=str(path)) for path in paths)
-    for number, pattern in enumerate(patterns):
-        if pattern.name in {other.name for other in patterns[:number]}:
-            raise ConfigError(f"two patterns are called {pattern.name}: rename a file, since outputs go by this name")
-    return patterns
+    for path, name in zip(paths, _distinct([pattern_name(path) for path in paths]), strict=True):
+        try:
+            yield replace(require_valid(read_pattern(path), source=str(path)), name=name)
+        except (SpecError, PatternError) as error:
+            yield Refusal(name, str(error))
+
+
+def _distinct(names: Sequence[str]) -> Iterator[str]:
+    """The names, with a number where files of an earlier name, or of a later one as it is, would be overwritten."""
+    given, used = {_file_key(name) for name in names}, set[str]()
+    for name in names:
+        numbered = (f"{name}-{number}" for number in count(2))
+        free = (other for other in numbered if _file_key(other) not in given | used)
+        yield (distinct := name if _file_key(name) not in used else next(free))
+        used.add(_file_key(distinct))
+
+
+def _file_key(name: str) -> str:
+    return safe_name(name).casefold()  # some file systems ignore case
 
 
 def drape_patterns(
-    patterns: Iterable[Pattern],
+    patterns: Iterable[Pattern | Refusal],
     wearer: Callable[[bool], tuple[Body, Measurements]],
     *,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
-) -> Iterator[Fitting]:
+) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]. Raises ``PatternError`` for a pattern with panels that cannot be
-    placed, ``MeshError`` with the pattern and its panel or seam, and ``ConfigError`` for a missing device.
+    ``resolution`` is the length of mesh edges [cm]. A pattern that cannot be placed or meshed costs no other: it yields
+    a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an unusable body, ``ConfigError`` for a
+    missing device.
     """
     work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
     with LocalDraper(device) as draper:
@@ -101,19 +132,27 @@ def drape_patterns(
 
 
 def _work(
-    pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
-) -> Work[Fitting]:
-    """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply."""
-    dressing, (body, size) = _dress(pattern, wearer)
-    start = time.perf_counter()
-    mesh = _box_mesh(dressing.pattern, resolution)
-    seconds = time.perf_counter() - start
+    pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
+) -> Work[Fitting | Refusal]:
+    """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
+    if isinstance(pattern, Refusal):
+        return Work([], lambda _: pattern)
+    try:
+        dressing, (body, size) = _dress(pattern, wearer)
+        start = time.perf_counter()
+        mesh = _box_mesh(dressing.pattern, resolution)
+        seconds = time.perf_counter() - start
+        job = DrapeJob(mesh, body, size, fabric)
+        job.require_drapeable()
+    except (PatternError, MeshError, DrapeError) as error:
+        refusal = Refusal(pattern.name, str(error))
+        return Work([], lambda _: refusal)
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
 
-    return Work([DrapeJob(mesh, body, size, fabric)], finish)
+    return Work([job], finish)
 
 
 def _dress(
@@ -154,9 +193,15 @@ def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> No
 
 
 def write_report(
-    fittings: Iterable[Fitting], path: Path, *, body: str, fabric: str, resolution: float, device: str
+    results: Iterable[tuple[Path, Fitting | Refusal]],
+    path: Path,
+    *,
+    body: str,
+    fabric: str,
+    resolution: float,
+    device: str,
 ) -> None:
-    """Write a JSON report: the settings, and the result of each pattern. Raises ``OutputError``."""
+    """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``."""
     report = {
         "gcd_dataset": __version__,
         "numpy": np.__version__,
@@ -165,6 +210,8 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [{**fitting.row, "assumed": list(fitting.assumed)} for fitting in fittings],
+        "garments": [
+            {"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in fittings
+        ],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

@@ -158,7 +158,14 @@ def _drape(options: argparse.Namespace) -> int:
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
-    from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import (
+        Fitting,
+        Refusal,
+        drape_patterns,
+        read_patterns,
+        write_fitting,
+        write_report,
+    )
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Outcome
 
@@ -174,18 +181,25 @@ def _drape(options: argparse.Namespace) -> int:
 
     wearer(False)  # raises before anything is written
     folder = make_folder(options.out)
-    fittings: list[Fitting] = []
-    log_drape_time(len(patterns), device, resolution)
+    fittings: list[Fitting | Refusal] = []
+    log_drape_time(len(options.spec), device, resolution)
     try:
         done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
-        for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
-            write_fitting(fitting, folder, device=device)
+        for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
+            if isinstance(fitting, Fitting):
+                write_fitting(fitting, folder, device=device)
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
         if fittings:
-            write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
+            of_files = zip(options.spec, fittings, strict=False)
+            write_report(of_files, folder / "report.json", resolution=resolution, **made_by)
+    failed = False
     for fitting in fittings:
+        if isinstance(fitting, Refusal):
+            print(f"gcd drape: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
+            failed = True
+            continue
         drape = fitting.drape
         print(
             f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
@@ -193,10 +207,10 @@ def _drape(options: argparse.Namespace) -> int:
             f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
         )
         if drape.outcome is not Outcome.SETTLED:
-            print(f"  {drape.outcome.value}")
+            print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
+            failed = failed or not options.allow_unsettled
     print(f"{folder}: meshes, pictures and report.json")
-    settled = all(fitting.drape.outcome is Outcome.SETTLED for fitting in fittings)
-    return 0 if settled or options.allow_unsettled else 1
+    return int(failed)
 
 
 def _measure(options: argparse.Namespace) -> int:
