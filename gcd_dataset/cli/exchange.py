@@ -2,12 +2,13 @@
 
 import argparse
 import sys
-from functools import partial
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
+from gcd_dataset.cli.subject import names_a_file, sample_of
 from gcd_dataset.cli.verb import (
     INTERRUPTED,
     SOURCE_HELP,
@@ -18,7 +19,7 @@ from gcd_dataset.cli.verb import (
     require_folder,
     stopped,
 )
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
 __all__ = ["add_verbs"]
 
@@ -42,7 +43,7 @@ def add_verbs(verbs: Any) -> None:
 
 def _add_export(verbs: Any) -> None:
     export = add_verb(verbs, "export", _export, "write a data set, a garment or a pattern in another format")
-    export.add_argument("what", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
+    export.add_argument("what", nargs="+", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
         "--layout",
@@ -51,7 +52,12 @@ def _add_export(verbs: Any) -> None:
         help="train, validation and test in the folders of GarmentCodeData; OUT is created if missing; "
         "the same command resumes a stopped export",
     )
-    export.add_argument("--glb", type=Path, metavar="FILE", help="a draped garment on its body, as binary glTF [m]")
+    export.add_argument(
+        "--glb",
+        type=Path,
+        metavar="FILE",
+        help="a draped garment on its body, as binary glTF [m]; of a SPEC as gcd drape",
+    )
     export.add_argument("--obj", type=Path, metavar="FILE", help="the same as OBJ and MTL [cm]")
     export.add_argument("--ply", type=Path, metavar="FILE", help="the draped garment as PLY [cm]")
     export.add_argument(
@@ -99,7 +105,7 @@ OPTIONS_OF = {
     "pdf": ("index", "split", "seam_allowance", "paper", "endpoint"),
 }
 """Format to the options that it takes."""
-PATTERN_FORMATS = ("dxf", "pdf")
+PATTERN_FORMATS = ("dxf", "pdf")  # of a specification file; the others drape it
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -138,21 +144,55 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
         chosen["body"] = False
     if form == "dxf":
         chosen["created"] = date.today()
-    write = getattr(exports, form)
-    if names_a_file(options.what):
+    write = partial(getattr(exports, form), **chosen)
+    if any(names_a_file(what) for what in options.what):
         if used := [name for name in ("index", "split", "endpoint") if getattr(options, name) is not None]:
-            raise ConfigError(f"--{used[0]} is for a data set, and {options.what} is a specification: leave it out")
-        if form not in PATTERN_FORMATS:
-            raise ConfigError(
-                f"{options.what}: a specification holds no drape, which --{form} needs: run gcd drape, which writes "
-                "GLB, OBJ and PLY, or export a sample of a data set"
-            )
-        write(pattern_of(options), file, **chosen)
-    else:
-        options.index = options.index or 0
-        write(sample_of(options), file, **chosen)
+            raise ConfigError(f"--{used[0]} is for a data set, and {options.what[0]} is a specification: leave it out")
+        return _export_patterns(options.what, form, file, write)
+    options.what, options.index = _data_set(options), options.index or 0
+    write(sample_of(options), file)
     print(file)
     return 0
+
+
+def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[Any, Path], None]) -> int:
+    """Export specification files, several of them to the folder ``out``; a bad one costs no other."""
+    from gcd_dataset.exports.inputs import require_suffix
+    from gcd_dataset.files import make_folder
+    from gcd_dataset.generator.body import named_body
+    from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns
+    from gcd_dataset.names import safe_name
+    from gcd_dataset.records import Outcome
+
+    if len(sources) == 1:
+        require_suffix(out, *((".usd", ".usda", ".usdc") if form == "usd" else (f".{form}",)))
+    elif out.suffix:
+        raise ConfigError(f"--{form} {out}: {len(sources)} files are exported: give a folder")
+    garments: Iterable[Any] = read_patterns(sources)
+    if form not in PATTERN_FORMATS:
+        garments = drape_patterns(garments, cache(lambda legs: named_body("neutral", legs_apart=legs)[:2]))
+    failed = False
+    for garment in garments:
+        name = garment.pattern.name if isinstance(garment, Fitting) else garment.name
+        file = out if len(sources) == 1 else make_folder(out) / f"{safe_name(name)}.{form}"
+        try:
+            if isinstance(garment, Refusal):
+                raise PatternError(garment.reason)
+            write(garment, file)
+            print(file)
+            if isinstance(garment, Fitting) and garment.drape.outcome is not Outcome.SETTLED:
+                outcome = garment.drape.outcome
+                raise PatternError(f"{name}: {outcome.name}: {outcome.value}")
+        except (PatternError, ShardError) as error:
+            print(f"gcd export: {error}", file=sys.stderr)
+            failed = True
+    return int(failed)
+
+
+def _data_set(options: argparse.Namespace) -> str:
+    if len(options.what) > 1:
+        raise ConfigError(f"{len(options.what)} inputs: give one data set, or specification files")
+    return str(options.what[0])
 
 
 def _export_data_set(options: argparse.Namespace, form: str) -> int:
@@ -163,7 +203,7 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
 
     out = options.hdf5 if options.layout is None else Path(options.layout[1])
     with Bar("garment", options.quiet, verb="export") as bar:
-        folder = require_folder(options.what)
+        folder = require_folder(_data_set(options))
         bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
     done = bar.progress
     if bar.interrupted and form == "hdf5":
