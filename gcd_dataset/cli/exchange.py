@@ -52,12 +52,7 @@ def _add_export(verbs: Any) -> None:
         help="train, validation and test in the folders of GarmentCodeData; OUT is created if missing; "
         "the same command resumes a stopped export",
     )
-    export.add_argument(
-        "--glb",
-        type=Path,
-        metavar="FILE",
-        help="a draped garment on its body, as binary glTF [m]; of a SPEC as gcd drape",
-    )
+    export.add_argument("--glb", type=Path, metavar="FILE", help="a draped garment on its body, as binary glTF [m]")
     export.add_argument("--obj", type=Path, metavar="FILE", help="the same as OBJ and MTL [cm]")
     export.add_argument("--ply", type=Path, metavar="FILE", help="the draped garment as PLY [cm]")
     export.add_argument(
@@ -113,6 +108,10 @@ def _export(options: argparse.Namespace) -> int:
     if len(given) != 1:
         raise ConfigError(f"give {', '.join(f'--{form}' for form in OPTIONS_OF)}: one of them")
     [form] = given
+    options.sources, options.what = options.what, options.what[0]
+    is_data_set = form in ("hdf5", "layout") or not any(map(names_a_file, options.sources))
+    if is_data_set and len(options.sources) > 1:
+        raise ConfigError(f"{len(options.sources)} inputs: give one data set, or specification files")
     for name in sorted({name for names in OPTIONS_OF.values() for name in names} - set(OPTIONS_OF[form])):
         if getattr(options, name) not in (None, False):
             raise ConfigError(_unused(name, form))
@@ -145,11 +144,11 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
     if form == "dxf":
         chosen["created"] = date.today()
     write = partial(getattr(exports, form), **chosen)
-    if any(names_a_file(what) for what in options.what):
+    if any(map(names_a_file, options.sources)):
         if used := [name for name in ("index", "split", "endpoint") if getattr(options, name) is not None]:
-            raise ConfigError(f"--{used[0]} is for a data set, and {options.what[0]} is a specification: leave it out")
-        return _export_patterns(options.what, form, file, write)
-    options.what, options.index = _data_set(options), options.index or 0
+            raise ConfigError(f"--{used[0]} is for a data set, and {options.what} is a specification: leave it out")
+        return _export_patterns(options.sources, form, file, write)
+    options.index = options.index or 0
     write(sample_of(options), file)
     print(file)
     return 0
@@ -189,12 +188,6 @@ def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[
     return int(failed)
 
 
-def _data_set(options: argparse.Namespace) -> str:
-    if len(options.what) > 1:
-        raise ConfigError(f"{len(options.what)} inputs: give one data set, or specification files")
-    return str(options.what[0])
-
-
 def _export_data_set(options: argparse.Namespace, form: str) -> int:
     """Export a split, or all splits in the published layout."""
     if options.layout is not None and options.layout[0] != "published":
@@ -203,7 +196,7 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
 
     out = options.hdf5 if options.layout is None else Path(options.layout[1])
     with Bar("garment", options.quiet, verb="export") as bar:
-        folder = require_folder(_data_set(options))
+        folder = require_folder(options.what)
         bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
     done = bar.progress
     if bar.interrupted and form == "hdf5":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.records import Pattern
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.viewer.album import Album, SpecAlbum
+    from gcd_dataset.viewer.album import Album
     from gcd_dataset.viewer.server import Design
 
 __all__ = ["add_verbs"]
@@ -109,18 +109,14 @@ def _serve(options: argparse.Namespace) -> int:
         album = _album(options)
         site = Gallery(album, _position(options, len(album)))
         if isinstance(album, SpecAlbum) and options.truth is not None:
-            threading.Thread(target=_print_scores, args=(album,), daemon=True).start()
+            lines = (print(line, flush=True) for line in album.scores())
+            threading.Thread(target=list, args=(lines,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
     if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
         sys.stdout.flush()
         os._exit(0)
     return 0
-
-
-def _print_scores(album: "SpecAlbum") -> None:
-    for line in album.scores():
-        print(line, flush=True)
 
 
 def _album(options: argparse.Namespace) -> "Album":

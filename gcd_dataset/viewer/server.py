@@ -1,8 +1,8 @@
 """The interactive viewer: a web server on this machine whose pages turn over garments, or design one by hand.
 
 Each garment is shown by its self-contained page (``page``), in a frame below a bar to move and filter. Only this
-machine can reach the server, unless another address is given, and only with the token of the printed address, which
-other users of the machine do not have. Pages send it as a cookie.
+machine can reach the server, unless another address is given, and only with the token in the printed address, which
+its pages send as a cookie: other users of the machine do not have it.
 """
 
 import atexit
@@ -281,8 +281,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def _handler(site: Gallery | Design, host: str, token: str) -> type[BaseHTTPRequestHandler]:
-    # A name of its own: browsers share the cookies of all ports of a machine.
-    cookie = f"gcd_{secrets.token_hex(4)}={token}"
+    name = f"gcd_{secrets.token_hex(4)}"  # its own: browsers share the cookies of all ports of a machine
 
     class Handler(BaseHTTPRequestHandler):
         """Passes requests on; errors become answers, so that a page can show them."""
@@ -313,20 +312,19 @@ def _handler(site: Gallery | Design, host: str, token: str) -> type[BaseHTTPRequ
             return given
 
         def _answer(self, made: Callable[[str, dict[str, str]], Answer]) -> None:
+            url = urlsplit(self.path)
+            query = {key: values[-1] for key, values in parse_qs(url.query).items()}
+            given = [f"{name}={query.pop('token', '')}", *self.headers.get("Cookie", "").split("; ")]
+            has_token = any(secrets.compare_digest(one.encode(), f"{name}={token}".encode()) for one in given)
+            # Else another user, or a foreign page whose name resolves to this machine.
+            is_own = has_token and _is_own(self.headers.get("Host", ""), host)
             try:
-                url = urlsplit(self.path)
-                query = {name: values[-1] for name, values in parse_qs(url.query).items()}
-                cookies = self.headers.get("Cookie", "").split("; ")
-                is_queried = _are_equal(query.pop("token", ""), token)
-                # Else a foreign page whose name resolves to this machine, or another user of it.
-                is_own = _is_own(self.headers.get("Host", ""), host)
-                is_own &= is_queried or any(_are_equal(given, cookie) for given in cookies)
                 status, kind, content = made(url.path, query) if is_own else _failed(HTTPStatus.FORBIDDEN, REFUSAL)
             except Exception as error:  # noqa: BLE001 -- the page shows it, the server goes on
-                is_own, (status, kind, content) = False, _failed(*_fault(error))
+                status, kind, content = _failed(*_fault(error))
             self.send_response(status)
-            if is_own and is_queried:
-                self.send_header("Set-Cookie", f"{cookie}; Path=/; HttpOnly; SameSite=Strict")
+            if is_own:
+                self.send_header("Set-Cookie", f"{name}={token}; Path=/; HttpOnly; SameSite=Strict")
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
@@ -340,10 +338,6 @@ def _handler(site: Gallery | Design, host: str, token: str) -> type[BaseHTTPRequ
 def _is_own(header: str, host: str) -> bool:
     name = header.rpartition(":")[0] or header
     return host not in (HOST, "localhost") or name in (HOST, "localhost")
-
-
-def _are_equal(given: str, secret: str) -> bool:
-    return secrets.compare_digest(given.encode("utf-8", "replace"), secret.encode())
 
 
 def _failed(status: HTTPStatus, text: str) -> Answer:
