@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.cloth import SKIN, TILE, panel_colour, smooth_normals, texture_coordinates
 from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, require_suffix
 from gcd_dataset.files import open_whole, write_whole
@@ -97,7 +98,7 @@ def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool 
     uv, worn = texture_coordinates(mesh, tile), body_of(garment) if body else None
     names = _part_names(re.sub(r"[\s#\\]+", "_", panel) for panel in mesh.panel_names)
     lines = [
-        f"# gcd_dataset {key_of(garment)}: centimetres, y up; a texture covers {tile:g} cm",
+        f"# gcd_dataset {shown(key_of(garment))}: centimetres, y up; a texture covers {tile:g} cm",
         f"mtllib {materials}",
         "o garment",
         *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in drape.vertices.tolist()),

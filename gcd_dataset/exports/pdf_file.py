@@ -18,6 +18,7 @@ import shapely
 from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, arc_centre, from_frame
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.exports.tiling import MARGIN, OVERLAP, Page, Paper, Tiling, paper_named, tile
@@ -68,7 +69,7 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
     sheet = _sheet(pieces, pattern, size, seam_allowance)
     file = io.BytesIO()
     canvas = canvas_class(file, pagesize=(size.width * POINTS, size.height * POINTS), invariant=1, pageCompression=1)
-    canvas.setTitle(pattern.name)
+    canvas.setTitle(shown(pattern.name))
     canvas.setCreator("gcd_dataset")
     if not size.is_large:
         _begin(canvas)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.cloth import (
     SKIN,
     TILE,
@@ -56,7 +57,7 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
     geom.SetStageUpAxis(stage, geom.Tokens.y)
     geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
     root = geom.Xform.Define(stage, f"/{_identifiers([key_of(garment)], 'garment')[0]}")
-    root.GetPrim().SetCustomDataByKey("pattern", garment.pattern.name)
+    root.GetPrim().SetCustomDataByKey("pattern", shown(garment.pattern.name))
     stage.SetDefaultPrim(root.GetPrim())
     top = str(root.GetPath())
     _add_garment(stage, top, garment, tile)
