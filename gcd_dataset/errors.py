@@ -38,8 +38,12 @@ __all__ = [
     "SpecError",
     "TransformError",
     "did_you_mean",
+    "is_printable",
     "shown",
 ]
+
+JOINERS = dict.fromkeys(map(ord, "\xa0\u2009\u200c\u200d\u200e\u200f\u202f\u3000"))
+"""Spaces and joiners in words of some scripts and in emoji, which ``str.isprintable`` refuses."""
 
 
 def shown(text: str) -> str:
@@ -48,7 +52,12 @@ def shown(text: str) -> str:
     >>> shown("train"), shown("a\\nb")
     ('train', "'a\\\\nb'")
     """
-    return text if text.isprintable() else ascii(text)
+    return text if is_printable(text) else ascii(text)
+
+
+def is_printable(text: str) -> bool:
+    """Whether a text is one line without control characters, in any script."""
+    return text.translate(JOINERS).isprintable()
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

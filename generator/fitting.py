@@ -23,7 +23,6 @@ from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
-from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
 from gcd_dataset.spec import pattern_name, read_pattern
@@ -176,20 +175,23 @@ def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name}: {error}") from error
 
 
-def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> None:
-    """Write OBJ, PLY, GLB and pictures of a fitting to ``folder``. Raises ``OutputError``."""
+def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: str = "auto") -> None:
+    """Write pictures of a fitting to ``folder``, and unless it diverged OBJ with MTL, PLY, and GLB if ``glb``.
+
+    GLB includes the body; see ``gcd_dataset.exports``. Raises ``OutputError``.
+    """
+    from gcd_dataset import exports
+
     name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
     front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
-    for ending, content in {
-        ".obj": obj_bytes(vertices, mesh),
-        ".ply": ply_bytes(vertices, mesh),
-        ".glb": glb_bytes(vertices, mesh, fitting.body),
-        "_front.png": png_bytes(front),
-        "_back.png": png_bytes(back),
-        "_pattern.png": png_bytes(draw_pattern(fitting.pattern)),
-    }.items():
-        write_whole(folder / f"{name}{ending}", content)
+    for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
+        write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
+    if np.isfinite(vertices).all():
+        exports.obj(fitting, folder / f"{name}.obj", body=False)
+        exports.ply(fitting, folder / f"{name}.ply")
+        if glb:
+            exports.glb(fitting, folder / f"{name}.glb")
 
 
 def write_report(
@@ -210,8 +212,6 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [
-            {"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in fittings
-        ],
+        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in results],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

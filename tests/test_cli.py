@@ -246,10 +246,10 @@ def of_session(session: int) -> list[int]:
 
 def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ["--fabric", "denim", "--resolution", "4", "--device", "cpu", "--quiet"]
+    options = ["--fabric", "denim", "--resolution", "4", "--device", "cpu", "--quiet", "--glb"]
     assert main(["drape", str(spec), "--out", str(out), *options]) == 0
-    for ending in (".obj", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
-        assert (out / f"garment{ending}").stat().st_size > 1000
+    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
+        assert (out / f"garment{ending}").stat().st_size > 100
     report = json.loads((out / "report.json").read_text())
     assert report["fabric"] == "denim"
     [row] = report["garments"]

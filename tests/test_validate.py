@@ -179,7 +179,10 @@ def test_a_name_is_one_panels() -> None:
 
 
 def test_names_of_any_script_and_with_spaces_will_do() -> None:
-    assert check_pattern(named("front left", "Rücken", "袖", "panel-2 (copy)")) == ()
+    assert (
+        check_pattern(named("front left", "Rücken", "袖", "前\u3000片", "نیم\u200cتنه", "👩\u200d🦰", "panel-2 (copy)"))
+        == ()
+    )
 
 
 def test_a_pattern_in_other_units_than_it_says_is_too_large() -> None:

@@ -187,7 +187,7 @@ def _drape(options: argparse.Namespace) -> int:
         done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
             if isinstance(fitting, Fitting):
-                write_fitting(fitting, folder, device=device)
+                write_fitting(fitting, folder, glb=options.glb, device=device)
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
@@ -363,6 +363,9 @@ def _add_drape(verbs: Any) -> None:
         "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
     )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    drape.add_argument(
+        "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
+    )
     drape.add_argument(
         "--allow-unsettled",
         action="store_true",

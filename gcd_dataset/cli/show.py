@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import os
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from gcd_dataset.errors import ConfigError, ShardError
 if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.records import Pattern
+    from gcd_dataset.shards import ShardReader
     from gcd_dataset.viewer.album import Album
     from gcd_dataset.viewer.server import Design
 
@@ -38,7 +40,7 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument("--html", type=Path, metavar="FILE", help="pattern, mesh and drape as one self-contained page")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
     show.add_argument(
-        "--truth", type=Path, metavar="DIR", help="the true patterns beside those of the folder SPEC, by file name"
+        "--truth", metavar="DATASET|SPEC", help="true patterns beside those of SPEC, by name; prints the scores"
     )
     show.add_argument(
         "--design",
@@ -98,6 +100,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
 
 def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
+    from gcd_dataset.viewer.album import SpecAlbum
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
@@ -105,6 +108,9 @@ def _serve(options: argparse.Namespace) -> int:
     else:
         album = _album(options)
         site = Gallery(album, _position(options, len(album)))
+        if isinstance(album, SpecAlbum) and options.truth is not None:
+            lines = (print(line, flush=True) for line in album.scores())
+            threading.Thread(target=list, args=(lines,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
     if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
@@ -120,14 +126,27 @@ def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    published = None if options.truth is not None else _published(options)
+    if options.truth is not None:
+        return spec_album(folder, _truth(options))
+    published = _published(options)
     if published is not None:
         return PublishedAlbum(published, options.what)
     is_no_set = "://" not in options.what and folder.is_dir() and not (folder / MANIFEST).exists()
-    if options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
-        return spec_album(folder, options.truth)
+    if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
+        return spec_album(folder)
     reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
     return ShardAlbum(reader, options.what, Remote().folder)
+
+
+def _truth(options: argparse.Namespace) -> "Path | ShardReader":
+    """The source of true patterns: a specification file, a folder of them, or a data set."""
+    from gcd_dataset.shards import ShardReader
+    from gcd_dataset.shards.manifest import MANIFEST
+
+    path = Path(options.truth)
+    if names_a_file(options.truth) or (path.is_dir() and not (path / MANIFEST).exists()):
+        return path
+    return ShardReader(open_source(options.truth, options.endpoint), options.split or "train")
 
 
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":

@@ -108,8 +108,37 @@ def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> 
     assert [album.key(position) for position in range(len(album))] == ["a", "b"]
     assert album.position_of("b") == album.position_of("b_specification.json") == 1
     assert album.page(0, 0) != album.page(0, 1)
-    with pytest.raises(GcdError, match="no file of this name"):
+    with pytest.raises(GcdError, match="no true pattern of this name"):
         album.page(1, 1)
+
+
+def test_scores_tell_what_is_missing_and_the_means(tmp_path: Path, folder: Path) -> None:
+    """Predictions match by the garment's name, also those of a data set; one that cannot be read costs no other."""
+    predicted = tmp_path / "predicted"
+    (tmp_path / "nested" / "gcd_000000001").mkdir(parents=True)
+    predicted.mkdir()
+    for index, name in enumerate(("gcd_000000000_prediction", "gcd_000000001", "other")):
+        write_pattern(fake_sample(0, index).pattern, predicted / f"{name}.json")
+    (predicted / "gcd_000000002_predicted.json").write_text("{")
+    write_pattern(fake_sample(0, 1).pattern, tmp_path / "nested" / "gcd_000000001" / "specification.json")
+    lines = list(spec_album(predicted, ShardReader(folder)).scores())
+    assert lines[:2] == [
+        "1 without a true pattern: other",
+        "3 without a prediction: gcd_000000003, gcd_000000004, gcd_000000005",
+    ]
+    assert lines[2].startswith("gcd_000000000: iou 1.000") and "stitch_f1 1.000" in lines[2]
+    assert "gcd_000000002: no score" in lines[4] and lines[5].startswith("mean of 2: iou 1.000")
+    assert "4 without" not in "".join(lines)
+    nested = spec_album(predicted, tmp_path / "nested")
+    assert [line.partition(":")[0] for line in nested.scores()][1:] == ["gcd_000000001", "mean of 1"]
+    assert nested.links(1)["score"] == lines[3].partition(": ")[2]
+
+
+def test_two_files_of_one_garment_are_refused(tmp_path: Path) -> None:
+    for name in ("a.json", "a_prediction.json"):
+        write_pattern(fake_sample(0, 1).pattern, tmp_path / name)
+    with pytest.raises(ConfigError, match=r"a_prediction\.json: .*a\.json is named after the same garment"):
+        spec_album(tmp_path)
 
 
 def test_a_specification_that_cannot_be_drawn_is_an_error_with_file_and_edge(tmp_path: Path) -> None:
