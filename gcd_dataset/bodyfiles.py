@@ -43,7 +43,7 @@ SHORT.maxlevel = 2
 
 OTHER_UNITS: Mapping[str, float] = {"inches": 2.54, "feet": 30.48, "decimetres": 10.0, "metres": 100.0}
 """Length [cm] of units in which measures, or a mesh, may be given instead of centimetres."""
-FACTORS = [*OTHER_UNITS.items(), ("millimetres", 0.1), ("units of 0.1 mm", 0.01), ("centimetres times 2.54", 1 / 2.54)]
+FACTORS = [*OTHER_UNITS.items(), ("millimetres", 0.1), ("inches, converted twice", 1 / 2.54)]
 SAME_UNIT = 1.3  # factor by which a measure of another adult differs at most
 FAR, FAR_SHARE = 3.0, 0.05  # cm, and share of the measure: other clothes and tailors differ by less
 
@@ -125,7 +125,12 @@ def require_same_body(given: Measurements, ours: Measurements, source: Path | st
         if abs(one - other) > max(FAR, FAR_SHARE * abs(other))
     ]
     if far:
-        log.warning("%s: doubtful: measures of another body than %s (in brackets): %s", source, mesh, ", ".join(far))
+        log.warning(
+            "%s: doubtful: differs from %s (its measures in brackets): %s [cm]: give the measures of this body",
+            source,
+            mesh,
+            ", ".join(far),
+        )
 
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:

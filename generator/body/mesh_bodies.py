@@ -1,7 +1,7 @@
 """Bodies from mesh files: read, set upright, and measured unless the measures are given."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -72,8 +72,8 @@ def read_body(
         return _as_it_stands(file, file.parts, size, height), size
     for remark in _remarks(file, found):
         log.info("%s: %s", file.path, remark)
-    if size is not None:
-        require_same_body(size, found.result.measurements, measurements, file.path)
+    if size is not None and measurements is not None:
+        require_same_body(size, _sure_measures(found), measurements, file.path)
     vertices, faces = kept_mesh(found.transform.apply(file.vertices), file.faces, found.kept)
     return _closed(file, vertices, faces, found.parts[found.kept]), size or found.result.measurements
 
@@ -116,6 +116,12 @@ def _find_body(file: _MeshFile, given: Path | str | None, height: float | None) 
     return find_body(
         file.vertices, file.faces, str(file.path), given=marks, parts=file.parts, in_cm=False, height=height
     )
+
+
+def _sure_measures(found: FoundBody) -> Measurements:
+    """The measures without those that are uncertain because the arms were moved."""
+    unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()
+    return replace(found.result.measurements, **dict.fromkeys(unsure, np.nan))
 
 
 def _as_it_stands(file: _MeshFile, parts: UInt8[np.ndarray, " v"], size: Measurements, height: float | None) -> Body:

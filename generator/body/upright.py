@@ -30,8 +30,8 @@ MAX_MISFIT = 1.0  # cm; of an upright body in a coarse fit; drawn bodies have 0.
 MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is larger by this factor
 SHORTLIST = 6  # orientations refined after the quick fits
 COARSE_LEAN = np.radians(4.0)  # error of a coarse fit's rotation
-SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is,
-POSTURE = np.radians(6.0)  # per cm of misfit: and by so much more if unlike the model, whose posture may differ
+SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is
+POSTURE = np.radians(6.0)  # per cm of misfit: more lean to front or back that stays, for another posture than the model's
 
 _AXES = [np.eye(3)[list(order)] for order in itertools.permutations(range(3))]
 _SIGNS = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
@@ -130,10 +130,15 @@ def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
             "average: give one whole body with bare arms and legs, standing along y and facing +z"
         )
     registration = register(found.surface, found.alignment)
-    if leans or registration.alignment.lean > SMALL_LEAN + POSTURE * registration.alignment.misfit:
+    if leans or not _is_upright(registration.alignment):
         found = _try(scan, registration.alignment.turn.T @ found.transform.turn)
         registration = register(found.surface, found.alignment)
     return found, registration
+
+
+def _is_upright(alignment: Alignment) -> bool:
+    pitch, yaw, roll = np.abs(alignment.pose[3:6])
+    return bool(max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * alignment.misfit)
 
 
 def _nearest_quarter_turn(scan: Scan) -> UprightScan:
