@@ -1,5 +1,9 @@
 """Files that describe a body: GarmentCode's measurement YAML and part segmentation JSON."""
 
+import codecs
+import logging
+import math
+import re
 import reprlib
 from collections.abc import Mapping
 from itertools import islice
@@ -18,13 +22,18 @@ from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
 
 __all__ = [
+    "OTHER_UNITS",
     "measurements_text",
+    "obj_lines",
     "parse_measurements",
     "read_body_file",
     "read_body_parts",
     "read_measurements",
+    "require_same_body",
     "write_measurements",
 ]
+
+log = logging.getLogger(__name__)
 
 LARGEST_BODY_FILE = 512 << 20  # bytes: a mesh, or a shape space with its components
 LONGEST_NAME = 40  # characters of a name in a message
@@ -32,10 +41,33 @@ LONGEST_NUMBER = 10**15  # messages do not print larger integers
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 2
 
-LIMBS = frozenset({"left_arm", "right_arm", "left_leg", "right_leg"})
+OTHER_UNITS: Mapping[str, float] = {"inches": 2.54, "feet": 30.48, "decimetres": 10.0, "metres": 100.0}
+"""Length [cm] of units in which measures, or a mesh, may be given instead of centimetres."""
+FACTORS = [*OTHER_UNITS.items(), ("millimetres", 0.1), ("inches, converted twice", 1 / 2.54)]
+SAME_UNIT = 1.3  # factor by which a measure of another adult differs at most
+FAR, FAR_SHARE = 3.0, 0.05  # cm, and share of the measure: other clothes and tailors differ by less
+
+LIMBS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
 """Parts that a segmentation file must list: no garment can be draped without them."""
 
-SEGMENTS = {
+RELATIVE = re.compile(rb"(?<=\s)-(\d+)")  # a vertex number, not one of a texture or normal after a slash
+
+SMPL_SEGMENTS = {
+    f"{side}{name}": part
+    for side, arm, leg in (
+        ("left", BodyPart.LEFT_ARM, BodyPart.LEFT_LEG),
+        ("right", BodyPart.RIGHT_ARM, BodyPart.RIGHT_LEG),
+    )
+    for part, names in {
+        arm: ("Shoulder", "Arm", "ForeArm"),
+        leg: ("UpLeg", "Leg"),
+        BodyPart.HANDS: ("Hand", "HandIndex1"),
+        BodyPart.FEET: ("Foot", "ToeBase"),
+        BodyPart.INTERNAL: ("Eye",),
+    }.items()
+    for name in names
+}
+SEGMENTS = SMPL_SEGMENTS | {
     "body": BodyPart.TRUNK,
     "left_arm": BodyPart.LEFT_ARM,
     "right_arm": BodyPart.RIGHT_ARM,
@@ -45,8 +77,12 @@ SEGMENTS = {
     "hands": BodyPart.HANDS,
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
+    "eyeballs": BodyPart.INTERNAL,
 }
-"""Part names of a segmentation file. Vertices under other names, and unlisted vertices, count as trunk."""
+"""Part names of a segmentation file: GarmentCode's and ours, SMPL's and SMPL-X's.
+
+Vertices under other names, and unlisted vertices, count as trunk.
+"""
 
 
 def read_measurements(path: Path | str) -> Measurements:
@@ -68,6 +104,33 @@ def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
     return Measurements.from_file_values(values)
+
+
+def require_same_body(given: Measurements, ours: Measurements, source: Path | str, mesh: Path | str) -> None:
+    """Log a warning that names the measures of the file ``source`` that are over 3 cm and 5 % off those of a mesh.
+
+    Angles are not compared. Raises ``BodyError`` if most measures are the mesh's in another unit.
+    """
+    lengths = {
+        name: (getattr(given, name), getattr(ours, name)) for name, known in MEASURE.items() if known.unit == "cm"
+    }
+    positive = {name: pair for name, pair in lengths.items() if min(pair) > 0}  # not NaN either
+    for unit, factor in FACTORS:
+        alike = [abs(math.log(other / (one * factor))) < math.log(SAME_UNIT) for one, other in positive.values()]
+        if sum(alike) > len(alike) / 2:
+            raise BodyError(f"{source}: most measures are those of {mesh} in {unit}: give them in centimetres")
+    far = [
+        f"{name} {one:.1f} ({other:.1f})"
+        for name, (one, other) in lengths.items()
+        if abs(one - other) > max(FAR, FAR_SHARE * abs(other))
+    ]
+    if far:
+        log.warning(
+            "%s: doubtful: differs from %s (its measures in brackets): %s [cm]: give the measures of this body",
+            source,
+            mesh,
+            ", ".join(far),
+        )
 
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:
@@ -93,9 +156,9 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
     lists = read_json(path, "segmentation JSON", error=BodyError)
     if not isinstance(lists, dict):
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
-    if not lists.keys() >= LIMBS:
+    if not {SEGMENTS.get(name) for name in lists}.issuperset(LIMBS):
         names = ", ".join(shown(name[:LONGEST_NAME]) for name in islice(lists, 9)) or "nothing"
-        raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg")
+        raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg (or SMPL's)")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
         vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), ids)
@@ -104,9 +167,10 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
                 f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, but {mesh} has "
                 f"{n_vertices} vertices: give the segmentation of this mesh"
             )
-        if not vertices and name in LIMBS:
-            raise BodyError(f"{path}: {name} has no vertices: list the vertices of the limb")
         parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
+    for limb in LIMBS:
+        if limb.value not in parts:
+            raise BodyError(f"{path}: {limb.name.lower()} has no vertices: list the vertices of the limb")
     return parts
 
 
@@ -172,3 +236,24 @@ def _found(value: Any) -> str:
 def read_body_file(path: Path) -> bytes:
     """All bytes of a file. Raises ``BodyError``."""
     return read_whole(path, "file of a body", limit=LARGEST_BODY_FILE, error=BodyError)
+
+
+def obj_lines(content: bytes, path: Path) -> list[bytes]:
+    """The ``v`` and ``f`` lines of an OBJ file, in order; relative vertex numbers (-1: the latest) become absolute.
+
+    A byte order mark is skipped, and continued lines are joined. Raises ``BodyError`` for a number before the first.
+    """
+    joined = re.sub(rb"\\\r?\n", b" ", content.removeprefix(codecs.BOM_UTF8))
+    lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
+    count = 0
+    for row, line in enumerate(lines):
+        if line[:1] == b"v":
+            count += 1
+        elif b"-" in line:
+            back = [int(number) for number in RELATIVE.findall(line)]
+            if max(back, default=0) > count:
+                raise BodyError(f"{path}: a face names vertex -{max(back)} of {count} so far: export the mesh again")
+            for number in back:
+                line = RELATIVE.sub(b"%d" % (count + 1 - number), line, count=1)
+            lines[row] = line
+    return lines

@@ -175,7 +175,11 @@ def _drape(options: argparse.Namespace) -> int:
     @cache
     def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
         body, measurements, _ = named_body(
-            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
+            options.body,
+            measurements=options.measurements,
+            segmentation=options.segmentation,
+            legs_apart=legs_apart,
+            height=options.height,
         )
         return body, measurements
 
@@ -219,11 +223,10 @@ def _measure(options: argparse.Namespace) -> int:
 
     if (options.mesh is None) == (options.shape is None):
         raise ConfigError(f"give a mesh file or --shape {BODY_NAMES}, one of them")
-    if options.mesh is None and (options.landmarks or options.segmentation) is not None:
-        raise ConfigError("--landmarks and --segmentation are for a mesh file: leave them out with --shape")
-    text = measured_text(
-        options.mesh if options.shape is None else options.shape, options.landmarks, options.segmentation
-    )
+    if options.mesh is None and (options.landmarks or options.segmentation or options.height) is not None:
+        raise ConfigError("--landmarks, --segmentation and --height are for a mesh file: leave them out with --shape")
+    body = options.mesh if options.shape is None else options.shape
+    text = measured_text(body, options.landmarks, options.segmentation, options.height)
     if options.out is None:
         print(text, end="")
     else:
@@ -357,6 +360,7 @@ def _add_drape(verbs: Any) -> None:
         metavar="JSON",
         help="vertex ids by body part, for a mesh file (default: detected)",
     )
+    _add_height(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument(
@@ -381,7 +385,7 @@ def _add_measure(verbs: Any) -> None:
         "mesh",
         nargs="?",
         metavar="MESH",
-        help="OBJ, PLY, STL or GLB of one body in m, cm or mm, closed or with small holes",
+        help="OBJ, PLY, STL or GLB of one body in m, cm or mm (or see --height), closed or with small holes",
     )
     measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES}, instead of a mesh")
     measure.add_argument(
@@ -390,7 +394,17 @@ def _add_measure(verbs: Any) -> None:
     measure.add_argument(
         "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
     )
+    _add_height(measure)
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
+
+
+def _add_height(parser: Parser) -> None:
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="CM",
+        help="height of a mesh file's body, which is scaled to it (default: the mesh is in m, cm or mm)",
+    )
 
 
 def _add_make_options(parser: Parser) -> None:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, ArmPose, model_mesh_in_a_pose, turn_off_a_pose
@@ -20,14 +21,16 @@ from gcd_dataset.generator.body.mesh_checks import (
     require_skin,
     underbust_uncertainty,
 )
-from gcd_dataset.generator.body.register import Registration, register, registration_at
-from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.register import Registration, registration_at
+from gcd_dataset.generator.body.scan import Scan, kept_mesh
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import MeasureResult, measure_at, model_sites, sites_of
-from gcd_dataset.generator.body.upright import StandingTransform, UprightScan, find_upright
+from gcd_dataset.generator.body.upright import StandingTransform, UprightScan, find_upright, unit_of
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["FoundBody", "find_body", "measure", "measure_closely", "measure_model_mesh"]
+
+SAME_VERTICES = 5.0  # cm: median distance of a model mesh's vertices from those of the registered model, if the same
 
 
 def measure(body: Body) -> Measurements:
@@ -36,7 +39,10 @@ def measure(body: Body) -> Measurements:
 
 
 def measure_closely(body: Body) -> MeasureResult:
-    """The measures of a body, with the level of each girth; see ``MeasureResult``."""
+    """The measures of a body, with the level of each girth; see ``MeasureResult``.
+
+    A body with the model's mesh must stand upright and face +z, as ``build_body`` and ``read_body`` return it.
+    """
     vertices = np.asarray(body.vertices, float)
     model_faces = body_model().faces
     if body.faces is model_faces or np.array_equal(body.faces, model_faces):
@@ -70,8 +76,12 @@ class FoundBody(Record):
     """In the coordinates of the upright mesh, soles at y = 0 [cm]."""
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` of each vertex of the input mesh; loose pieces are internal."""
+    kept: Bool[np.ndarray, " v"]
+    """Whether each vertex of the input mesh belongs to the body: not unused, nor of another object such as a floor."""
+    by_vertex: bool
+    """Whether the mesh is the body model's, so that landmarks and parts are known by vertex."""
     transform: StandingTransform
-    """From the input to a body that stands upright on y = 0 and faces +z."""
+    """From the input to a body that stands upright on y = 0 and faces +z [cm]."""
     misfit: float
     """Mean distance of the registered body model from the skin, scaled to the model's height [cm]."""
     arm_turn: float
@@ -93,20 +103,83 @@ def find_body(
     *,
     given: GivenLandmarks | None = None,
     parts: UInt8[np.ndarray, " v"] | None = None,
+    in_cm: bool = True,
+    height: float | None = None,
 ) -> FoundBody:
-    """Find landmarks and parts of a mesh [cm] and measure it; ``given`` landmarks and ``parts`` override found ones.
+    """Find landmarks and parts of a mesh and measure it; ``given`` landmarks and ``parts`` override found ones.
 
-    The mesh may have holes away from the tapes, and faces wound either way. Arms in another pose are moved to the
-    A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError`` if no body is found, or if a
-    measure could not be trusted.
+    The mesh may have holes away from the tapes, faces wound either way, and other objects that are not connected to the
+    body. Without ``in_cm`` its unit follows from the height, ``height`` [cm] or an adult's: see ``unit_of``. Arms in
+    another pose are moved to the A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError``
+    if no body is found, or if a measure could not be trusted.
     """
-    upright = find_upright(Scan.of(vertices, faces, name), name)
-    scan, scale, shift = upright.scan, upright.scale, upright.shift
-    registration = register(upright.surface, upright.alignment)
+    upright, registration = find_upright(Scan.of(vertices, faces, name), name)
+    if not in_cm:
+        upright = upright.in_cm(unit_of(upright.height, name, height))
+    scan = upright.scan
     require_body_alone(scan, upright.surface, registration, name)
+    found = partial(
+        FoundBody,
+        kept=~scan.outside,
+        transform=upright.transform,
+        misfit=registration.alignment.misfit,
+        holes=scan.holes,
+        mean_edge=scan.mean_edge,
+        sagitta=scan.sagitta,
+    )
+    skin = ~(scan.loose | scan.outside)
+    known = None if given is not None else _model_vertices(*kept_mesh(vertices, faces, skin), upright, registration)
+    if known is not None:
+        return _found_by_vertex(found, known, skin, parts)
+    return _found_by_landmarks(found, upright, registration, skin, name, given, parts)
+
+
+def _model_vertices(
+    vertices: np.ndarray, faces: np.ndarray, upright: UprightScan, registration: Registration
+) -> Float[np.ndarray, "m 3"] | None:
+    """The upright vertices [cm] of a body with the model's mesh; ``None`` for another mesh, or a mirrored body."""
+    if not np.array_equal(faces, body_model().faces):
+        return None
+    standing = upright.transform.apply(vertices)
+    off = np.linalg.norm(standing * upright.scale + upright.shift - registration.vertices, axis=1)
+    return standing if np.median(off) < SAME_VERTICES else None
+
+
+def _found_by_vertex(
+    found: Callable[..., FoundBody],
+    standing: Float[np.ndarray, "m 3"],
+    skin: Bool[np.ndarray, " v"],
+    parts: UInt8[np.ndarray, " v"] | None,
+) -> FoundBody:
+    """The measures of a body with the model's mesh, upright [cm]; ``skin``: its vertices in the input mesh."""
+    result = measure_model_mesh(standing)
+    if parts is None:
+        parts = np.full(len(skin), BodyPart.INTERNAL.value, np.uint8)
+        parts[skin] = body_model().parts
+    return found(
+        by_vertex=True,
+        result=result,
+        marks=model_landmarks(standing),
+        parts=parts,
+        arm_turn=turn_off_a_pose(result.measurements.arm_pose_angle),
+        underbust_error=0.0,
+    )
+
+
+def _found_by_landmarks(
+    found: Callable[..., FoundBody],
+    upright: UprightScan,
+    registration: Registration,
+    skin: Bool[np.ndarray, " v"],
+    name: str,
+    given: GivenLandmarks | None,
+    parts: UInt8[np.ndarray, " v"] | None,
+) -> FoundBody:
+    """The measures of any body; ``skin``: its vertices in the input mesh. Raises ``BodyError``."""
+    scan, scale, shift = upright.scan, upright.scale, upright.shift
     labels = find_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
-        labels[scan.source] = parts
+        labels[scan.source[skin]] = parts[skin]
     posed = _InAPose.of(upright, registration)
     try:
         marks = find_landmarks(posed.scan, posed.surface, posed.registration, scale, shift)
@@ -121,18 +194,15 @@ def find_body(
         raise BodyError(f"{name}: {error}") from error
     require_skin(posed.scan, marks, sites, result, name)
     require_free_limbs(scan, labels, result, name)
-    found_parts = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
-    return FoundBody(
+    if parts is None:
+        parts = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
+    return found(
+        by_vertex=False,
         result=posed.result_in_pose(result, marks),
         marks=posed.marks_in_pose(marks),
-        parts=found_parts if parts is None else parts,
-        transform=upright.transform,
-        misfit=registration.alignment.misfit,
+        parts=parts,
         arm_turn=posed.turn,
-        holes=scan.holes,
         underbust_error=underbust_uncertainty(posed.scan, sites, result, registration.alignment.misfit),
-        mean_edge=scan.mean_edge,
-        sagitta=scan.sagitta,
     )
 
 
