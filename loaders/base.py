@@ -1,9 +1,13 @@
 """Base classes of the data sets of garments, and the checks of their arguments."""
 
+import inspect
+import math
+import numbers
 import operator
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,6 +22,7 @@ from gcd_dataset.loaders.indexing import (
     index_from_key,
     index_list,
     resolve_index,
+    selected,
     unknown_key,
 )
 from gcd_dataset.loaders.one_thread import as_type
@@ -36,7 +41,10 @@ __all__ = [
     "note_items",
     "recipe_from_meta",
     "require_callable",
+    "require_garments",
     "require_integer",
+    "require_number",
+    "require_ranges",
     "tensor_of",
 ]
 
@@ -44,6 +52,11 @@ Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
 Transform: TypeAlias = Callable[[Item], Any]
 NOTHING: Mapping[str, str] = {}
+USES: Mapping[str, str] = {
+    "item": "as transform= of its data set",
+    "item, rng": "to Augmented(dataset, augment), which passes each garment's random stream",
+}
+"""Arguments of users' functions, and where a function of these is given."""
 
 
 class GarmentItem(dict[str, Any]):
@@ -146,8 +159,11 @@ class Garments(Dataset[Item], ABC):
         return (self[index] for index in indices)
 
     def select(self, indices: Iterable[int]) -> "Garments":
-        """A data set of the garments at ``indices``, in this order. Raises ``IndexError`` for an index out of range."""
-        return SelectedGarments(self, [self._position(index) for index in indices])
+        """A data set of the garments at ``indices`` or of these keys, in this order.
+
+        Raises ``IndexError``, ``KeyError`` and ``TypeError`` as ``ds[i]`` does.
+        """
+        return SelectedGarments(self, [self._position(index) for index in selected(indices)])
 
     def __repr__(self) -> str:
         description = ", ".join([*self._description(), f"{len(self)} garments"])
@@ -330,16 +346,70 @@ def require_integer(name: str, value: int, least: int = 0) -> int:
         number = operator.index(value)
     except TypeError:
         number = least - 1
-    if number < least:
-        raise ConfigError(f"{name}={value!r}: give a whole number, {least} or more")
+    if number < least or isinstance(value, bool):
+        raise ConfigError(f"{name}={value!r:.99}: give a whole number, {least} or more")
     return number
 
 
-def require_callable(name: str, value: Any) -> Any:
-    """The argument. Raises ``ConfigError`` if it is not callable."""
+def require_number(name: str, value: float, *, least: float = 0.0, most: float = math.inf, unit: str = "") -> float:
+    """An argument as a float. Raises ``ConfigError`` unless it is a finite number from ``least`` to ``most``.
+
+    >>> require_number("sigma", 1, unit=" cm")
+    1.0
+    """
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (is_number and least <= value <= most and math.isfinite(value)):
+        limits = f"{least:g}{unit} or more" if most == math.inf else f"{least:g} to {most:g}{unit}"
+        raise ConfigError(f"{name}={value!r:.99}: give a finite number{'' if least == -math.inf else f', {limits}'}")
+    return float(value)
+
+
+def require_garments(user: str, value: Any) -> None:
+    """Raise ``ConfigError`` for anything but garments, the argument of the class ``user``."""
+    if not isinstance(value, Garments):
+        kind = type(value).__name__
+        raise ConfigError(f"{user} of a {kind}: give GarmentDataset, GeneratedGarments or another data set of garments")
+
+
+def require_callable(name: str, value: Any, takes: str = "item") -> Any:
+    """The argument. Raises ``ConfigError`` for anything but a function of ``takes``, such as ``item, rng``."""
     if not callable(value):
-        raise ConfigError(f"{name}={value!r:.99}: give a function that takes an item, or leave it out")
+        raise ConfigError(f"{name}={value!r:.99}: give a function of {takes}, or leave it out")
+    fitting = next((each for each in (takes, *(USES if takes in USES else ())) if _can_take(value, each)), None)
+    if fitting != takes:
+        remedy = f"a function of {takes}" if fitting is None else f"it {USES[fitting]}"
+        raise ConfigError(f"{name}={value!r:.99} cannot be called with ({takes}): give {remedy}")
     return value
+
+
+def _can_take(function: Callable[..., Any], arguments: str) -> bool:
+    try:
+        inspect.signature(function).bind(*arguments.split(", "))
+    except ValueError:  # a function in C, without a signature
+        return True
+    except TypeError:
+        return False
+    return True
+
+
+def require_ranges(name: str, given: Any, usual: Any) -> Any:
+    """``given``, or ``usual`` for ``None``.
+
+    Raises ``ConfigError`` unless it has the class of ``usual``, a dataclass, with finite numbers and ascending pairs.
+    """
+    if given is None:
+        return usual
+    if not isinstance(given, type(usual)):
+        raise ConfigError(f"{name}={given!r:.99}: give {type(usual).__name__}(…), or leave it out")
+    for entry in fields(given):
+        value, default = getattr(given, entry.name), entry.default
+        if type(default) is float:
+            require_number(f"{entry.name} of {name}", value)
+        elif isinstance(default, tuple) and len(default) == 2:
+            low, high = value if isinstance(value, Sequence) and len(value) == 2 else (value, value)
+            low = require_number(f"{entry.name} of {name}", low, least=-math.inf)
+            require_number(f"{entry.name} of {name}", high, least=low)
+    return given
 
 
 def require_float_dtype(dtype: Any) -> torch.dtype | None:

@@ -87,7 +87,12 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
 def _require_same_fields(items: Sequence[Item]) -> None:
     if not items:
         raise ConfigError("an empty batch: give one garment or more")
-    for item in items[1:]:
+    for item in items:
+        if not isinstance(item, Mapping):
+            raise ConfigError(
+                f"an item of the batch is a {type(item).__name__}, not a dict of fields: let the transform return a "
+                "dict, or give the loader collate_fn=collate_list or torch's default_collate"
+            )
         if item.keys() != items[0].keys():
             odd = ", ".join(sorted(item.keys() ^ items[0].keys()))
             raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields for all")

@@ -21,6 +21,7 @@ from gcd_dataset.loaders.base import (
     Item,
     as_transform_error,
     require_callable,
+    require_garments,
     require_integer,
     wrap_item,
 )
@@ -84,13 +85,10 @@ class FreshGarments(IterableDataset[Item]):
         seed: int = 0,
         augment: Augment | None = None,
     ) -> None:
-        if not isinstance(garments, Garments):
-            raise ConfigError(
-                f"FreshGarments of a {type(garments).__name__}: give GeneratedGarments or another data set of garments"
-            )
+        require_garments("FreshGarments", garments)
         self.garments, self.room = garments, require_integer("room", room, least=1)
         self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
-        self.augment = None if augment is None else require_callable("augment", augment)
+        self.augment = None if augment is None else require_callable("augment", augment, "item, rng")
         self._rate = _rate(replay)
         self._next = self._position = 0  # start of the next iter(); position in the current one
         self._iterator = 0  # number of the valid iterator

@@ -5,12 +5,12 @@
 >>> resolve_index(10, 10)
 Traceback (most recent call last):
 ...
-IndexError: garment 10 of 10: give -10 to 9
+gcd_dataset.loaders.indexing.IndexRangeError: garment 10 of 10: give -10 to 9
 """
 
 import operator
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from itertools import islice
 from typing import Any
@@ -22,12 +22,14 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import key_of
 
 __all__ = [
+    "IndexRangeError",
     "InvalidIndexError",
     "UnknownKeyError",
     "index_from_key",
     "index_list",
     "require_whole_number",
     "resolve_index",
+    "selected",
     "unknown_key",
 ]
 
@@ -36,6 +38,10 @@ MOST_COMPARED = 10_000  # keys that are compared with an unknown one
 
 class InvalidIndexError(ConfigError, TypeError):
     """An index that is neither an integer nor a name."""
+
+
+class IndexRangeError(ConfigError, IndexError):
+    """An index beyond the length."""
 
 
 class UnknownKeyError(ConfigError, KeyError):
@@ -51,7 +57,7 @@ def resolve_index(index: Any, length: int, what: str = "garment") -> int:
     """
     number = require_whole_number(index, what)
     if not -length <= number < length:
-        raise IndexError(
+        raise IndexRangeError(
             f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'a non-empty data set'}"
         )
     return number % length
@@ -81,11 +87,24 @@ def index_list(index: Any) -> list[Any] | None:
             form = f"{str(index.dtype).removeprefix('torch.')} of shape {list(index.shape)}"
             column = "[:, 0]" if isinstance(index, torch.Tensor) else "[0]"
             raise InvalidIndexError(
-                f"an array of {form} in brackets: give whole numbers in one row, such as mask.nonzero(){column}"
+                f"indices in an array of {form}: give whole numbers in one row, such as mask.nonzero(){column}"
             )
         numbers: list[Any] = index.tolist()
         return numbers
     return list(index) if isinstance(index, Sequence) and not isinstance(index, str | bytes) else None
+
+
+def selected(indices: Any) -> Iterable[Any]:
+    """The argument of ``select``: indices or keys. Raises ``ConfigError`` for anything else."""
+    if isinstance(indices, torch.Tensor | np.ndarray) and indices.ndim:
+        return index_list(indices) or ()
+    if isinstance(indices, str | bytes | Mapping | torch.Tensor | np.ndarray) or not isinstance(indices, Iterable):
+        by_condition = ", such as [i for i, item in enumerate(dataset) if condition(item)]"
+        raise ConfigError(
+            f"select({indices!r:.99}): give indices or keys in a list, array or range"
+            f"{by_condition if callable(indices) else ''}"
+        )
+    return indices
 
 
 def index_from_key(key: str) -> int | None:

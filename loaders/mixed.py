@@ -11,8 +11,8 @@ from math import gcd, lcm
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Transform, load_items, require_integer
-from gcd_dataset.loaders.indexing import UnknownKeyError, require_whole_number
+from gcd_dataset.loaders.base import Garments, Transform, load_items, require_garments, require_integer
+from gcd_dataset.loaders.indexing import IndexRangeError, UnknownKeyError, require_whole_number
 from gcd_dataset.loaders.order import cached_permutation
 from gcd_dataset.shards.layout import Bytes
 
@@ -54,6 +54,8 @@ class MixedDataset(Garments):
         seed: int = 0,
         transform: Transform | None = None,
     ) -> None:
+        if isinstance(datasets, str) or not isinstance(datasets, Sequence):
+            raise ConfigError(f"datasets={datasets!r:.99}: give a list of data sets")
         self.datasets, self.weights = tuple(datasets), _integer_ratio(weights)
         _require_compatible(self.datasets, weights)
         fields = self.datasets[0].fields
@@ -135,7 +137,7 @@ class MixedDataset(Garments):
             )
         number = require_whole_number(index)
         if number < -len(self):
-            raise IndexError(f"garment {number} of {len(self)}: give -{len(self)} or more")
+            raise IndexRangeError(f"garment {number} of {len(self)}: give -{len(self)} or more")
         return number if number >= 0 else number + len(self)
 
 
@@ -195,10 +197,10 @@ def _integer_ratio(weights: Sequence[float]) -> tuple[int, ...]:
     """The weights as the smallest integers in the same ratio. Raises ``ConfigError``."""
     try:
         exact = [Fraction(str(weight)) for weight in weights]
-    except ValueError:
+    except (TypeError, ValueError):
         exact = []
     if not exact or min(exact) <= 0:
-        raise ConfigError(f"weights={list(weights)}: give a positive number for each data set")
+        raise ConfigError(f"weights={weights!r:.99}: give a positive number for each data set")
     denominator = lcm(*(weight.denominator for weight in exact))
     integers = [int(weight * denominator) for weight in exact]
     return tuple(weight // gcd(*integers) for weight in integers)
@@ -208,10 +210,7 @@ def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) 
     if len(datasets) != len(weights):
         raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one weight for each data set")
     for number, dataset in enumerate(datasets):
-        if not isinstance(dataset, Garments):
-            raise ConfigError(
-                f"data set {number} is a {type(dataset).__name__}: give GarmentDataset, GeneratedGarments or the like"
-            )
+        require_garments("MixedDataset", dataset)
         if not len(dataset):
             raise ConfigError(f"data set {number} has no garments: leave it out")
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):

@@ -8,7 +8,7 @@ import torch
 from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
@@ -74,7 +74,8 @@ class Scan:
 
         self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
         self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
-        self.noise, self.cameras = KINECT if noise is None else noise, ScanRanges() if cameras is None else cameras
+        self.noise = require_ranges("noise", noise, KINECT)
+        self.cameras = require_ranges("cameras", cameras, ScanRanges())
         self.body, self.device = body, device_of_process(device)
         self._body_of = bodies_by_name(bodies)
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]

@@ -12,7 +12,7 @@ import torch
 from gcd_dataset import __version__
 from gcd_dataset.bodies import POSES
 from gcd_dataset.errors import BodyError, ConfigError
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.base import Item, require_callable
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage, rng
@@ -138,7 +138,9 @@ def wearer_of(garment: StoredGarment, body_of: BodyOf | None) -> Body:
 
 
 def bodies_by_name(bodies: Bodies | BodyOf | None) -> BodyOf | None:
-    """The bodies of a data set of people as a function of their name; a function stays."""
+    """The bodies of a data set of people as a function of their name; a function stays. Raises ``ConfigError``."""
+    if bodies is not None and not isinstance(bodies, Bodies):
+        require_callable("bodies", bodies, "name")
     return _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
 
 

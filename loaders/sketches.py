@@ -1,5 +1,6 @@
 """``Sketch``: line drawings of garments, drawn when they are read."""
 
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ import torch
 from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_number, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
@@ -71,12 +72,11 @@ class Sketch:
         self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
         if self.size > LARGEST:
             raise ConfigError(f"size={self.size}: give {LARGEST} or less")
-        self.yaws, self.turn = tuple(map(float, yaws)), float(turn)
-        if not self.yaws or not np.isfinite(self.yaws).all():
-            raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more")
-        if not 0.0 <= self.turn <= 180.0:
-            raise ConfigError(f"turn={turn}: give 0 to 180 degrees")
-        self.style, self.device = FLAT if style is None else style, device_of_process(device)
+        if isinstance(yaws, str) or not isinstance(yaws, Sequence | np.ndarray) or not len(yaws):
+            raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more in a tuple")
+        self.yaws = tuple(require_number("yaws", yaw, least=-math.inf) for yaw in yaws)
+        self.turn = require_number("turn", turn, most=180.0, unit=" degrees")
+        self.style, self.device = require_ranges("style", style, FLAT), device_of_process(device)
         self._body_of = bodies_by_name(bodies)
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
         self._process = os.getpid()

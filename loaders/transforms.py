@@ -8,6 +8,7 @@ torch.Size([64, 6])
 Draws depend on seed, garment index and epoch alone. A field that an item lacks is skipped.
 """
 
+import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,9 @@ from gcd_dataset.loaders.base import (
     as_transform_error,
     load_items,
     require_callable,
+    require_garments,
     require_integer,
+    require_number,
     wrap_item,
 )
 from gcd_dataset.seeding import Stage
@@ -41,6 +44,7 @@ PLACED = ("box", "verts", "points", "scan")
 CAMERAS = ("camera_rt", "scan_camera_rt", "sketch_rt")
 """Fields of extrinsics [R | t], world to camera."""
 VIEW_FACTS = re.compile(r"view_\d+_json")
+FARTHEST_REACH = 12.0  # beyond, the reflected points have no digits left
 DIRECTIONS = ("key_direction", "fill_direction")
 """Directions in the world, in the light of a stored view's facts."""
 
@@ -49,7 +53,7 @@ class Chain:
     """Several augmentations, applied in order."""
 
     def __init__(self, *augments: Augment) -> None:
-        self.augments = tuple(require_callable("augment", augment) for augment in augments)
+        self.augments = tuple(require_callable("augment", augment, "item, rng") for augment in augments)
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         for augment in self.augments:
@@ -68,7 +72,10 @@ class Yaw:
     """
 
     most: float = np.pi
-    """Largest angle to either side [rad]."""
+    """Largest angle to either side [rad], 0 or more."""
+
+    def __post_init__(self) -> None:
+        require_number("most", self.most)
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         angle = rng.uniform(-self.most, self.most)
@@ -87,7 +94,10 @@ class PointNoise:
     """Adds Gaussian noise to each surface point, like a scanner's; normals stay."""
 
     sigma: float
-    """Standard deviation along each axis [cm]."""
+    """Standard deviation along each axis [cm], 0 or more."""
+
+    def __post_init__(self) -> None:
+        require_number("sigma", self.sigma, unit=" cm")
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item:
@@ -112,6 +122,8 @@ class PickCaption:
         if unknown := [level for level in levels if level not in LEVELS]:
             raise ConfigError(f"no caption level {unknown[0]!r:.99}: there are {', '.join(LEVELS)}")
         self.levels = levels or LEVELS
+        if len(self.levels) > 1:  # a use draws a level: no transform, which is called without a random stream
+            self.__signature__ = inspect.signature(Chain().__call__)
 
     def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
         if "caption" not in item:
@@ -137,6 +149,10 @@ class PartialView:
     reach: float = 3.0
     """log10 of the sphere's radius over the distance of the farthest point; larger values hide fewer points."""
 
+    def __post_init__(self) -> None:
+        require_number("distance", self.distance, least=1.0, unit=" cm")
+        require_number("reach", self.reach, most=FARTHEST_REACH)
+
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item or len(item["points"]) < 4:
             return item
@@ -160,12 +176,15 @@ class PartialView:
 class Augmented(Garments):
     """Garments with an augmentation that differs each epoch; ``set_epoch`` reaches running workers too.
 
-    ``augment`` is applied after the data set's own ``transform``.
+    ``augment`` is applied after the data set's own ``transform``. Raises ``ConfigError`` for anything but a data set of
+    garments and a function of an item and a random stream.
     """
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
+        require_garments("Augmented", whole)
         super().__init__(whole.fields, None, available=whole.fields, dtype=whole.dtype)
-        self.whole, self.augment, self.seed = whole, require_callable("augment", augment), require_integer("seed", seed)
+        self.whole, self.seed = whole, require_integer("seed", seed)
+        self.augment = require_callable("augment", augment, "item, rng")
         self.reads_only, self.garments_per_design = whole.reads_only, whole.garments_per_design
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.collate import collate_packed, collate_padded
@@ -117,7 +117,8 @@ class Views:
         self.n, self.size = _within("n", n, MOST_VIEWS), _within("size", size, LARGEST)
         self.maps, self.seed = _known_maps(maps), require_integer("seed", seed)
         given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
-        self.ranges = Ranges(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+        usual = Ranges()
+        self.ranges = Ranges(**{name: require_ranges(name, each, getattr(usual, name)) for name, each in given.items()})
         self.device = device_of_process(device)
         """``cpu``, or a GPU such as ``cuda:0``."""
         self._body_of = bodies_by_name(bodies)
