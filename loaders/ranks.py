@@ -7,6 +7,7 @@ from types import FrameType
 
 import torch
 import torch.distributed
+from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import require_integer
@@ -17,6 +18,7 @@ __all__ = [
     "gpu_of_rank",
     "gpus_of_rank",
     "in_process_group",
+    "requested_batch",
     "require_rank",
     "sharding_library",
 ]
@@ -114,6 +116,17 @@ def sharding_library() -> str | None:
             return module.partition(".")[0]
         frame = frame.f_back
     return None
+
+
+def requested_batch() -> int:
+    """Size of the batch that a ``DataLoader`` is reading from a stream in this thread; 1 for single items."""
+    # torch tells a stream neither the batch size nor drop_last.
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code is _IterableDatasetFetcher.fetch.__code__:
+            return len(frame.f_locals["possibly_batched_index"] or [None])
+        frame = frame.f_back
+    return 1
 
 
 def accelerate_is_active() -> bool:

@@ -1,6 +1,7 @@
 """``GarmentDataset``: garments from shards, by index or as a stream."""
 
 import bisect
+import sys
 import tarfile
 import zlib
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
@@ -19,7 +20,13 @@ from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.available import absent_when_empty
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
-from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
+from gcd_dataset.loaders.ranks import (
+    accelerate_is_active,
+    current_rank,
+    in_process_group,
+    requested_batch,
+    sharding_library,
+)
 from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
@@ -34,6 +41,7 @@ from gcd_dataset.shards.tar import BLOCK, stream_samples
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
+LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
 EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
 """File extension to the size of an empty member [bytes], stored for a stage not made; other members are larger."""
 
@@ -316,8 +324,10 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 class StreamedGarments(GarmentDataset, IterableDataset):
     """The items in the order of the shards; each rank and worker reads one contiguous part.
 
-    Every garment comes once, and the parts differ by one garment at most. A process reads a shard in a folder from the
-    start of its part, and a shard on a server from the start of the shard.
+    Every garment comes once. The parts of ranks differ by one garment at most. The workers of a ``DataLoader`` get
+    whole batches, all but the last one: ``len(loader)`` is the number of batches on this rank, and ``drop_last`` leaves
+    out less than one batch. A process reads a shard in a folder from the start of its part, and a shard on a server
+    from the start of the shard.
     """
 
     _ranks: tuple[int, int] | None = None
@@ -329,8 +339,14 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     def __getitem__(self, index: Any) -> Any:
         raise ConfigError("a stream has no indices: leave out streaming=True")
 
+    def __len__(self) -> int:
+        # A DataLoader counts the batches of this rank; all others ask for the whole data set.
+        is_of_rank = sys._getframe(1).f_code in LENGTHS
+        return len(self._rank_share()) if is_of_rank else super().__len__()
+
     def __iter__(self) -> Iterator[Any]:
-        first, count = self._share()
+        share = self._share()
+        first, count = share.start, len(share)
         for run in self._shard_runs():
             part = run.within(first, count)
             if len(part.indices):
@@ -341,19 +357,25 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         # A spawned worker has no process group, and may lack the rank's environment variables.
         return {**self.__dict__, "_ranks": current_rank() if in_process_group() else self._ranks}
 
-    def _share(self) -> tuple[int, int]:
-        """First garment of this process, in the order of the shards, and its number of garments."""
-        worker = get_worker_info()
-        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
-        if worker is not None and ranks > 1 and accelerate_is_active():
+    def _share(self) -> range:
+        """The garments of this process, counted in the order of the shards."""
+        worker, share = get_worker_info(), self._rank_share()
+        if worker is None:
+            return share
+        if len(share) < len(self) and accelerate_is_active():
             raise ConfigError(
                 "streaming=True in workers with accelerate, which may split the garments too: give num_workers=0, or "
                 "leave out streaming=True and load with a GarmentLoader"
             )
-        number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        rank_begin, rank_end = (edge * len(self) // ranks for edge in (rank, rank + 1))
-        begin, end = (rank_begin + edge * (rank_end - rank_begin) // workers for edge in (number, number + 1))
-        return begin, end - begin
+        size = requested_batch()
+        batches = -(-len(share) // size)
+        begin, end = (edge * batches // worker.num_workers * size for edge in (worker.id, worker.id + 1))
+        return share[begin:end]
+
+    def _rank_share(self) -> range:
+        """The garments of this rank, counted in the order of the shards."""
+        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
+        return range(*(edge * len(self) // ranks for edge in (rank, rank + 1)))
 
     def _shard_runs(self) -> Iterator["_ShardRun"]:
         """All garments, shard by shard, in the order of the files."""
