@@ -14,6 +14,7 @@ from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
@@ -78,7 +79,7 @@ class Sketch:
         self.turn = require_number("turn", turn, most=180.0, unit=" degrees")
         self.style, self.device = require_ranges("style", style, FLAT), device_of_process(device)
         self._body_of = bodies_by_name(bodies)
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = shared_number()
         self._process = os.getpid()
 
     def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:

@@ -30,6 +30,7 @@ from gcd_dataset.loaders.base import (
     require_number,
     wrap_item,
 )
+from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 from gcd_dataset.shards.layout import Bytes
@@ -188,7 +189,7 @@ class Augmented(Garments):
         self.reads_only, self.garments_per_design = whole.reads_only, whole.garments_per_design
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = shared_number()
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the garments loaded from now on, in all worker processes."""

@@ -29,6 +29,7 @@ from gcd_dataset.loaders.collate import collate_packed, collate_padded
 from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.one_thread import pin_tensor
 from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.loaders.worker import shared_number
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -122,7 +123,7 @@ class Views:
         self.device = device_of_process(device)
         """``cpu``, or a GPU such as ``cuda:0``."""
         self._body_of = bodies_by_name(bodies)
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = shared_number()
         self._process = os.getpid()
 
     def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
