@@ -1,6 +1,7 @@
 """Base classes of the data sets of garments, and the checks of their arguments."""
 
 import inspect
+import logging
 import math
 import numbers
 import operator
@@ -28,6 +29,7 @@ from gcd_dataset.loaders.indexing import (
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, members_of
+from gcd_dataset.shards.store import Store
 
 __all__ = [
     "GarmentItem",
@@ -46,7 +48,10 @@ __all__ = [
     "require_number",
     "require_ranges",
     "tensor_of",
+    "warn_unfinished",
 ]
+
+logger = logging.getLogger("gcd_dataset")
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -334,6 +339,14 @@ def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
     """Seed, index, options and versions from a sample's ``meta.json``. Raises ``ShardError`` if it is damaged."""
     content = read_meta(meta)
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
+
+
+def warn_unfinished(store: Store, splits: Iterable[str]) -> None:
+    """Log a warning for each split whose run has not finished."""
+    for split in splits:
+        if (fault := store.unfinished(split)) is not None:
+            message = "%s: split %s is unfinished: %s; partial=True opens it without this warning"
+            logger.warning(message, store.location(), split, fault)
 
 
 def require_integer(name: str, value: int, least: int = 0) -> int:

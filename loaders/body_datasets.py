@@ -22,6 +22,7 @@ from gcd_dataset.loaders.base import (
     require_callable,
     require_float_dtype,
     tensor_of,
+    warn_unfinished,
     wrap_item,
 )
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_index
@@ -146,7 +147,8 @@ class BodyDataset(Bodies):
     (torch.Size([25128, 3]), tensor(81.5200))
 
     ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
-    on opening, ``off`` nothing. Raises ``ShardError`` for a folder without such a split, or a damaged or foreign one.
+    on opening, ``off`` nothing. ``partial``: ``True`` opens a folder whose run was stopped without a warning. Raises
+    ``ShardError`` for a folder without such a split, or a damaged or foreign one.
     """
 
     def __init__(
@@ -157,10 +159,13 @@ class BodyDataset(Bodies):
         *,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        partial: bool = False,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
+        if not partial:
+            warn_unfinished(self._reader.store, [split])
         self._mesh = read_set_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property

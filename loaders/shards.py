@@ -18,7 +18,15 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.available import absent_when_empty
-from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Garments,
+    Transform,
+    note_items,
+    recipe_from_meta,
+    tensor_of,
+    warn_unfinished,
+)
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.ranks import (
     accelerate_is_active,
@@ -62,6 +70,7 @@ class GarmentDataset(Garments):
       recipe, ``recipe:NAME`` or ``recipe:FILE.toml``, which is made on first use.
     - ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
     - ``revision``: branch, tag or commit of a repository; resolved once, see the attribute ``revision``.
+    - ``partial``: ``True`` opens a data set whose run was stopped, or is still running, without a warning.
     - ``settled_only``: only garments with a settled drape.
     - ``quality``: only garments of this grade or a better one: ``"clean"`` garments have no crossing edge and no panel
       that is too tight, ``"paper"`` garments are within the limits of GarmentCodeData; see ``generator.quality``.
@@ -118,6 +127,7 @@ class GarmentDataset(Garments):
         patience: float | None = None,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        partial: bool = False,
         settled_only: bool = False,
         quality: Quality | None = None,
         dtype: torch.dtype | None = torch.float32,
@@ -133,6 +143,8 @@ class GarmentDataset(Garments):
         readers = {
             name: ShardReader(store, name, verify=verify, settled_only=settled_only, quality=quality) for name in splits
         }
+        if not partial:
+            warn_unfinished(store, splits)
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])

@@ -17,6 +17,7 @@ from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest
 from gcd_dataset.shards.store import MemberLocation, Store, runs
+from gcd_dataset.shards.unfinished import note_name, unfinished_copy
 
 __all__ = ["RemoteStore"]
 
@@ -71,6 +72,12 @@ class RemoteStore(Store):
             self._shards[shard] = _RemoteShard(self._key(shard, split, manifest), len(table), first, index)
             first += len(table)
         return index
+
+    def unfinished(self, split: str) -> str | None:
+        try:
+            return unfinished_copy(self.manifest() or Manifest(), split, self.site.optional_file(note_name(split)))
+        except RemoteError:
+            return None  # unknown
 
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         return self.read_many([(shard, number, parts)])[0]

@@ -52,6 +52,10 @@ class Store(ABC):
         """
 
     @abstractmethod
+    def unfinished(self, split: str) -> str | None:
+        """A message that the run that writes a split has not finished, with a remedy; ``None`` if it has."""
+
+    @abstractmethod
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         """Column to content of members of sample ``number`` of a shard; ``parts`` in file order.
 
