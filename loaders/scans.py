@@ -1,18 +1,14 @@
 """``Scan``: partial point clouds of virtual depth cameras, measured when garments are read."""
 
-import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch.utils.data import get_worker_info
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
+from gcd_dataset.loaders.base import Item, require_integer, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
-from gcd_dataset.loaders.devices import device_of_process
-from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
-from gcd_dataset.loaders.worker import shared_number
+from gcd_dataset.loaders.scene_items import BodyOf, SceneTransform, StoredGarment, wearer_of
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
@@ -23,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Scan"]
 
 
-class Scan:
+class Scan(SceneTransform):
     """Scans each garment with ``n`` depth cameras: a transform, or an augmentation.
 
     >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
@@ -74,23 +70,13 @@ class Scan:
         from gcd_dataset.generator.render.scans import ScanRanges
 
         self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
-        self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
+        super().__init__(seed, device, bodies)
+        self.size, self.body = require_integer("size", size, least=1), body
         self.noise = require_ranges("noise", noise, KINECT)
         self.cameras = require_ranges("cameras", cameras, ScanRanges())
-        self.body, self.device = body, device_of_process(device)
-        self._body_of = bodies_by_name(bodies)
-        self._epoch = shared_number()
-        self._process = os.getpid()
 
-    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
-        """The item with its scan: a transform; with ``rng``, an augmentation that draws the epoch from it."""
-        self._require_usable()
-        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
-        return GarmentItem({**item, **_entries(self._scan(item, use))})
-
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the items transformed from now on, in all worker processes."""
-        self._epoch.fill_(require_integer("epoch", epoch))
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        return [_entries(self._scan(item, use)) for item, use in zip(items, uses, strict=True)]
 
     def _scan(self, item: Item, use: int) -> "PointScan":
         from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
@@ -103,19 +89,8 @@ class Scan:
         options: dict[str, Any] = {"noise": self.noise, "body": self.body, "size": self.size, "device": self.device}
         return scan(scene, cameras, stream, points=self.points, **options)
 
-    def _require_usable(self) -> None:
-        """Raise ``ConfigError`` for a GPU in a worker process."""
-        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
-            raise ConfigError(
-                f"Scan on {self.device} in a worker process, where a GPU cannot be shared: give device='cpu'"
-            )
-
     def __repr__(self) -> str:
         return f"Scan(n={self.n}, points={self.points}, size={self.size}, seed={self.seed}, on {self.device})"
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

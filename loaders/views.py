@@ -8,7 +8,6 @@ Where pictures are rendered:
 """
 
 import contextlib
-import os
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
@@ -19,17 +18,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.collate import collate_packed, collate_padded
-from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.one_thread import pin_tensor
-from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, StoredGarment, bodies_by_name, wearer_of
-from gcd_dataset.loaders.worker import shared_number
+from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -52,7 +48,7 @@ PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 Tag = TypeVar("Tag")
 
 
-class Views:
+class Views(SceneTransform):
     """Renders ``n`` pictures of each garment: a transform, an augmentation, or the ``views`` of a ``GarmentLoader``.
 
     >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset, GarmentLoader
@@ -99,6 +95,8 @@ class Views:
     missing, and a wearer that is unknown.
     """
 
+    on_gpu = "give GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
+
     def __init__(
         self,
         n: int = 4,
@@ -116,24 +114,11 @@ class Views:
         from gcd_dataset.generator.render import Ranges
 
         self.n, self.size = _within("n", n, MOST_VIEWS), _within("size", size, LARGEST)
-        self.maps, self.seed = _known_maps(maps), require_integer("seed", seed)
+        super().__init__(seed, device, bodies)
+        self.maps = _known_maps(maps)
         given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
         usual = Ranges()
         self.ranges = Ranges(**{name: require_ranges(name, each, getattr(usual, name)) for name, each in given.items()})
-        self.device = device_of_process(device)
-        """``cpu``, or a GPU such as ``cuda:0``."""
-        self._body_of = bodies_by_name(bodies)
-        self._epoch = shared_number()
-        self._process = os.getpid()
-
-    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
-        """The item with its pictures: a transform; with ``rng``, an augmentation that draws the epoch from it."""
-        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
-        return self.add_to_items([item], [use])[0]
-
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the items transformed from now on, in all worker processes."""
-        self._epoch.fill_(require_integer("epoch", epoch))
 
     def batches(self, batches: Iterable[Any], *, epoch: int = 0) -> Iterator[Any]:
         """The batches of a ``DataLoader`` with their pictures; the next ones are rendered during the training step.
@@ -155,20 +140,11 @@ class Views:
         maps = f", maps {', '.join(self.maps)}" if self.maps else ""
         return f"Views(n={self.n}, size={self.size}, seed={self.seed}, on {self.device}{maps})"
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
-
     # ------------------------------------------------------------------------------------------------- items, batches
-
-    def add_to_items(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        """The items with their pictures; ``uses``: the epoch, or number of the use, of each."""
-        added = self._rendered(items, uses)
-        return [GarmentItem({**item, **entries}) for item, entries in zip(items, added, strict=True)]
 
     def add_to_batch(self, batch: Any, uses: Sequence[int]) -> Any:
         """A collated batch with the pictures of its garments, as if the items had had them."""
-        added = self._rendered(_items_of(batch), uses)
+        added = self._added(_items_of(batch), uses)
         if isinstance(batch, list):
             return [GarmentItem({**item, **entries}) for item, entries in zip(batch, added, strict=True)]
         joined = (collate_packed if isinstance(batch, PackedBatch) else collate_padded)(added)
@@ -176,9 +152,7 @@ class Views:
             batch[name] = pin_tensor(value) if isinstance(value, Tensor) and _is_pinned(batch) else value
         return batch
 
-    def _rendered(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        """The new entries of each item."""
-        self._require_usable()
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         at_once = max(1, PIXELS // (self.n * self.size**2))
         entries: list[Item] = []
         for first in range(0, len(items), at_once):
@@ -246,14 +220,6 @@ class Views:
             columns = [column[name] for name in picture.landmark_names]
             pixels[view, columns], visible[view, columns] = picture.landmark_pixels, picture.landmark_visible
         return {"landmark_pixels": pixels, "landmark_visible": visible}
-
-    def _require_usable(self) -> None:
-        """Raise ``ConfigError`` for a GPU in a worker process."""
-        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
-            raise ConfigError(
-                f"Views on {self.device} in a worker process, where a GPU cannot be shared: give "
-                "GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
-            )
 
 
 # ------------------------------------------------------------------------------------------------------ in a thread

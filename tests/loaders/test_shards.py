@@ -14,7 +14,7 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
-from gcd_dataset.shards import FIELDS, MEMBERS, read_index
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardWriter, read_index
 from gcd_dataset.shards.reader import Quality, Verify
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
