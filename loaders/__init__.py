@@ -32,6 +32,7 @@ from gcd_dataset.lazy import lazy_names
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
 from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.items import BodyFields, GarmentFields
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.shards import GarmentDataset
@@ -58,11 +59,13 @@ __all__ = [
     "Augmented",
     "Bodies",
     "BodyDataset",
+    "BodyFields",
     "Chain",
     "ElasticSampler",
     "FakeGarments",
     "FreshGarments",
     "GarmentDataset",
+    "GarmentFields",
     "GarmentLoader",
     "Garments",
     "GeneratedGarments",

@@ -9,7 +9,7 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
 import torch
@@ -26,12 +26,15 @@ from gcd_dataset.loaders.indexing import (
     selected,
     unknown_key,
 )
+from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
-from gcd_dataset.shards.codec import decode_field, read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, members_of
+from gcd_dataset.records import Sample
+from gcd_dataset.shards.codec import decode_field, decode_sample, read_meta
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
 from gcd_dataset.shards.store import Store
 
 __all__ = [
+    "DerivedGarments",
     "GarmentItem",
     "Garments",
     "Item",
@@ -81,7 +84,7 @@ class GarmentItem(dict[str, Any]):
         return item_html(self)
 
 
-class Garments(Dataset[Item], ABC):
+class Garments(Dataset[GarmentFields], ABC):
     """Garments by index or key; ``fields`` selects the fields of an item, ``transform`` is called with each item.
 
     ======================================  ============================================================================
@@ -127,6 +130,16 @@ class Garments(Dataset[Item], ABC):
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions of garment ``index``: enough to make it again."""
 
+    def sample(self, index: int | str) -> Sample:
+        """The record of garment ``index``, with all that is stored or made of it, whatever ``fields`` are.
+
+        Raises as ``ds[i]`` does, and ``ConfigError`` where members are missing, as in a download of some fields.
+        """
+        members = self._members(self._position(index), tuple(self._member_of.values()))
+        if missing := [member for member in MEMBERS if member not in members]:
+            raise ConfigError(f"sample {index}: the data set holds no {missing[0]}: give one with all members")
+        return decode_sample(members)
+
     @abstractmethod
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` if the bytes of garment ``index`` differ from the expected ones."""
@@ -141,6 +154,12 @@ class Garments(Dataset[Item], ABC):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         """Encoded members of a garment, at least those named in ``members``."""
 
+    @overload
+    def __getitem__(self, index: slice) -> "Garments": ...
+    @overload
+    def __getitem__(self, index: SupportsIndex | str) -> GarmentFields: ...
+    @overload
+    def __getitem__(self, index: Sequence[int] | list[str]) -> list[GarmentFields]: ...
     def __getitem__(self, index: Any) -> Any:
         """The item of an index or key; a list of items for several, a data set for a slice.
 
@@ -151,7 +170,7 @@ class Garments(Dataset[Item], ABC):
         several = index_list(index)
         return self._load(self._position(index)) if several is None else self.__getitems__(several)
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[GarmentFields]:
         """All garments in order."""
         return (self[index] for index in range(len(self)))
 
@@ -222,13 +241,44 @@ class Garments(Dataset[Item], ABC):
         return key_of(position)
 
 
-class SelectedGarments(Garments):
+class DerivedGarments(Garments):
+    """Garments of another data set, ``whole``."""
+
+    def __init__(self, whole: Garments, transform: Transform | None) -> None:
+        super().__init__(whole.fields, transform, available=whole.fields, dtype=whole.dtype)
+        self.whole, self.reads_only = whole, whole.reads_only
+
+    def _in_whole(self, position: int) -> int:
+        """The index in ``whole`` of a position."""
+        return position
+
+    def recipe(self, index: int) -> dict[str, Any]:
+        return self.whole.recipe(self._in_whole(self._position(index)))
+
+    def verify(self, index: int) -> None:
+        self.whole.verify(self._in_whole(self._position(index)))
+
+    def sample(self, index: int | str) -> Sample:
+        return self.whole.sample(self._in_whole(self._position(index)))
+
+    def tell_wait(self) -> None:
+        self.whole.tell_wait()
+
+    def _description(self) -> list[str]:
+        return [f"of {type(self.whole).__name__}", *self.whole._description()]
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(self._in_whole(position))
+
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        return self.whole._members(self._in_whole(position), members)
+
+
+class SelectedGarments(DerivedGarments):
     """Selected garments of a data set, in a given order; fields and transform are those of the data set."""
 
     def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
-        super().__init__(whole.fields, whole.transform, available=whole.fields, dtype=whole.dtype)
-        self.whole = whole
-        self.reads_only = whole.reads_only
+        super().__init__(whole, whole.transform)
         self.positions = np.asarray(positions, np.int64)
         """Index in ``whole`` of each selected garment."""
         if len(positions) and _are_whole_designs(self.positions, whole.garments_per_design):
@@ -237,41 +287,26 @@ class SelectedGarments(Garments):
     def __len__(self) -> int:
         return len(self.positions)
 
-    def recipe(self, index: int) -> dict[str, Any]:
-        return self.whole.recipe(int(self.positions[self._position(index)]))
-
-    def verify(self, index: int) -> None:
-        self.whole.verify(int(self.positions[self._position(index)]))
+    def _in_whole(self, position: int) -> int:
+        return int(self.positions[position])
 
     def _load(self, position: int) -> Any:
-        return self.whole[int(self.positions[position])]
+        return self.whole[self._in_whole(position)]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, fetched from ``whole`` in one call where it can."""
-        return load_items(self.whole, [int(self.positions[self._position(index)]) for index in indices])
+        return load_items(self.whole, [self._in_whole(self._position(index)) for index in indices])
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        return self.whole.stream(int(self.positions[self._position(index)]) for index in indices)
+        return self.whole.stream(self._in_whole(self._position(index)) for index in indices)
 
     def identity(self) -> dict[str, Any]:
         """Identity of ``whole``, and a checksum of the selected indices."""
         return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
 
-    def tell_wait(self) -> None:
-        self.whole.tell_wait()
-
-    def _description(self) -> list[str]:
-        return [f"of {type(self.whole).__name__}", *self.whole._description()]
-
     def _find_key(self, key: str) -> int | None:
         position = self.whole._find_key(key)
         return None if position is None else next(iter(np.flatnonzero(self.positions == position).tolist()), None)
-
-    def _key(self, position: int) -> str:
-        return self.whole._key(int(self.positions[position]))
-
-    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self.whole._members(int(self.positions[position]), members)
 
 
 def _are_whole_designs(positions: Int[np.ndarray, " n"], garments_per_design: int) -> bool:

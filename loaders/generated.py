@@ -5,6 +5,7 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
@@ -27,7 +28,7 @@ from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import (
     SCHEMA,
     Bytes,
@@ -141,6 +142,11 @@ class GeneratedGarments(Garments):
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
+    def sample(self, index: int | str) -> Sample:
+        known = partial(self._cached, fields=self._member_of)
+        options = {"finished": self._encoded, "known": known, "pictured": True}
+        return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
+
     def pack(self) -> None:
         """Write the cached garments of incomplete shards into shards.
 
@@ -243,12 +249,12 @@ class GeneratedGarments(Garments):
             self._sample_cache.keep(position, members)
         return members
 
-    def _cached(self, position: int) -> Mapping[str, Bytes] | None:
-        """The members that an item needs, from the cache; ``None`` if the garment is missing or damaged."""
+    def _cached(self, position: int, fields: Iterable[str] | None = None) -> Mapping[str, Bytes] | None:
+        """The members for ``fields``, by default those of an item, from the cache; ``None`` if missing or damaged."""
         members = None
         try:
             if self._sample_cache is not None:
-                members = self._sample_cache.read(position, members_of(self.fields, self._member_of))
+                members = self._sample_cache.read(position, members_of(fields or self.fields, self._member_of))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
         if members is None:

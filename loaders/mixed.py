@@ -14,6 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, Transform, load_items, require_garments, require_integer
 from gcd_dataset.loaders.indexing import IndexRangeError, UnknownKeyError, require_whole_number
 from gcd_dataset.loaders.order import cached_permutation
+from gcd_dataset.records import Sample
 from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["MixedDataset"]
@@ -107,6 +108,10 @@ class MixedDataset(Garments):
         """Raise ``ShardError`` if the bytes of garment ``index`` differ from the expected ones."""
         part, part_index = self.source(index)
         self.datasets[part].verify(part_index)
+
+    def sample(self, index: int | str) -> Sample:
+        part, part_index = self.source(self._position(index))
+        return self.datasets[part].sample(part_index)
 
     def identity(self) -> dict[str, Any]:
         """Identities of the data sets, weights and seed."""

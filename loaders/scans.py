@@ -27,16 +27,8 @@ class Scan(SceneTransform):
     >>> ds[0]["scan"].shape  # doctest: +SKIP
     torch.Size([4096, 6])
 
-    An item gets:
-
-    =====================  =============================================================================================
-    ``scan``               f32 [points, 6]: measured position [cm], true normal towards the camera; all NaN where the
-                           cameras measured nothing
-    ``scan_panel_id``      i32 [points]: panel, a row of the garment's own ``panels``; -1 on the body
-    ``scan_camera``        i32 [points]: camera of each point; -1 where nothing is measured
-    ``scan_camera_rt``     f32 [n, 3, 4]: true [R | t] of each camera, world to camera [1, cm]
-    ``scan_camera_k``      f32 [n, 3, 3]: intrinsics [pixels]
-    =====================  =============================================================================================
+    An item gets ``scan`` [points, 6], ``scan_panel_id``, ``scan_camera``, ``scan_camera_rt`` [n, 3, 4] and
+    ``scan_camera_k``, described in ``GarmentFields``.
 
     Scans are a function of ``seed``, epoch and garment, as for ``Views``; not of workers, order or batch.
     A CPU and a GPU differ in roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in

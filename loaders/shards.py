@@ -37,6 +37,7 @@ from gcd_dataset.loaders.ranks import (
 )
 from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
+from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.foreign_member import decode_member
@@ -182,6 +183,10 @@ class GarmentDataset(Garments):
             with note_items(self, index), reader.naming(position):
                 items.append(self._item(members, self._position(index)))
         return items
+
+    def sample(self, index: int | str) -> Sample:
+        part, position = self._locate(self._position(index))
+        return part.reader.sample(position)
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions of garment ``index``, and ``source`` if it is remote.

@@ -30,13 +30,8 @@ class Sketch(SceneTransform):
     >>> ds[0]["sketch"].shape  # doctest: +SKIP
     torch.Size([2, 512, 512])
 
-    An item gets:
-
-    =================  =================================================================================================
-    ``sketch``         u8 [n, size, size]: grey, dark lines on white; a drawing for each of ``yaws``
-    ``sketch_k``       f32 [n, 3, 3]: intrinsics [pixels]
-    ``sketch_rt``      f32 [n, 3, 4]: [R | t] of each view, world to camera [1, cm]; OpenCV's conventions, as ``Views``
-    =================  =================================================================================================
+    An item gets ``sketch`` [n, size, size] for the n ``yaws``, ``sketch_k`` and ``sketch_rt``, described in
+    ``GarmentFields``.
 
     Lines drawn by hand and ``turn`` are a function of ``seed``, epoch and garment, as for ``Views``; not of workers,
     order or batch. Clean lines from a fixed side are the same in every epoch. A CPU and a GPU differ in roundings. As a

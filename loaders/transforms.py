@@ -20,6 +20,7 @@ import torch
 from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import (
+    DerivedGarments,
     Garments,
     Item,
     as_transform_error,
@@ -33,7 +34,6 @@ from gcd_dataset.loaders.base import (
 from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
-from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
@@ -174,7 +174,7 @@ class PartialView:
         return np.sort(hull[hull < len(rays)])
 
 
-class Augmented(Garments):
+class Augmented(DerivedGarments):
     """Garments with an augmentation that differs each epoch; ``set_epoch`` reaches running workers too.
 
     ``augment`` is applied after the data set's own ``transform``. Raises ``ConfigError`` for anything but a data set of
@@ -183,10 +183,9 @@ class Augmented(Garments):
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
         require_garments("Augmented", whole)
-        super().__init__(whole.fields, None, available=whole.fields, dtype=whole.dtype)
-        self.whole, self.seed = whole, require_integer("seed", seed)
-        self.augment = require_callable("augment", augment, "item, rng")
-        self.reads_only, self.garments_per_design = whole.reads_only, whole.garments_per_design
+        super().__init__(whole, None)
+        self.augment, self.seed = require_callable("augment", augment, "item, rng"), require_integer("seed", seed)
+        self.garments_per_design = whole.garments_per_design
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")
         self._epoch = shared_number()
@@ -198,17 +197,8 @@ class Augmented(Garments):
     def __len__(self) -> int:
         return len(self.whole)
 
-    def recipe(self, index: int) -> dict[str, Any]:
-        return self.whole.recipe(index)
-
-    def verify(self, index: int) -> None:
-        self.whole.verify(index)
-
     def identity(self) -> dict[str, Any]:
         return self.whole.identity()
-
-    def tell_wait(self) -> None:
-        self.whole.tell_wait()
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         positions = [self._position(index) for index in indices]
@@ -227,17 +217,8 @@ class Augmented(Garments):
     def _load(self, position: int) -> Any:
         return self._augmented(self.whole[position], position)
 
-    def _description(self) -> list[str]:
-        return [f"of {type(self.whole).__name__}", *self.whole._description()]
-
     def _find_key(self, key: str) -> int | None:
         return self.whole._find_key(key)
-
-    def _key(self, position: int) -> str:
-        return self.whole._key(position)
-
-    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self.whole._members(position, members)
 
     def _augmented(self, item: Item, position: int) -> Item:
         with as_transform_error(self, position):

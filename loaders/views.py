@@ -57,23 +57,10 @@ class Views(SceneTransform):
     >>> next(iter(loader))["views"].shape  # doctest: +SKIP
     torch.Size([8, 4, 256, 256, 3])
 
-    An item gets:
-
-    ==========================  ========================================================================================
-    ``views``                   u8 [n, size, size, 3]: sRGB
-    ``camera_k``                f32 [n, 3, 3]: intrinsics [pixels]
-    ``camera_rt``               f32 [n, 3, 4]: [R | t], world to camera [1, cm]
-    ``depth_map``, …            [n, size, size] or [n, size, size, channels], for each of ``maps``; see
-                                ``generator.render.Picture``. Panels and seams are rows of the garment's own pattern.
-    ``panel_corners``           i32 [k, 2]: panel and corner of each row of the two entries below
-    ``panel_corner_pixels``     f32 [k, n, 2]: column and row in each view; NaN behind the camera
-    ``panel_corner_visible``    bool [k, n]: in the picture, and hidden by nothing
-    ``landmark_pixels``         f32 [n, l, 2]: landmarks of the body, ``landmark_names``; NaN where the body has none
-    ``landmark_visible``        bool [n, l]
-    ==========================  ========================================================================================
-
-    The conventions are OpenCV's: camera axes x right, y down, z forward; a point X [cm] is at K (R X + t); the centre
-    of the upper left pixel is (0, 0). ``front`` and ``back``, the plain pictures, stay as they are.
+    An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
+    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
+    on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
+    ``front`` and ``back``, the plain pictures, stay as they are.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
