@@ -1,14 +1,13 @@
 """Base classes of the data sets of garments, and the checks of their arguments."""
 
 import inspect
-import logging
 import math
-import numbers
 import operator
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
+from numbers import Real
 from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
@@ -31,7 +30,6 @@ from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_field, decode_sample, read_meta
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
-from gcd_dataset.shards.store import Store
 
 __all__ = [
     "DerivedGarments",
@@ -51,20 +49,12 @@ __all__ = [
     "require_number",
     "require_ranges",
     "tensor_of",
-    "warn_unfinished",
 ]
-
-logger = logging.getLogger("gcd_dataset")
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
 Transform: TypeAlias = Callable[[Item], Any]
 NOTHING: Mapping[str, str] = {}
-USES: Mapping[str, str] = {
-    "item": "as transform= of its data set",
-    "item, rng": "to Augmented(dataset, augment), which passes each garment's random stream",
-}
-"""Arguments of users' functions, and where a function of these is given."""
 
 
 class GarmentItem(dict[str, Any]):
@@ -376,14 +366,6 @@ def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
-def warn_unfinished(store: Store, splits: Iterable[str]) -> None:
-    """Log a warning for each split whose run has not finished."""
-    for split in splits:
-        if (fault := store.unfinished(split)) is not None:
-            message = "%s: split %s is unfinished: %s; partial=True opens it without this warning"
-            logger.warning(message, store.location(), split, fault)
-
-
 def require_integer(name: str, value: int, least: int = 0) -> int:
     """An argument as an integer. Raises ``ConfigError`` unless it is an integer of at least ``least``.
 
@@ -400,13 +382,9 @@ def require_integer(name: str, value: int, least: int = 0) -> int:
 
 
 def require_number(name: str, value: float, *, least: float = 0.0, most: float = math.inf, unit: str = "") -> float:
-    """An argument as a float. Raises ``ConfigError`` unless it is a finite number from ``least`` to ``most``.
-
-    >>> require_number("sigma", 1, unit=" cm")
-    1.0
-    """
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (is_number and least <= value <= most and math.isfinite(value)):
+    """An argument as a float. Raises ``ConfigError`` unless it is a finite number from ``least`` to ``most``."""
+    given: Any = value
+    if not isinstance(given, Real) or isinstance(given, bool) or not (least <= value <= most and math.isfinite(value)):
         limits = f"{least:g}{unit} or more" if most == math.inf else f"{least:g} to {most:g}{unit}"
         raise ConfigError(f"{name}={value!r:.99}: give a finite number{'' if least == -math.inf else f', {limits}'}")
     return float(value)
@@ -422,10 +400,11 @@ def require_garments(user: str, value: Any) -> None:
 def require_callable(name: str, value: Any, takes: str = "item") -> Any:
     """The argument. Raises ``ConfigError`` for anything but a function of ``takes``, such as ``item, rng``."""
     if not callable(value):
-        raise ConfigError(f"{name}={value!r:.99}: give a function of {takes}, or leave it out")
-    fitting = next((each for each in (takes, *(USES if takes in USES else ())) if _can_take(value, each)), None)
-    if fitting != takes:
-        remedy = f"a function of {takes}" if fitting is None else f"it {USES[fitting]}"
+        raise ConfigError(f"{name}={value!r:.99}: give a function of {takes}")
+    if not _can_take(value, takes):
+        remedy = f"a function of {takes}"
+        if takes == "item" and _can_take(value, "item, rng"):
+            remedy = "it to Augmented(dataset, augment), which passes each garment's random stream"
         raise ConfigError(f"{name}={value!r:.99} cannot be called with ({takes}): give {remedy}")
     return value
 
@@ -441,22 +420,18 @@ def _can_take(function: Callable[..., Any], arguments: str) -> bool:
 
 
 def require_ranges(name: str, given: Any, usual: Any) -> Any:
-    """``given``, or ``usual`` for ``None``.
-
-    Raises ``ConfigError`` unless it has the class of ``usual``, a dataclass, with finite numbers and ascending pairs.
-    """
+    """``given``, or ``usual`` for ``None``: dataclasses. Raises ``ConfigError`` for another class or invalid numbers."""
     if given is None:
         return usual
     if not isinstance(given, type(usual)):
         raise ConfigError(f"{name}={given!r:.99}: give {type(usual).__name__}(…), or leave it out")
     for entry in fields(given):
-        value, default = getattr(given, entry.name), entry.default
+        value, default = getattr(given, entry.name), getattr(usual, entry.name)
         if type(default) is float:
             require_number(f"{entry.name} of {name}", value)
-        elif isinstance(default, tuple) and len(default) == 2:
-            low, high = value if isinstance(value, Sequence) and len(value) == 2 else (value, value)
-            low = require_number(f"{entry.name} of {name}", low, least=-math.inf)
-            require_number(f"{entry.name} of {name}", high, least=low)
+        elif isinstance(default, tuple) and default and type(default[0]) is float:
+            for number in value if isinstance(value, tuple) else [value]:
+                require_number(f"{entry.name} of {name}", number, least=-math.inf)
     return given
 
 

@@ -21,7 +21,6 @@ from gcd_dataset.loaders.base import (
     require_callable,
     require_float_dtype,
     tensor_of,
-    warn_unfinished,
     wrap_item,
 )
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_index
@@ -40,8 +39,9 @@ FIELDS = ("name", "shape", "arm_angle", "measures", *POSES)
 class Bodies(Dataset[BodyFields], ABC):
     """People by index, each in two poses; all on one mesh, so that a plain ``DataLoader`` stacks them.
 
-    Items are ``BodyFields``. ``fields`` selects the fields of an item, ``None`` all; ``transform`` is called with each item; ``dtype`` is the
-    floating type, ``None`` the stored one. ``people[[3, 5]]`` is a list of items, ``people[2:5]`` a data set.
+    Items are ``BodyFields``. ``fields`` selects the fields of an item, ``None`` all; ``transform`` is called with each
+    item; ``dtype`` is the floating type, ``None`` the stored one. ``people[[3, 5]]`` is a list of items,
+    ``people[2:5]`` a data set.
     """
 
     columns: tuple[str, ...] = MEASURES
@@ -163,7 +163,7 @@ class BodyDataset(Bodies):
         super().__init__(fields, transform, dtype=dtype)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
         if not partial:
-            warn_unfinished(self._reader.store, [split])
+            self._reader.store.warn_unfinished([split])
         self._mesh = read_set_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property

@@ -14,7 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, concatenate, fill
-from gcd_dataset.loaders.worker import in_shared_memory, naming_full_memory
+from gcd_dataset.loaders.worker import naming_full_memory, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
@@ -22,7 +22,7 @@ __all__ = ["collate_list", "collate_packed", "collate_padded"]
 
 def collate_list(items: Sequence[Any]) -> list[Any]:
     """The items in a list, unchanged."""
-    return in_shared_memory(list(items))
+    return unwrap(sent(list(items)))
 
 
 def collate_packed(items: Sequence[Item]) -> PackedBatch:
@@ -54,7 +54,7 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     for field in items[0]:
         values = [item[field] for item in items]
         batch[field] = _pack(values, rows[field], batch, field) if field in rows else _stacked(values, field)
-    return in_shared_memory(batch)
+    return unwrap(sent(batch))
 
 
 def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = None) -> PaddedBatch:
@@ -82,7 +82,7 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
             batch[field], batch[f"{field}_mask"] = _pad(values, field, (rows or {}).get(field))
         else:
             batch[field] = _stacked(values, field)
-    return in_shared_memory(batch)
+    return unwrap(sent(batch))
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:

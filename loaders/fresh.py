@@ -29,7 +29,7 @@ from gcd_dataset.loaders.one_thread import copy_tensor
 from gcd_dataset.loaders.replay import Replay, ReplayRate, ReplayWindow
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 from gcd_dataset.loaders.transforms import Augment
-from gcd_dataset.loaders.worker import begin_worker, in_shared_memory, require_semaphores, unwrap, with_traceback
+from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
 
@@ -220,14 +220,6 @@ def _copied(item: Any) -> Any:
     )
 
 
-def _sent(made: list[Item] | GcdError) -> list[Item] | GcdError:
-    """The garments in shared memory, to be sent; if it is full, the error as a value."""
-    try:
-        return in_shared_memory(made)
-    except GcdError as error:
-        return with_traceback(error)
-
-
 class _MakeOrder:
     """The order in which garments are made: the designs in the window, then all others from index ``start`` on."""
 
@@ -256,7 +248,7 @@ class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
         # Finished garments wait in private memory: shared memory, 64 MB in a container, holds two garments per worker.
         is_here = get_worker_info() is None
-        return self._made() if is_here else map(_sent, prefetch(self._made_or_error(), READY))
+        return self._made() if is_here else map(sent, prefetch(self._made_or_error(), READY))
 
     def _made_or_error(self) -> Iterator[list[Item] | GcdError]:
         """The designs; then the error that ended them, if any, as a value."""

@@ -1,4 +1,4 @@
-"""The rank of this process, its GPU, and libraries that split a loader's items over ranks themselves."""
+"""The rank of this process, its device, and libraries that split a loader's items over ranks themselves."""
 
 import os
 import sys
@@ -7,18 +7,19 @@ from types import FrameType
 
 import torch
 import torch.distributed
-from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
+from gcd_dataset.devicenames import devices_name, named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import require_integer
 
 __all__ = [
     "accelerate_is_active",
     "current_rank",
+    "device_of_process",
+    "devices_of_process",
     "gpu_of_rank",
     "gpus_of_rank",
     "in_process_group",
-    "requested_batch",
     "require_rank",
     "sharding_library",
 ]
@@ -118,18 +119,26 @@ def sharding_library() -> str | None:
     return None
 
 
-def requested_batch() -> int:
-    """Size of the batch that a ``DataLoader`` is reading from a stream in this thread; 1 for single items."""
-    # torch tells a stream neither the batch size nor drop_last.
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None:
-        if frame.f_code is _IterableDatasetFetcher.fetch.__code__:
-            return len(frame.f_locals["possibly_batched_index"] or [None])
-        frame = frame.f_back
-    return 1
-
-
 def accelerate_is_active() -> bool:
     """Whether ``accelerate`` has several ranks, in this process or the one that it was forked from."""
     state = getattr(sys.modules.get("accelerate.state"), "PartialState", None)
     return getattr(state, "_shared_state", {}).get("num_processes", 1) > 1
+
+
+def devices_of_process(device: str) -> str:
+    """The device names, with ``auto`` resolved; for a rank, its own. Raises ``ConfigError``."""
+    if not isinstance(device, str):
+        raise ConfigError(f"device={device!r:.99}: give a name, such as auto, cpu or cuda:0")
+    # device_count() only: initialising CUDA here would break workers that are forked later.
+    count = torch.cuda.device_count()
+    gpu = gpu_of_rank(count) if count and device in ("auto", "cuda") else None
+    if gpu is not None:
+        return f"cuda:{gpu}"
+    if device != "auto":
+        return devices_name(gpus_of_rank(named_devices(device)))
+    return devices_name([f"cuda:{number}" for number in range(count)] or ["cpu"])
+
+
+def device_of_process(device: str) -> str:
+    """As ``devices_of_process``, one device: the first of several. Raises ``ConfigError``."""
+    return named_devices(devices_of_process(device))[0]

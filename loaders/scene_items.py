@@ -17,7 +17,7 @@ from gcd_dataset.bodies import POSES
 from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, require_callable, require_integer
 from gcd_dataset.loaders.body_datasets import Bodies
-from gcd_dataset.loaders.devices import device_of_process
+from gcd_dataset.loaders.ranks import device_of_process
 from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage, rng

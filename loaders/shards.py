@@ -8,33 +8,21 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
+from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.available import absent_when_empty
-from gcd_dataset.loaders.base import (
-    GarmentItem,
-    Garments,
-    Transform,
-    note_items,
-    recipe_from_meta,
-    tensor_of,
-    warn_unfinished,
-)
+from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
-from gcd_dataset.loaders.ranks import (
-    accelerate_is_active,
-    current_rank,
-    in_process_group,
-    requested_batch,
-    sharding_library,
-)
+from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
 from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.records import Sample
@@ -145,7 +133,7 @@ class GarmentDataset(Garments):
             name: ShardReader(store, name, verify=verify, settled_only=settled_only, quality=quality) for name in splits
         }
         if not partial:
-            warn_unfinished(store, splits)
+            store.warn_unfinished(splits)
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])
@@ -384,7 +372,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
                 "streaming=True in workers with accelerate, which may split the garments too: give num_workers=0, or "
                 "leave out streaming=True and load with a GarmentLoader"
             )
-        size = requested_batch()
+        size = _requested_batch()
         batches = -(-len(share) // size)
         begin, end = (edge * batches // worker.num_workers * size for edge in (worker.id, worker.id + 1))
         return share[begin:end]
@@ -432,6 +420,17 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     def _streamed_members(self) -> set[str]:
         """Members to extract; always ``meta.json``, which marks the start of a sample."""
         return {META, *self._member_names}
+
+
+def _requested_batch() -> int:
+    """Size of the batch that a ``DataLoader`` is reading from a stream in this thread; 1 for single items."""
+    # torch tells a stream neither the batch size nor drop_last.
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code is _IterableDatasetFetcher.fetch.__code__:
+            return len(frame.f_locals["possibly_batched_index"] or [None])
+        frame = frame.f_back
+    return 1
 
 
 def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int) -> Iterator[Mapping[str, Any]]:

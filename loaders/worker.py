@@ -19,9 +19,9 @@ from gcd_dataset.errors import ConfigError, GcdError
 
 __all__ = [
     "begin_worker",
-    "in_shared_memory",
     "naming_full_memory",
     "require_semaphores",
+    "sent",
     "shared_number",
     "unwrap",
     "with_traceback",
@@ -72,17 +72,18 @@ def require_semaphores(workers: int) -> None:
     held.clear()
 
 
-def in_shared_memory(value: Value) -> Value:
-    """In a worker, move the tensors of a batch or an item to shared memory; elsewhere do nothing.
+def sent(value: Value) -> Value | GcdError:
+    """In a worker the value with its tensors in shared memory, or the error as a value if that is full.
 
-    Raises ``ConfigError`` if shared memory is full. torch would move them in a thread, which only prints such an error,
-    while the training waits forever.
+    torch would move them in a thread, which only prints such an error, while the training waits forever.
     """
-    if get_worker_info() is not None:
-        with naming_full_memory():
-            for tensor in _tensors(value):
-                if tensor.device.type == "cpu" and tensor.layout is torch.strided:
+    try:
+        for tensor in _tensors(value) if get_worker_info() is not None else ():
+            if tensor.device.type == "cpu" and tensor.layout is torch.strided:
+                with naming_full_memory():
                     tensor.share_memory_()  # type: ignore[no-untyped-call]
+    except GcdError as error:
+        return with_traceback(error)
     return value
 
 

@@ -118,10 +118,9 @@ class Site:
         """A small file of this revision, cached; empty if it is missing. Raises ``RemoteError``."""
 
         def ask() -> bytes:
-            try:
+            with contextlib.suppress(MissingError):
                 return self._checked(self.web, name)
-            except MissingError:
-                return b""
+            return b""
 
         return self.cached(name.removeprefix("."), ask)
 
