@@ -22,7 +22,6 @@ from gcd_dataset.loaders.indexing import (
     index_from_key,
     index_list,
     resolve_index,
-    selected,
     unknown_key,
 )
 from gcd_dataset.loaders.items import GarmentFields
@@ -175,9 +174,16 @@ class Garments(Dataset[GarmentFields], ABC):
     def select(self, indices: Iterable[int]) -> "Garments":
         """A data set of the garments at ``indices`` or of these keys, in this order.
 
-        Raises ``IndexError``, ``KeyError`` and ``TypeError`` as ``ds[i]`` does.
+        Raises as ``ds[i]`` does, and ``ConfigError`` for anything but several of them.
         """
-        return SelectedGarments(self, [self._position(index) for index in selected(indices)])
+        is_array = isinstance(indices, torch.Tensor | np.ndarray)
+        if isinstance(indices, Iterable) and not is_array and not isinstance(indices, str | bytes | Mapping):
+            indices = list(indices)
+        several = index_list(indices)
+        if several is None:
+            hint = "select by a condition with [i for i, item in enumerate(dataset) if condition(item)]"
+            raise ConfigError(f"select({indices!r:.99}): give indices or keys in a list, array or range; {hint}")
+        return SelectedGarments(self, [self._position(index) for index in several])
 
     def __repr__(self) -> str:
         description = ", ".join([*self._description(), f"{len(self)} garments"])
@@ -366,8 +372,8 @@ def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
-def require_integer(name: str, value: int, least: int = 0) -> int:
-    """An argument as an integer. Raises ``ConfigError`` unless it is an integer of at least ``least``.
+def require_integer(name: str, value: int, least: int = 0, most: int | None = None) -> int:
+    """An argument as an integer. Raises ``ConfigError`` unless it is an integer from ``least`` to ``most``.
 
     >>> require_integer("batch_size", 8, least=1)
     8
@@ -378,6 +384,8 @@ def require_integer(name: str, value: int, least: int = 0) -> int:
         number = least - 1
     if number < least or isinstance(value, bool):
         raise ConfigError(f"{name}={value!r:.99}: give a whole number, {least} or more")
+    if most is not None and number > most:
+        raise ConfigError(f"{name}={number}: give {most} or less")
     return number
 
 
@@ -420,7 +428,7 @@ def _can_take(function: Callable[..., Any], arguments: str) -> bool:
 
 
 def require_ranges(name: str, given: Any, usual: Any) -> Any:
-    """``given``, or ``usual`` for ``None``: dataclasses. Raises ``ConfigError`` for another class or invalid numbers."""
+    """``given``, or ``usual`` for ``None``. Raises ``ConfigError`` for another dataclass, and for invalid numbers."""
     if given is None:
         return usual
     if not isinstance(given, type(usual)):

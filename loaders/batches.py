@@ -95,13 +95,10 @@ class _Batch(dict[str, Any]):
     design: list[dict[str, Any]] = _entry()
     measures: list[dict[str, float]] = _entry()
     body: Float[Tensor, "b k"] = _entry()
-    """Weights of the bodies' shape components [standard deviations]."""
     points: Float[Tensor, "b n 6"] = _entry()
-    """Surface points [cm] and normals."""
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()
     views: UInt8[Tensor, "b n h w 3"] = _entry()
-    """Pictures of ``Views``, or stored ones; the entries below are described there too."""
     camera_k: Float[Tensor, "b n 3 3"] = _entry()
     camera_rt: Float[Tensor, "b n 3 4"] = _entry()
     landmark_pixels: Float[Tensor, "b n l 2"] = _entry()

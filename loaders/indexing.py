@@ -10,7 +10,7 @@ gcd_dataset.loaders.indexing.IndexRangeError: garment 10 of 10: give -10 to 9
 
 import operator
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from itertools import islice
 from typing import Any
@@ -29,7 +29,6 @@ __all__ = [
     "index_list",
     "require_whole_number",
     "resolve_index",
-    "selected",
     "unknown_key",
 ]
 
@@ -92,19 +91,6 @@ def index_list(index: Any) -> list[Any] | None:
         numbers: list[Any] = index.tolist()
         return numbers
     return list(index) if isinstance(index, Sequence) and not isinstance(index, str | bytes) else None
-
-
-def selected(indices: Any) -> Iterable[Any]:
-    """The argument of ``select``: indices or keys. Raises ``ConfigError`` for anything else."""
-    if isinstance(indices, torch.Tensor | np.ndarray) and indices.ndim:
-        return index_list(indices) or ()
-    if isinstance(indices, str | bytes | Mapping | torch.Tensor | np.ndarray) or not isinstance(indices, Iterable):
-        by_condition = ", such as [i for i, item in enumerate(dataset) if condition(item)]"
-        raise ConfigError(
-            f"select({indices!r:.99}): give indices or keys in a list, array or range"
-            f"{by_condition if callable(indices) else ''}"
-        )
-    return indices
 
 
 def index_from_key(key: str) -> int | None:

@@ -62,8 +62,8 @@ class Scan(SceneTransform):
         from gcd_dataset.generator.render.scans import ScanRanges
 
         self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
-        super().__init__(seed, device, bodies)
-        self.size, self.body = require_integer("size", size, least=1), body
+        super().__init__(size, seed, device, bodies)
+        self.body = body
         self.noise = require_ranges("noise", noise, KINECT)
         self.cameras = require_ranges("cameras", cameras, ScanRanges())
 

@@ -30,6 +30,7 @@ VIEW_FIELDS: tuple[str, ...] = (
 )  # fmt: skip
 """The fields that ``Views``, ``Scan`` and ``Sketch`` read, and those that ``collate_packed`` needs for them."""
 NEEDED = ("meta", "spec", "verts", "faces", "uv", "panel_id", "seams", "corners", "uv_vertex")
+LARGEST = 4096  # pixels in a row
 BODIES_KEPT = 256  # bodies in memory: 150 MB
 
 BodyOf = Callable[[str], Body]
@@ -42,8 +43,9 @@ class SceneTransform(ABC):
     on_gpu = "give device='cpu'"
     """Remedy for a GPU in a worker process."""
 
-    def __init__(self, seed: int, device: str, bodies: Bodies | BodyOf | None) -> None:
-        self.seed, self.device = require_integer("seed", seed), device_of_process(device)
+    def __init__(self, size: int, seed: int, device: str, bodies: Bodies | BodyOf | None) -> None:
+        self.size, self.seed = require_integer("size", size, least=1, most=LARGEST), require_integer("seed", seed)
+        self.device = device_of_process(device)
         self._body_of = bodies_by_name(bodies)
         self._epoch, self._process = shared_number(), os.getpid()
 

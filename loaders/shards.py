@@ -16,14 +16,14 @@ import torch
 from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
 from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
+from gcd_dataset.files import user_path
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.available import absent_when_empty
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
-from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
@@ -38,6 +38,9 @@ from gcd_dataset.shards.tar import BLOCK, stream_samples
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
+RECIPE = "recipe:"
+SERVER = ("revision", "endpoint", "token", "max_cache_size", "patience")
+"""Options of remote sources."""
 LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
 EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
 """File extension to the size of an empty member [bytes], stored for a stage not made; other members are larger."""
@@ -126,7 +129,7 @@ class GarmentDataset(Garments):
         remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download, patience=patience)
         splits = tuple(dict.fromkeys(part.name for part in parts))
         if isinstance(source, str) and source.startswith(RECIPE):
-            store: Store = FolderStore(recipe_folder(source, remote, root, splits))
+            store: Store = FolderStore(_recipe_folder(source, remote, root, splits))
         else:
             store = open_store(source, remote, root=root, splits=splits, fields=fields)
         readers = {
@@ -255,6 +258,34 @@ class GarmentDataset(Garments):
             for name, value in values.items()
         )
         return self._transformed(item, position)
+
+
+def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:
+    """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
+
+    The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
+    recipe or split, and for options of remote sources; ``ShardError`` for a missing data set with ``download=False``.
+    """
+    # Imported here: other sources do not need the generator.
+    from gcd_dataset.generator.recipes import find_recipe
+    from gcd_dataset.verbs.recipes import ensure_recipe
+    from gcd_dataset.verbs.seal import is_sealed
+
+    if given := [name for name in SERVER if getattr(remote, name) is not None]:
+        raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
+    recipe = find_recipe(source.removeprefix(RECIPE))
+    for split in splits:
+        if split not in recipe.splits:
+            known = list(recipe.splits)
+            raise ConfigError(
+                f"{recipe.name} has no split {split}: there are {', '.join(known)}{did_you_mean(split, known)}"
+            )
+    base = remote.folder / "recipes" if root is None else user_path(root)
+    folder = base / recipe.name
+    if not remote.allowed and not is_sealed(folder, recipe):
+        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
+    ensure_recipe(recipe, folder)
+    return folder
 
 
 class _Part(NamedTuple):

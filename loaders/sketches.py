@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Item, require_integer, require_number, require_ranges
+from gcd_dataset.loaders.base import Item, require_number, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.scene_items import BodyOf, SceneTransform, StoredGarment, wearer_of
 from gcd_dataset.seeding import Stage
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.sketches import SketchStyle
 
 __all__ = ["Sketch"]
-
-LARGEST = 4096  # pixels
 
 
 class Sketch(SceneTransform):
@@ -61,10 +59,7 @@ class Sketch(SceneTransform):
     ) -> None:
         from gcd_dataset.generator.render.sketches import FLAT
 
-        super().__init__(seed, device, bodies)
-        self.size = require_integer("size", size, least=1)
-        if self.size > LARGEST:
-            raise ConfigError(f"size={self.size}: give {LARGEST} or less")
+        super().__init__(size, seed, device, bodies)
         if isinstance(yaws, str) or not isinstance(yaws, Sequence | np.ndarray) or not len(yaws):
             raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more in a tuple")
         self.yaws = tuple(require_number("yaws", yaw, least=-math.inf) for yaw in yaws)

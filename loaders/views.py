@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 __all__ = ["Views", "garments_in", "render_ahead"]
 
 MOST_VIEWS = 4096
-LARGEST = 4096  # pixels
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 
 Tag = TypeVar("Tag")
@@ -100,8 +99,8 @@ class Views(SceneTransform):
     ) -> None:
         from gcd_dataset.generator.render import Ranges
 
-        self.n, self.size = _within("n", n, MOST_VIEWS), _within("size", size, LARGEST)
-        super().__init__(seed, device, bodies)
+        super().__init__(size, seed, device, bodies)
+        self.n = require_integer("n", n, least=1, most=MOST_VIEWS)
         self.maps = _known_maps(maps)
         given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
         usual = Ranges()
@@ -289,13 +288,6 @@ def _unpadded(batch: PaddedBatch, number: int) -> Item:
 
 def _is_pinned(batch: Mapping[str, Any]) -> bool:
     return torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
-
-
-def _within(name: str, value: int, most: int) -> int:
-    number = require_integer(name, value, least=1)
-    if number > most:
-        raise ConfigError(f"{name}={number}: give {most} or less")
-    return number
 
 
 def _known_maps(maps: Sequence["MapName"]) -> tuple["MapName", ...]:

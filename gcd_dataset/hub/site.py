@@ -114,16 +114,6 @@ class Site:
                 _write_cache(marker, b"")
             raise
 
-    def optional_file(self, name: str) -> bytes:
-        """A small file of this revision, cached; empty if it is missing. Raises ``RemoteError``."""
-
-        def ask() -> bytes:
-            with contextlib.suppress(MissingError):
-                return self._checked(self.web, name)
-            return b""
-
-        return self.cached(name.removeprefix("."), ask)
-
     def forget(self, name: str) -> None:
         """Remove an invalid small file from the cache, if it may be fetched again."""
         with contextlib.suppress(OSError):

@@ -17,7 +17,7 @@ from gcd_dataset.shards.download_file import read_download_record
 from gcd_dataset.shards.layout import TRAIN, shard_number
 from gcd_dataset.shards.manifest import Manifest, read_manifest
 
-__all__ = ["filling", "note_name", "unfinished", "unfinished_copy"]
+__all__ = ["filling", "note_name", "unfinished", "unfinished_by"]
 
 
 @contextlib.contextmanager
@@ -50,26 +50,25 @@ def unfinished(folder: Path, split: str) -> str | None:
         content = note.read_bytes() if note.exists() else None
     if content is None and not parts:
         return None
-    return _message(read_manifest(folder) or Manifest(), split, content, folder)
+    return unfinished_by(content, read_manifest(folder) or Manifest(), split, folder)
 
 
-def unfinished_copy(manifest: Manifest, split: str, note: bytes) -> str | None:
-    """As ``unfinished``, for a data set on a server; ``note``: its file ``note_name``, or what came in its place."""
-    return None if _noted(note) is None else _message(manifest, split, note, None)
-
-
-def note_name(split: str) -> str:
-    """File name of the mark of a split. Raises ``ShardError`` for an unsafe split name."""
-    return f".unfinished-{require_name(split, 'split')}.json"
-
-
-def _message(manifest: Manifest, split: str, note: bytes | None, folder: Path | None) -> str:
-    splits, count = _noted(note or b"") or ([split], None)
+def unfinished_by(note: bytes | None, manifest: Manifest, split: str, folder: Path | None = None) -> str | None:
+    """The message for the content of a mark; ``None`` for a server's answer that is no mark."""
+    noted = _noted(note or b"")
+    if noted is None and folder is None:
+        return None
+    splits, count = noted or ([split], None)
     made = sum(shard.count for name in splits if name in manifest.splits for shard in manifest.splits[name].shards)
     progress = f"{made} samples in whole shards" if count is None else f"{made} of {count} samples"
     remedy = "ask its publisher to finish it" if folder is None else "run the same command again"
     command = "" if folder is None or count is None else _command(manifest, split, count, folder)
     return f"{progress}: its run was stopped, or is still running: {remedy}{command}"
+
+
+def note_name(split: str) -> str:
+    """File name of the mark of a split. Raises ``ShardError`` for an unsafe split name."""
+    return f".unfinished-{require_name(split, 'split')}.json"
 
 
 def _noted(note: bytes) -> tuple[Iterable[str], int] | None:
