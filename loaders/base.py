@@ -7,7 +7,6 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from numbers import Real
 from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
@@ -50,9 +49,9 @@ __all__ = [
     "tensor_of",
 ]
 
-Item: TypeAlias = dict[str, Any]
-"""A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
-Transform: TypeAlias = Callable[[Item], Any]
+Item: TypeAlias = Mapping[str, Any]
+"""An item: ``GarmentFields``, or fields with what users' transforms made of them."""
+Transform: TypeAlias = Callable[[Any], Any]
 NOTHING: Mapping[str, str] = {}
 
 
@@ -209,7 +208,7 @@ class Garments(Dataset[GarmentFields], ABC):
         """Decode members to an item and transform it; ``position`` is for the error message."""
         return self._transformed(decode_item(members, self.fields, self.dtype), position)
 
-    def _transformed(self, item: GarmentItem, position: int) -> Any:
+    def _transformed(self, item: Any, position: int) -> Any:
         if self.transform is None:
             return item
         with as_transform_error(self, position):
@@ -389,10 +388,10 @@ def require_integer(name: str, value: int, least: int = 0, most: int | None = No
     return number
 
 
-def require_number(name: str, value: float, *, least: float = 0.0, most: float = math.inf, unit: str = "") -> float:
+def require_number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf, unit: str = "") -> float:
     """An argument as a float. Raises ``ConfigError`` unless it is a finite number from ``least`` to ``most``."""
-    given: Any = value
-    if not isinstance(given, Real) or isinstance(given, bool) or not (least <= value <= most and math.isfinite(value)):
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (is_number and least <= value <= most and math.isfinite(value)):
         limits = f"{least:g}{unit} or more" if most == math.inf else f"{least:g} to {most:g}{unit}"
         raise ConfigError(f"{name}={value!r:.99}: give a finite number{'' if least == -math.inf else f', {limits}'}")
     return float(value)

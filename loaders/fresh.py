@@ -25,6 +25,7 @@ from gcd_dataset.loaders.base import (
     require_integer,
     wrap_item,
 )
+from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import copy_tensor
 from gcd_dataset.loaders.replay import Replay, ReplayRate, ReplayWindow
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
@@ -36,7 +37,7 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["FreshGarments"]
 
 
-class FreshGarments(IterableDataset[Item]):
+class FreshGarments(IterableDataset[GarmentFields]):
     """A stream of garments generated during training, each used ``replay`` times.
 
     >>> from gcd_dataset.loaders import FakeGarments
@@ -110,7 +111,7 @@ class FreshGarments(IterableDataset[Item]):
 
         return fresh_html(self)
 
-    def __iter__(self) -> Iterator[Item]:
+    def __iter__(self) -> Iterator[GarmentFields]:
         """The next epoch, or the rest of the loaded state's epoch."""
         start = self._position = self._next
         self._next = (start // max(len(self), 1) + 1) * len(self)
@@ -159,7 +160,7 @@ class FreshGarments(IterableDataset[Item]):
         self._next = self._position = position
         self._iterator += 1
 
-    def _counted(self, start: int, iterator: int) -> Iterator[Item]:
+    def _counted(self, start: int, iterator: int) -> Iterator[Any]:
         for position, item in enumerate(self.begin_at(start), start + 1):
             if iterator == self._iterator:  # no later iter() or load_state_dict()
                 self._position = position

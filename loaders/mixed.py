@@ -55,7 +55,7 @@ class MixedDataset(Garments):
         seed: int = 0,
         transform: Transform | None = None,
     ) -> None:
-        if isinstance(datasets, str) or not isinstance(datasets, Sequence):
+        if not isinstance(datasets, list | tuple):
             raise ConfigError(f"datasets={datasets!r:.99}: give a list of data sets")
         self.datasets, self.weights = tuple(datasets), _integer_ratio(weights)
         _require_compatible(self.datasets, weights)

@@ -60,7 +60,7 @@ class Sketch(SceneTransform):
         from gcd_dataset.generator.render.sketches import FLAT
 
         super().__init__(size, seed, device, bodies)
-        if isinstance(yaws, str) or not isinstance(yaws, Sequence | np.ndarray) or not len(yaws):
+        if not isinstance(yaws, list | tuple | np.ndarray) or not len(yaws):
             raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more in a tuple")
         self.yaws = tuple(require_number("yaws", yaw, least=-math.inf) for yaw in yaws)
         self.turn = require_number("turn", turn, most=180.0, unit=" degrees")

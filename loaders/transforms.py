@@ -37,7 +37,7 @@ from gcd_dataset.seeding import rng as seeded_rng
 
 __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
-Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
+Augment: TypeAlias = Callable[[Any, np.random.Generator], Any]
 """A function of an item and a random stream that returns the changed item."""
 
 PLACED = ("box", "verts", "points", "scan")
@@ -82,7 +82,7 @@ class Yaw:
         angle = rng.uniform(-self.most, self.most)
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = torch.tensor([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]], dtype=torch.float32)
-        turned: Item = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
+        turned: dict[str, Any] = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
         turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
         turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
         if "meta" in item and turned and angle:

@@ -13,7 +13,6 @@ Sources, by the names used below:
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -58,7 +57,7 @@ class DepthNoise:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (isinstance(value, Real) and math.isfinite(value) and value >= 0):
+            if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{field.name} of depth noise is {value}: give 0 or more")
         for name in ("flying", "holes"):
             if getattr(self, name) > 1:

@@ -13,7 +13,6 @@ Lines are found in a range image and drawn as smooth strokes at any size:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -71,7 +70,7 @@ class SketchStyle:
     """Width of all lines, as a multiple of the standard one."""
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.weight, Real) and math.isfinite(self.weight) and self.weight > 0):
+        if not (math.isfinite(self.weight) and self.weight > 0):
             raise ConfigError(f"weight of a sketch's lines is {self.weight}: give more than 0")
 
 

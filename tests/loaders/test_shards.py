@@ -72,7 +72,7 @@ def test_indices_count_from_both_ends(folder: Path) -> None:
 
 
 def test_a_transform_sees_every_item(folder: Path) -> None:
-    ds = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
+    ds: Any = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
     assert ds[3] == len(FakeGarments(COUNT)[3]["verts"])
 
 
