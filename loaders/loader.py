@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, require_integer
+from gcd_dataset.loaders.base import Garments, require_callable, require_integer
 from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
@@ -79,8 +79,7 @@ class GarmentLoader:
     ) -> None:
         self.dataset, self.batch_size = dataset, require_integer("batch_size", batch_size, least=1)
         num_workers = require_integer("num_workers", num_workers)
-        if not callable(collate_fn):
-            raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
+        require_callable("collate_fn", collate_fn, "items")
         _require_views(views)
         in_workers = views if views is not None and views.device == "cpu" and num_workers else None
         self._views = None if in_workers is not None else views

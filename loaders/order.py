@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import lru_cache
+from os import PathLike
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -89,10 +90,11 @@ class SampleOrder:
 
     With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, otherwise it is 0, 1, 2, …. An ``endless``
     data set, such as ``MixedDataset``, has an order of its own: index = position. Raises ``ConfigError`` for an empty
-    data set.
+    data set, and for anything but a data set with a length and indices.
     """
 
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
+        _require_indexable(dataset)
         self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
             raise ConfigError("an empty data set has no order: give a data set with at least one garment")
@@ -139,6 +141,16 @@ class SampleOrder:
 
     def _entries(self) -> dict[str, Any]:
         return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length}
+
+
+def _require_indexable(dataset: Any) -> None:
+    if isinstance(dataset, str | PathLike):
+        raise ConfigError(f"dataset={dataset!r:.99} is a path: give GarmentDataset({str(dataset)!r})")
+    is_sized = isinstance(dataset, Sized) and hasattr(dataset, "__getitem__")
+    if not is_sized or isinstance(dataset, bytes | type | Mapping):
+        raise ConfigError(
+            f"dataset={dataset!r:.99}: give a data set with a length and indices, as GarmentDataset(…) is"
+        )
 
 
 @dataclass(frozen=True)

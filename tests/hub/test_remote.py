@@ -387,14 +387,12 @@ def captions(hub: Hub, tmp_path: Path) -> str:
 
 def test_foreign_tars_of_a_repository(hub: Hub, captions: str, tmp_path: Path) -> None:
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache"}
-    ds = GarmentDataset("org/foreign", **options)
-    assert [item["txt"] for item in ds] == [str(i) for i in range(6)]
-    assert [item["txt"] for item in GarmentDataset("org/foreign", streaming=True, **options)] == [
-        item["txt"] for item in ds
-    ]
+    ds: Any = GarmentDataset("org/foreign", **options)
+    stream: Any = GarmentDataset("org/foreign", streaming=True, **options)
+    assert [item["txt"] for item in ds] == [item["txt"] for item in stream] == [str(i) for i in range(6)]
     assert len(ds[5]["npy"]) == 205
     hub.stop()
-    again = GarmentDataset("org/foreign", revision=captions, fields=["npy"], **options)
+    again: Any = GarmentDataset("org/foreign", revision=captions, fields=["npy"], **options)
     assert [len(item["npy"]) for item in again] == [200 + i for i in range(6)]
 
 

@@ -20,7 +20,7 @@ B = 5
 
 
 @pytest.fixture(scope="module")
-def items() -> list[dict[str, Any]]:
+def items() -> list[Any]:
     ds = FakeGarments(B, seed=3)
     return [ds[i] for i in range(B)]
 

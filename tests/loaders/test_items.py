@@ -181,8 +181,8 @@ def test_a_list_of_indices_gives_a_list_of_items(sets: dict[str, Path], way: str
 
 
 def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["meta"])
-    mixed = MixedDataset([ds], [1])
+    ds: Any = GarmentDataset(sets["pattern"], fields=["meta"])
+    mixed: Any = MixedDataset([ds], [1])
     for index in (True, np.bool_(True), torch.tensor(True), 1.0, None, [True, False], ds):
         for garments in (ds, mixed, ds.select([0])):
             with pytest.raises(TypeError, match="give a whole number"):
