@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset import __version__
+from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
@@ -20,15 +21,18 @@ from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
+from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, Reject, check_outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.release.published_names import ENDINGS
+from gcd_dataset.spec import read_pattern, write_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["Fitting", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
+__all__ = ["Fitting", "drape_patterns", "read_patterns", "write_drawn", "write_fitting", "write_report"]
 
 log = logging.getLogger(__name__)
 
@@ -78,6 +82,22 @@ def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
         if pattern.name in {other.name for other in patterns[:number]}:
             raise ConfigError(f"two patterns are called {pattern.name}: rename a file, since outputs go by this name")
     return patterns
+
+
+def write_drawn(
+    design: OutfitDesign, size: Measurements, folder: Path, *, name: str
+) -> tuple[Pattern, tuple[Reject, ...]]:
+    """The pattern of a design for a wearer, and the rules that it breaks.
+
+    Writes specification, SVG and measures to ``folder``, under the names of the published data. Raises
+    ``PatternError`` for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
+    """
+    drawn = DrawnOutfit.of(size, design, name=name)
+    pattern, stem = require_valid(drawn.pattern), make_folder(folder) / safe_name(name)
+    write_pattern(pattern, f"{stem}{ENDINGS['spec']}")
+    write_whole(f"{stem}{ENDINGS['svg']}", pattern_svg(pattern))
+    write_measurements(size, f"{stem}{ENDINGS['measures']}")
+    return pattern, check_outfit(drawn)
 
 
 def drape_patterns(

@@ -9,9 +9,9 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, doctor, exchange, merge, show
@@ -20,6 +20,7 @@ from gcd_dataset.cli.verb import (
     BODY_NAMES,
     INTERRUPTED,
     Parser,
+    add_body,
     add_quiet,
     add_verb,
     body_name,
@@ -27,14 +28,19 @@ from gcd_dataset.cli.verb import (
     natural_number,
     process_count,
     stopped,
+    wearer_of,
 )
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, user_path
 from gcd_dataset.options import add_options, given_options, options_of, read_options
 
+if TYPE_CHECKING:
+    from gcd_dataset.records import Measurements, Pattern
+
 __all__ = ["main"]
 
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
+DESIGN_ENDING = "_design_params"  # of published design files
 BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, no garments
 
 
@@ -153,26 +159,50 @@ def _require_no_store(options: argparse.Namespace, data: str) -> None:
 
 
 def _drape(options: argparse.Namespace) -> int:
+    from gcd_dataset.generator.fitting import read_patterns
+
+    patterns = read_patterns(options.spec)
+    return _drape_on_body(options, lambda size: patterns)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from gcd_dataset.errors import PatternError, SpecError
+    from gcd_dataset.generator.fitting import write_drawn
+    from gcd_dataset.generator.garments import read_design
+
+    try:
+        design = read_design(options.design)
+    except ConfigError as error:  # a bad file is bad input, not wrong usage
+        raise SpecError(str(error)) from error
+
+    def draw(size: "Measurements") -> "tuple[Pattern]":
+        name = options.design.stem.removesuffix(DESIGN_ENDING)
+        try:
+            pattern, rejects = write_drawn(design, size, options.out, name=name)
+        except PatternError as error:
+            raise PatternError(f"{options.design}: {error}") from error
+        for reject in rejects:
+            print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
+        body = ", ".join(f"{measure} {getattr(size, measure):.1f}" for measure in ("height", "bust", "waist", "hips"))
+        print(f"{name}: {len(pattern.panels)} panels, drawn for {body} cm")
+        return (pattern,)
+
+    return _drape_on_body(options, draw)
+
+
+def _drape_on_body(options: argparse.Namespace, patterns_for: "Callable[[Measurements], Sequence[Pattern]]") -> int:
+    """Drape the patterns for the measures of ``--body``; write and print the results."""
     from tqdm.auto import tqdm
 
     from gcd_dataset.files import make_folder
-    from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
-    from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import Fitting, drape_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements, Outcome
+    from gcd_dataset.records import Outcome
 
-    patterns, device = read_patterns(options.spec), resolve_device(options.device)
+    device, wearer = resolve_device(options.device), wearer_of(options)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
-
-    @cache
-    def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
-        body, measurements, _ = named_body(
-            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
-        )
-        return body, measurements
-
-    wearer(False)  # raises before anything is written
+    patterns = patterns_for(wearer(False)[1])  # raises before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
     log_drape_time(len(patterns), device, resolution)
@@ -327,21 +357,20 @@ def _add_drape(verbs: Any) -> None:
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument(
-        "--body", type=body_name, default="neutral", help=f"{BODY_NAMES} or a mesh file (default: neutral)"
+    _add_drape_on_body(drape)
+
+    fit = add_verb(
+        verbs, "fit", _fit, "draw the pattern of a design for a body, and drape it; exit 1 if it does not settle"
     )
-    drape.add_argument(
-        "--measurements",
-        type=Path,
-        metavar="YAML",
-        help="measures of a mesh file's body [cm, degrees] (default: measured)",
+    fit.add_argument(
+        "design", type=Path, metavar="DESIGN", help="design file: GarmentCode's design_params.yaml, JSON or TOML"
     )
-    drape.add_argument(
-        "--segmentation",
-        type=Path,
-        metavar="JSON",
-        help="vertex ids by body part, for a mesh file (default: detected)",
-    )
+    _add_drape_on_body(fit)
+
+
+def _add_drape_on_body(drape: Parser) -> None:
+    """Add the options of ``_drape_on_body``."""
+    add_body(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument(

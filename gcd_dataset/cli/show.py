@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
-from gcd_dataset.cli.verb import SOURCE_HELP, add_server, add_verb, natural_number, open_source
+from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, open_source, wearer_of
 from gcd_dataset.errors import ConfigError, ShardError
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def add_verbs(verbs: Any) -> None:
         metavar="YAML",
         help="design by hand, from a file of design parameters or from a dress; without DATASET",
     )
+    add_body(show, default=None)
     show.add_argument("--port", type=_port, default=0, help="port of the viewer (default: a free one)")
     add_server(show)
 
@@ -56,6 +57,8 @@ def _show(options: argparse.Namespace) -> int:
     given = {ending: path for ending, path in files.items() if path is not None}
     if (options.what is None) == (options.design is None):
         raise ConfigError("give either a DATASET or SPEC, or --design")
+    if options.design is None and (options.body or options.measurements or options.segmentation):
+        raise ConfigError("--body, --measurements and --segmentation are for --design: leave them out")
     if not given:
         return _serve(options)
     if options.design is not None or options.truth is not None:
@@ -101,7 +104,7 @@ def _serve(options: argparse.Namespace) -> int:
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
-        site: Design | Gallery = _design(options.design)
+        site: Design | Gallery = _design(options)
     else:
         album = _album(options)
         site = Gallery(album, _position(options, len(album)))
@@ -159,12 +162,14 @@ def _position(options: argparse.Namespace, count: int) -> int:
     return int(options.index)
 
 
-def _design(start: str) -> "Design":
+def _design(options: argparse.Namespace) -> "Design":
     from gcd_dataset.generator.garments.design_file import read_design
     from gcd_dataset.viewer.design_desk import Desk
     from gcd_dataset.viewer.server import Design
 
-    return Design(Desk() if start == DEFAULT_DESIGN else Desk(read_design(start)))
+    start = None if options.design == DEFAULT_DESIGN else read_design(options.design)
+    options.body = options.body or "neutral"
+    return Design(Desk(start, wearer_of(options)))
 
 
 def _port(text: str) -> int:

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -15,6 +16,7 @@ from gcd_dataset.cli.examples import EXAMPLES
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
 if TYPE_CHECKING:
+    from gcd_dataset.records import Body, BodyShape, Measurements
     from gcd_dataset.shards.store import Store
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "INTERRUPTED",
     "SOURCE_HELP",
     "Parser",
+    "add_body",
     "add_quiet",
     "add_server",
     "add_verb",
@@ -32,6 +35,7 @@ __all__ = [
     "process_count",
     "require_folder",
     "stopped",
+    "wearer_of",
 ]
 
 INTERRUPTED = 130  # exit code of shells for a program ended by Ctrl-C
@@ -97,6 +101,45 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
     )
     parser.set_defaults(run=run)
     return parser
+
+
+def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
+    """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
+    parser.add_argument(
+        "--body", type=body_name, default=default, help=f"{BODY_NAMES} or a mesh file (default: neutral)"
+    )
+    parser.add_argument(
+        "--measurements",
+        type=Path,
+        metavar="YAML",
+        help="measures of a mesh file's body [cm, degrees] (default: measured)",
+    )
+    parser.add_argument(
+        "--segmentation",
+        type=Path,
+        metavar="JSON",
+        help="vertex ids by body part, for a mesh file (default: detected)",
+    )
+
+
+def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
+    """The function that returns the body of ``--body`` and its measures, with the legs straight or apart.
+
+    It reads the body when called first, and then raises ``BodyError``. A mesh file has its own pose.
+    """
+    from gcd_dataset.generator.body import named_body
+
+    @cache
+    def read(legs_apart: bool) -> "tuple[Body, Measurements, BodyShape | None]":
+        return named_body(
+            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
+        )
+
+    def wearer(legs_apart: bool) -> "tuple[Body, Measurements]":
+        is_mesh_file = read(False)[2] is None
+        return read(legs_apart and not is_mesh_file)[:2]
+
+    return wearer
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:

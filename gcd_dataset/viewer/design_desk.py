@@ -1,7 +1,7 @@
 """Designing by hand: parameters of a design and measures of its wearer as controls, and the resulting pattern."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,14 +73,19 @@ def measure_controls(size: Measurements) -> list[Control]:
 
 
 class Desk:
-    """Draws designs for a wearer whose measures may be changed."""
+    """Draws designs for a wearer whose measures may be changed.
 
-    def __init__(self, design: OutfitDesign | None = None) -> None:
+    ``wearer(legs_apart)`` returns body and measures, by default of the neutral body.
+    """
+
+    def __init__(
+        self, design: OutfitDesign | None = None, wearer: Callable[[bool], tuple[Body, Measurements]] | None = None
+    ) -> None:
         from gcd_dataset.generator.body import named_body
 
         self.start = design or design_from_dict(DRESS)
-        self._body, self.size, _ = named_body("neutral", legs_apart=False)
-        self._apart = named_body("neutral", legs_apart=True)[0]
+        wearer = wearer or (lambda legs_apart: named_body("neutral", legs_apart=legs_apart)[:2])
+        (self._body, self.size), (self._apart, _) = wearer(False), wearer(True)
 
     def draw(self, values: Mapping[str, Any], measures: Mapping[str, Any]) -> Drawing:
         """The pattern of the parameters and measures, by path. Raises ``ConfigError`` for values out of range."""
@@ -144,7 +149,7 @@ class Desk:
         return replace(self.size, **changed)
 
     def _wearer(self, measures: Mapping[str, Any], *, legs_apart: bool) -> Body:
-        """The body: the neutral one, or for other measures the likeliest one with these."""
+        """The body: the wearer's own, or for other measures the likeliest one with these."""
         own = measure_controls(self.size)
         if all(abs(float(measures.get(one.path, one.value)) - one.value) < 0.05 for one in own):
             return self._apart if legs_apart else self._body
