@@ -13,7 +13,7 @@ import numpy as np
 
 from gcd_dataset import __version__
 from gcd_dataset.bodyfiles import write_measurements
-from gcd_dataset.errors import ConfigError, MeshError
+from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
@@ -85,19 +85,24 @@ def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
 
 
 def write_drawn(
-    design: OutfitDesign, size: Measurements, folder: Path, *, name: str
-) -> tuple[Pattern, tuple[Reject, ...]]:
-    """The pattern of a design for a wearer, and the rules that it breaks.
+    design: OutfitDesign, size: Measurements, folder: Path, *, source: Path
+) -> tuple[Path, tuple[Reject, ...]]:
+    """Write specification, SVG and measures of a design for a wearer, named after its file ``source``.
 
-    Writes specification, SVG and measures to ``folder``, under the names of the published data. Raises
-    ``PatternError`` for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
+    Returns the path of the specification, and the rules that the design breaks on this wearer. Raises ``PatternError``
+    for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
     """
-    drawn = DrawnOutfit.of(size, design, name=name)
-    pattern, stem = require_valid(drawn.pattern), make_folder(folder) / safe_name(name)
-    write_pattern(pattern, f"{stem}{ENDINGS['spec']}")
+    name = safe_name(source.stem.removesuffix("_design_params"))
+    try:
+        drawn = DrawnOutfit.of(size, design, name=name)
+    except PatternError as error:
+        raise PatternError(f"{source}: {error}") from error
+    pattern, stem = require_valid(drawn.pattern, source=str(source)), make_folder(folder) / name
+    spec = Path(f"{stem}{ENDINGS['spec']}")
+    write_pattern(pattern, spec)
     write_whole(f"{stem}{ENDINGS['svg']}", pattern_svg(pattern))
     write_measurements(size, f"{stem}{ENDINGS['measures']}")
-    return pattern, check_outfit(drawn)
+    return spec, check_outfit(drawn)
 
 
 def drape_patterns(

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, doctor, exchange, merge, show
@@ -34,13 +34,9 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, user_path
 from gcd_dataset.options import add_options, given_options, options_of, read_options
 
-if TYPE_CHECKING:
-    from gcd_dataset.records import Measurements, Pattern
-
 __all__ = ["main"]
 
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
-DESIGN_ENDING = "_design_params"  # of published design files
 BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, no garments
 
 
@@ -158,51 +154,19 @@ def _require_no_store(options: argparse.Namespace, data: str) -> None:
         raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
 
-def _drape(options: argparse.Namespace) -> int:
-    from gcd_dataset.generator.fitting import read_patterns
-
-    patterns = read_patterns(options.spec)
-    return _drape_on_body(options, lambda size: patterns)
-
-
-def _fit(options: argparse.Namespace) -> int:
-    from gcd_dataset.errors import PatternError, SpecError
-    from gcd_dataset.generator.fitting import write_drawn
-    from gcd_dataset.generator.garments import read_design
-
-    try:
-        design = read_design(options.design)
-    except ConfigError as error:  # a bad file is bad input, not wrong usage
-        raise SpecError(str(error)) from error
-
-    def draw(size: "Measurements") -> "tuple[Pattern]":
-        name = options.design.stem.removesuffix(DESIGN_ENDING)
-        try:
-            pattern, rejects = write_drawn(design, size, options.out, name=name)
-        except PatternError as error:
-            raise PatternError(f"{options.design}: {error}") from error
-        for reject in rejects:
-            print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
-        body = ", ".join(f"{measure} {getattr(size, measure):.1f}" for measure in ("height", "bust", "waist", "hips"))
-        print(f"{name}: {len(pattern.panels)} panels, drawn for {body} cm")
-        return (pattern,)
-
-    return _drape_on_body(options, draw)
-
-
-def _drape_on_body(options: argparse.Namespace, patterns_for: "Callable[[Measurements], Sequence[Pattern]]") -> int:
-    """Drape the patterns for the measures of ``--body``; write and print the results."""
+def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = None) -> int:
     from tqdm.auto import tqdm
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
-    from gcd_dataset.generator.fitting import Fitting, drape_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Outcome
 
-    device, wearer = resolve_device(options.device), wearer_of(options)
+    patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
-    patterns = patterns_for(wearer(False)[1])  # raises before anything is written
+    wearer = wearer or wearer_of(options)
+    wearer(False)  # raises before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
     log_drape_time(len(patterns), device, resolution)
@@ -227,6 +191,27 @@ def _drape_on_body(options: argparse.Namespace, patterns_for: "Callable[[Measure
     print(f"{folder}: meshes, pictures and report.json")
     settled = all(fitting.drape.outcome is Outcome.SETTLED for fitting in fittings)
     return 0 if settled or options.allow_unsettled else 1
+
+
+def _fit(options: argparse.Namespace) -> int:
+    """Write the pattern of a design for a body, then drape it as ``gcd drape`` does."""
+    from gcd_dataset.errors import SpecError
+    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.fitting import write_drawn
+    from gcd_dataset.generator.garments import read_design
+    from gcd_dataset.generator.recipe import check_resolution
+
+    resolve_device(options.device), check_resolution(options.resolution), fabric_named(options.fabric)
+    try:
+        design = read_design(options.design)
+    except ConfigError as error:  # a bad file is bad input, not wrong usage
+        raise SpecError(str(error)) from error
+    wearer = wearer_of(options)
+    spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=options.design)
+    for reject in rejects:
+        print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
+    options.spec = [spec]
+    return _drape(options, wearer)
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -357,19 +342,15 @@ def _add_drape(verbs: Any) -> None:
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    _add_drape_on_body(drape)
+    _add_draping(drape)
 
-    fit = add_verb(
-        verbs, "fit", _fit, "draw the pattern of a design for a body, and drape it; exit 1 if it does not settle"
-    )
-    fit.add_argument(
-        "design", type=Path, metavar="DESIGN", help="design file: GarmentCode's design_params.yaml, JSON or TOML"
-    )
-    _add_drape_on_body(fit)
+    fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
+    fit.add_argument("design", type=Path, metavar="DESIGN", help="GarmentCode's design_params.yaml, or ours")
+    _add_draping(fit)
 
 
-def _add_drape_on_body(drape: Parser) -> None:
-    """Add the options of ``_drape_on_body``."""
+def _add_draping(drape: Parser) -> None:
+    """Add the options of ``_drape``."""
     add_body(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")

@@ -16,7 +16,7 @@ from gcd_dataset.cli.examples import EXAMPLES
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
 if TYPE_CHECKING:
-    from gcd_dataset.records import Body, BodyShape, Measurements
+    from gcd_dataset.records import Body, Measurements
     from gcd_dataset.shards.store import Store
 
 __all__ = [
@@ -105,39 +105,25 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
 
 def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
     """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
-    parser.add_argument(
-        "--body", type=body_name, default=default, help=f"{BODY_NAMES} or a mesh file (default: neutral)"
-    )
-    parser.add_argument(
-        "--measurements",
-        type=Path,
-        metavar="YAML",
-        help="measures of a mesh file's body [cm, degrees] (default: measured)",
-    )
-    parser.add_argument(
-        "--segmentation",
-        type=Path,
-        metavar="JSON",
-        help="vertex ids by body part, for a mesh file (default: detected)",
-    )
+    names = f"{BODY_NAMES} or a mesh file (default: neutral)"
+    parser.add_argument("--body", type=body_name, default=default, help=names)
+    measures = "measures of a mesh file's body [cm, degrees] (default: measured)"
+    parser.add_argument("--measurements", type=Path, metavar="YAML", help=measures)
+    parts = "vertex ids by body part, for a mesh file (default: detected)"
+    parser.add_argument("--segmentation", type=Path, metavar="JSON", help=parts)
 
 
 def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
-    """The function that returns the body of ``--body`` and its measures, with the legs straight or apart.
-
-    It reads the body when called first, and then raises ``BodyError``. A mesh file has its own pose.
-    """
-    from gcd_dataset.generator.body import named_body
+    """The function that reads ``--body`` when called: body and measures, with legs straight or apart."""
+    from gcd_dataset.generator.body.by_name import named_body, shape_by_name
 
     @cache
-    def read(legs_apart: bool) -> "tuple[Body, Measurements, BodyShape | None]":
+    def wearer(legs_apart: bool) -> "tuple[Body, Measurements]":
+        if legs_apart and shape_by_name(options.body, legs_apart=True) is None:
+            return wearer(False)  # a mesh file has its own pose
         return named_body(
             options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
-        )
-
-    def wearer(legs_apart: bool) -> "tuple[Body, Measurements]":
-        is_mesh_file = read(False)[2] is None
-        return read(legs_apart and not is_mesh_file)[:2]
+        )[:2]
 
     return wearer
 

@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 
 from gcd_dataset.errors import BodyError, ConfigError, PatternError
-from gcd_dataset.records import EdgeRef, Pattern
+from gcd_dataset.generator.drawing import draw_pattern, picture_of
+from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
-from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
 
@@ -99,6 +100,10 @@ class Album(ABC):
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
 
+    @abstractmethod
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Front of a garment, stored or rendered; without a drape its pattern. Raises ``GcdError`` for damage."""
+
     def links(self, position: int) -> dict[str, Any]:
         """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
         return {"panels": [], "seams": []}
@@ -175,6 +180,9 @@ class ShardAlbum(Album):
 
     def page(self, position: int, side: int = 0) -> str:
         return page_of(content_of(self._reader.sample(position)))
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._reader.sample(position), size)
 
     def facets(self) -> Facets:
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
@@ -253,6 +261,9 @@ class SpecAlbum(Album):
             require_valid(pattern, source=str(path))
             raise
 
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(require_valid(read_pattern(self._paths[position])), size)
+
     def links(self, position: int) -> dict[str, Any]:
         """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.
 
@@ -293,6 +304,9 @@ class PublishedAlbum(Album):
 
     def page(self, position: int, side: int = 0) -> str:
         return page_of(published_content(self._published, position))
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._published.sample(position), size)
 
     def facets(self) -> Facets:
         return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
@@ -345,6 +359,19 @@ def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
     if source.is_file():
         read_pattern(source)
     return SpecAlbum(paths, str(source), truth)
+
+
+def _front(garment: Sample | Pattern, size: int) -> UInt8[np.ndarray, "h w 3"]:
+    if isinstance(garment, Pattern):
+        return draw_pattern(garment, size=size)
+    if garment.front:
+        return picture_of(garment.front, size)
+    mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
+    if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
+        return draw_pattern(garment.pattern, size=size)
+    from gcd_dataset.generator.render import render_garment
+
+    return render_garment(drape.vertices, mesh, body, size=size)[0]
 
 
 def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:

@@ -5,48 +5,38 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from reprlib import repr as short
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.files import read_whole, write_whole
+from gcd_dataset.files import write_whole
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Space, plain
-from gcd_dataset.generator.garments.space import (
-    DesignSpace,
-    nearest_path,
-    read_values,
-    require_no_fault,
-    to_dict,
-    unknown_parameters,
-)
-from gcd_dataset.jsonfile import parse_json
+from gcd_dataset.generator.garments.space import DesignSpace, read_values, require_no_fault, to_dict, unknown_parameters
 from gcd_dataset.tomlfile import read_toml
-from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
+from gcd_dataset.yamlfile import read_yaml
 
 __all__ = ["design_from_dict", "design_to_dict", "design_tree", "read_design", "write_design"]
 
 log = logging.getLogger(__name__)
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-REMEDY = "give GarmentCode's design_params.yaml, or a design as gcd_dataset writes it"
 MOST_UNKNOWN = 100  # names that are looked at: aliases of YAML can stand for more than any memory holds
 DEEPEST = 4  # points in the path of a parameter
 LISTED = 12  # ignored parameters in a message
 
 
 def read_design(path: Path | str) -> OutfitDesign:
-    """The design in a file: GarmentCode's ``design_params.yaml``, or the same tree with plain values, as YAML, JSON or
-    TOML, below a level ``design`` or without it.
-
-    As ``design_from_dict`` otherwise. Raises ``ConfigError`` with the file.
-    """
-    content = _parsed(Path(path))
+    """The design in a YAML, JSON or TOML file: a tree as ``design_from_dict`` takes it. Raises ``ConfigError``."""
+    is_toml = Path(path).suffix.lower() == ".toml"
+    content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
     sections = {entry.key for entry in DesignSpace.declared(OutfitDesign).entries}
     if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
-        names = ", ".join(map(str, islice(content, 3))) if isinstance(content, Mapping) else ""
-        raise ConfigError(f"{path}: holds no design{f', but {names[:60]}' if names else ''}: {REMEDY}")
+        names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
+        raise ConfigError(
+            f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or a design of ours"
+        )
     try:
         return _design(content, f"{path}: ")
     except ConfigError as error:
@@ -54,11 +44,11 @@ def read_design(path: Path | str) -> OutfitDesign:
 
 
 def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
-    """The design from nested plain values, or from the tree of a design file; omitted parameters keep their defaults.
+    """The design from nested plain values or from GarmentCode's tree, below ``design`` or not; others are defaults.
 
-    Parameters of another version of GarmentCode, which have a range or a type in the tree, are logged and ignored if
-    they change nothing: they are false, zero or null, or of a garment that is not worn. Raises ``ConfigError`` with
-    the paths of all other unknown parameters, and of all values outside their ranges.
+    Logs and ignores parameters of another version of GarmentCode (the tree states their range or type) that change
+    nothing: false, zero, null, or of a section that the outfit does not use. Raises ``ConfigError`` with the paths of
+    all other unknown parameters and of all values outside their ranges.
 
     >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
     <Bottom.CIRCLE: 'SkirtCircle'>
@@ -81,83 +71,36 @@ def design_tree(design: OutfitDesign) -> dict[str, Any]:
     return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
 
 
-def _parsed(path: Path) -> Any:
-    if path.suffix.lower() == ".toml":
-        return read_toml(path)
-    content = read_whole(path, "design file", limit=LARGEST_YAML, error=ConfigError)
-    if path.suffix.lower() == ".json":
-        return parse_json(content, source=str(path), error=ConfigError)
-    try:
-        return strict_yaml(content)
-    except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deep: {REMEDY}") from error
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise ConfigError(f"{path}: {position}{error.problem or error.context}: correct the YAML") from error
-    except (yaml.YAMLError, ValueError) as error:  # a character that YAML forbids; an impossible date
-        raise ConfigError(f"{path}: {' '.join(str(error).split())}: correct the YAML") from error
-
-
-# ----------------------------------------------------------------------------------------------------------- parameters
-
-
-class _Other(NamedTuple):
-    """A parameter of a design file that ``OutfitDesign`` lacks."""
-
-    path: str
-    value: Any
-    declared: bool
-    """Whether the file states its range or type: then it is no misspelt name, but of another version of GarmentCode."""
-
-    def changes_nothing(self, design: OutfitDesign, tree: Mapping[str, Any]) -> bool:
-        if not self.declared or self.value is None or self.value == 0:
-            return self.declared
-        space = DesignSpace.declared(OutfitDesign)
-        fields = {entry.key: entry.name for entry in space.entries}
-        section = self.path.partition(".")[0]
-        if section in fields:
-            return fields[section] not in design.sections_used()
-        near = nearest_path(space, self.path)
-        return near is None or _holds(tree, near)  # a parameter that the file lacks may be renamed there
-
-
 def _design(values: Mapping[str, Any], source: str) -> OutfitDesign:
     tree, space = values.get("design", values), DesignSpace.declared(OutfitDesign)
     if not isinstance(tree, Mapping):
-        raise ConfigError(f"holds no design, but design = {short(tree)}: {REMEDY}")
-    unknown = list(islice(unknown_parameters(space, tree), MOST_UNKNOWN))
+        raise ConfigError(f"design is {short(tree)}, not a table of parameters")
     design, faults = read_values(space, tree)
-    ignored: list[_Other] = []
-    for one in reversed(unknown):
-        others = list(islice(_others(one.path, one.node), MOST_UNKNOWN))
-        harmful = [other for other in others if not other.changes_nothing(design, tree)]
-        if harmful or len(others) == MOST_UNKNOWN:
-            named = [one._replace(path=other.path) for other in harmful if other.declared] or [one]
-            faults = [*(each.fault(space) for each in named), *faults]
-        ignored = [*others, *ignored]
-    require_no_fault(faults)
+    used = {entry.key for entry in space.entries if entry.name in design.sections_used()}
+    unknown, ignored = [], []
+    for one in islice(unknown_parameters(space, tree), MOST_UNKNOWN):
+        found = list(islice(_changes(one.path, one.node, used), MOST_UNKNOWN))
+        if len(found) == MOST_UNKNOWN or any(changes for _, changes in found):
+            unknown.append(one.fault(space))
+        else:
+            ignored += [text for text, _ in found]
+    require_no_fault([*unknown, *faults])
     if ignored:
-        listed = ", ".join(f"{other.path[:60]} = {short(other.value)}" for other in ignored[:LISTED])
         more = f" and {len(ignored) - LISTED} more" if len(ignored) > LISTED else ""
-        log.warning("%sparameters of another version of GarmentCode are ignored: %s%s", source, listed, more)
+        log.warning("%signored, as gcd_dataset lacks them: %s%s", source, ", ".join(ignored[:LISTED]), more)
     return design
 
 
-def _others(path: str, node: Any) -> Iterator[_Other]:
-    """The parameters below an unknown name."""
-    if isinstance(node, Mapping) and "v" in node:
-        yield _Other(path, node["v"], not node.keys().isdisjoint(("range", "type")))
-    elif isinstance(node, Mapping) and node and path.count(".") < DEEPEST:
+def _changes(path: str, node: Any, used: set[str]) -> Iterator[tuple[str, bool]]:
+    """The parameters below an unknown name, each with whether it may change the garment, or may be misspelt."""
+    if isinstance(node, Mapping) and "v" not in node and node and path.count(".") < DEEPEST:
         for key, inner in node.items():
-            yield from _others(f"{path}.{key}", inner)
-    else:
-        yield _Other(path, node, declared=False)
-
-
-def _holds(tree: Any, path: str) -> bool:
-    key, _, rest = path.partition(".")
-    return isinstance(tree, Mapping) and key in tree and (not rest or _holds(tree[key], rest))
+            yield from _changes(f"{path}.{key}", inner, used)
+        return
+    value = node.get("v") if isinstance(node, Mapping) else node
+    is_foreign = isinstance(node, Mapping) and not node.keys().isdisjoint(("range", "type"))
+    is_neutral = value is None or value == 0 or path.partition(".")[0] not in used
+    yield f"{path[:60]} = {short(value)}", not (is_foreign and is_neutral)
 
 
 def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:

@@ -44,7 +44,6 @@ __all__ = [
     "from_dict",
     "integer",
     "leaves",
-    "nearest_path",
     "part",
     "read_values",
     "real",
@@ -341,18 +340,19 @@ def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
 
 
 class Unknown(NamedTuple):
-    """A name that a design space lacks."""
+    """A name that a design space lacks, with the value or table under it."""
 
     path: str
     node: Any
-    """The value or table under this name."""
     siblings: Iterable[str]
     """The known names beside it."""
 
     def fault(self, space: DesignSpace[Any]) -> str:
         """A sentence with the most similar known path."""
-        near = nearest_path(space, self.path)
-        remedy = f"did you mean {near}?" if near else f"there are {', '.join(self.siblings)}"
+        known = [leaf.path for leaf in leaves(space, added=True)]
+        tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
+        near = get_close_matches(self.path, [*known, *sorted(tables)], n=1)
+        remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(self.siblings)}"
         return f"no design parameter is called {shown(self.path[:LONGEST])}: {remedy}"
 
 
@@ -366,13 +366,6 @@ def unknown_parameters(space: DesignSpace[Any], values: Mapping[str, Any], prefi
             if not isinstance(value, Mapping):
                 raise ConfigError(f"{prefix}{key} is {short(value)}, not a table of parameters")
             yield from unknown_parameters(inner, value, f"{prefix}{key}.")
-
-
-def nearest_path(space: DesignSpace[Any], path: str) -> str | None:
-    """The parameter or table whose path is most similar to ``path``; ``None`` if none is similar."""
-    known = [leaf.path for leaf in leaves(space, added=True)]
-    tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
-    return next(iter(get_close_matches(path, [*known, *sorted(tables)], n=1)), None)
 
 
 def require_no_fault(faults: Iterable[str]) -> None:
@@ -390,7 +383,8 @@ def read_values(space: DesignSpace[D], values: Mapping[str, Any], prefix: str = 
             continue
         value, path = values[entry.key], prefix + entry.key
         if isinstance(entry.space, DesignSpace):
-            read[entry.name], inner = read_values(entry.space, value, f"{path}.")
+            table = value if isinstance(value, Mapping) else {}  # ``unknown_parameters`` reports it
+            read[entry.name], inner = read_values(entry.space, table, f"{path}.")
             faults += inner
             continue
         try:
