@@ -130,9 +130,6 @@ def _derived(size: Measurements) -> dict[str, float]:
     return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
 
 
-# --------------------------------------------------------------------------------------------------------------- files
-
-
 def _is_measure(known: Measure, value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and known.holds(value)
 

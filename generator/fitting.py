@@ -30,7 +30,7 @@ from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import read_pattern, write_pattern
-from gcd_dataset.validate import require_valid
+from gcd_dataset.validate import Severity, require_valid
 
 __all__ = ["Fitting", "drape_patterns", "read_patterns", "write_drawn", "write_fitting", "write_report"]
 
@@ -97,12 +97,14 @@ def write_drawn(
         drawn = DrawnOutfit.of(size, design, name=name)
     except PatternError as error:
         raise PatternError(f"{source}: {error}") from error
-    pattern, stem = require_valid(drawn.pattern, source=str(source)), make_folder(folder) / name
-    spec = Path(f"{stem}{ENDINGS['spec']}")
-    write_pattern(pattern, spec)
-    write_whole(f"{stem}{ENDINGS['svg']}", pattern_svg(pattern))
-    write_measurements(size, f"{stem}{ENDINGS['measures']}")
-    return spec, check_outfit(drawn)
+    rejects = check_outfit(drawn)
+    if any(fault.severity is Severity.ERROR for fault in drawn.faults):
+        raise PatternError(f"{source}: cannot be sewn for this body: {'; '.join(map(str, rejects))}")
+    spec, svg, measures = (make_folder(folder) / f"{name}{ENDINGS[kind]}" for kind in ("spec", "svg", "measures"))
+    write_pattern(drawn.pattern, spec)
+    write_whole(svg, pattern_svg(drawn.pattern))
+    write_measurements(size, measures)
+    return spec, rejects
 
 
 def drape_patterns(

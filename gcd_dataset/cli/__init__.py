@@ -16,6 +16,7 @@ from typing import Any
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, doctor, exchange, merge, show
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.subject import design_in
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
     INTERRUPTED,
@@ -195,18 +196,12 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
 
 def _fit(options: argparse.Namespace) -> int:
     """Write the pattern of a design for a body, then drape it as ``gcd drape`` does."""
-    from gcd_dataset.errors import SpecError
     from gcd_dataset.generator.drape import fabric_named, resolve_device
     from gcd_dataset.generator.fitting import write_drawn
-    from gcd_dataset.generator.garments import read_design
     from gcd_dataset.generator.recipe import check_resolution
 
     resolve_device(options.device), check_resolution(options.resolution), fabric_named(options.fabric)
-    try:
-        design = read_design(options.design)
-    except ConfigError as error:  # a bad file is bad input, not wrong usage
-        raise SpecError(str(error)) from error
-    wearer = wearer_of(options)
+    design, wearer = design_in(options.design), wearer_of(options)
     spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=options.design)
     for reject in rejects:
         print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
+from gcd_dataset.cli.subject import design_in, names_a_file, pattern_of, sample_of
 from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, open_source, wearer_of
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
@@ -120,12 +120,11 @@ def _sheet(options: argparse.Namespace) -> int:
     """Write a contact sheet; a garment that cannot be read is reported, and its place left white."""
     import numpy as np
 
+    from gcd_dataset.exports.inputs import require_suffix
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import captioned, contact_sheet, jpeg_bytes, png_bytes
 
-    ending = options.sheet.suffix.lower()
-    if ending not in (".jpg", ".jpeg", ".png"):
-        raise ConfigError(f"--sheet {options.sheet}: end the name in .jpg or .png")
+    is_png = require_suffix(options.sheet, ".jpg", ".jpeg", ".png").suffix.lower() == ".png"
     album = _album(options)
     chosen = _chosen(options, album)
     columns = math.ceil(math.sqrt(len(chosen)))
@@ -137,7 +136,7 @@ def _sheet(options: argparse.Namespace) -> int:
             print(f"gcd show: {error}", file=sys.stderr)
             picture, faults = np.full((size, size, 3), 255, np.uint8), faults + 1
         tiles.append(captioned(picture, album.key(position)))
-    write_whole(options.sheet, (png_bytes if ending == ".png" else jpeg_bytes)(contact_sheet(tiles, columns=columns)))
+    write_whole(options.sheet, (png_bytes if is_png else jpeg_bytes)(contact_sheet(tiles, columns=columns)))
     print(f"{options.sheet}: {len(chosen)} of {len(album)} garments")
     return 1 if faults else 0
 
@@ -160,8 +159,8 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
         chosen = [position for part in options.index for position in part if position in admitted]
     if not 0 < len(chosen) <= MOST_TILES:
         known = "; ".join(f"{name} {', '.join(values)}" for name, values in asdict(album.facets()).items() if values)
-        fault = f"{len(chosen)} garments selected, not 1 to {MOST_TILES}: give another --index or --where"
-        raise ConfigError(f"{options.what}: {fault}: {known or 'there are no kinds or grades'}")
+        remedy = f"select 1 to {MOST_TILES} by --index and --where"
+        raise ConfigError(f"{options.what}: {len(chosen)} garments selected: {remedy}: {known or 'no kinds'}")
     return chosen
 
 
@@ -229,11 +228,10 @@ def _position(options: argparse.Namespace, count: int) -> int:
 
 
 def _design(options: argparse.Namespace) -> "Design":
-    from gcd_dataset.generator.garments.design_file import read_design
     from gcd_dataset.viewer.design_desk import Desk
     from gcd_dataset.viewer.server import Design
 
-    start = None if options.design == DEFAULT_DESIGN else read_design(options.design)
+    start = None if options.design == DEFAULT_DESIGN else design_in(options.design)
     options.body = options.body or "neutral"
     return Design(Desk(start, wearer_of(options)))
 
