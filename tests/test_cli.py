@@ -19,7 +19,7 @@ import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
-from gcd_dataset.generator.body import build_body, by_name, measure, named_body, neutral_shape, read_measurements
+from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
@@ -278,17 +278,16 @@ def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.M
     trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "scan.obj")
     (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
     reads, worn = [], []
-    read = by_name.read_body
 
     def counted(*given: Any) -> Any:
         reads.append(given)
-        return read(*given)
+        return read_body(*given)
 
     def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
         worn.extend([wearer(False), wearer(True)])
         return iter(())
 
-    monkeypatch.setattr(by_name, "read_body", counted)
+    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", counted)
     monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
     words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
     assert main(list(map(str, words))) == 0

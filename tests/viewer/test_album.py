@@ -107,7 +107,7 @@ def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
 
 def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:
     made = make(3, 0, MakeConfig(bodies="neutral", resolution=8.0, picture=0, device="cpu", design=SHORT))
-    assert made.drape is not None
+    assert made.drape is not None and made.box_mesh is not None
     lost = replace(made.drape, vertices=np.full_like(made.drape.vertices, np.nan))
     white = jpeg_bytes(np.full((8, 8, 3), 255, np.uint8))
     with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
