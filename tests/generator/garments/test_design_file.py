@@ -130,7 +130,7 @@ def test_parameters_of_other_versions_that_change_nothing_are_named_in_a_warning
     [
         ({"shirt": {"openfront": entry(True)}}, r"called shirt\.openfront"),
         ({"meta": {"upper": "Shirt", "connected": entry(True)}}, r"called meta\.connected"),
-        ({"layers-skirt": {"base": "SkirtCircle"}}, r"layers-skirt: did you mean levels-skirt\?"),
+        ({"level-skirt": {"base": "SkirtCircle"}}, r"level-skirt: did you mean levels-skirt\?"),
         ({"shirt": {"openfront": False}}, r"called shirt\.openfront"),  # without a range it may be misspelt
     ],
 )
@@ -164,9 +164,9 @@ BAD = {
     "design:\n  godet-skirt:\n    num_inserts: {v: 5}": r"num_inserts is 5, not one of 4, 6, 8, 10, 12",
     "design:\n  shirt: 5": r"shirt is 5, not a table of parameters",
     "design:\n  shirt: {v: 5}": r"no design parameter is called shirt\.v",
-    "design:\n  shirt: {length: [\n": r"line \d+, column \d+: .*: correct that line",
-    "design:\n\tshirt: 5": r"line 2, column 1: .*: correct that line",
-    "design: {date: 2001-02-30}": r"day is out of range.*: give a design file",
+    "design:\n  shirt: {length: [\n": r"line \d+, column \d+: .*: correct it, or give a design file",
+    "design:\n\tshirt: 5": r"line 2, column 1: .*: correct it, or give a design file",
+    "design: {date: 2001-02-30}": r"day is out of range.*: correct it",
     "design: \x01": r"control characters|special characters",
     "a: 1": r"holds \['a'\], no design: give GarmentCode's design_params\.yaml",
     "": r"holds None, no design: give",
