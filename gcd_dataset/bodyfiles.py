@@ -19,7 +19,7 @@ from gcd_dataset.files import read_whole, write_whole
 from gcd_dataset.jsonfile import read_json
 from gcd_dataset.measurements import MEASURE, Measure
 from gcd_dataset.records import BodyPart, Measurements
-from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
+from gcd_dataset.yamlfile import read_yaml
 
 __all__ = [
     "OTHER_UNITS",
@@ -87,8 +87,8 @@ Vertices under other names, and unlisted vertices, count as trunk.
 
 def read_measurements(path: Path | str) -> Measurements:
     """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
-    path = Path(path)
-    return parse_measurements(_read_yaml(path), str(path))
+    table = read_yaml(path, "measurement YAML", error=BodyError)
+    return parse_measurements(table if isinstance(table, dict) else {}, str(path))
 
 
 def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
@@ -192,34 +192,6 @@ def _derived(size: Measurements) -> dict[str, float]:
         "_waist_level": size.waist_level,
     }
     return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
-
-
-# --------------------------------------------------------------------------------------------------------------- files
-
-
-BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
-"""Exceptions that PyYAML leaks for malformed scalars: an impossible date, a huge integer, ``!!bool maybe``, …"""
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    content = read_whole(path, "measurement YAML", limit=LARGEST_YAML, error=BodyError)
-    try:
-        table = strict_yaml(content)
-    except yaml.MarkedYAMLError as error:
-        raise BodyError(f"{path}: not YAML ({_yaml_problem(error)}): correct that line") from error
-    except (yaml.YAMLError, *BROKEN_SCALARS) as error:
-        raise BodyError(
-            f"{path}: not YAML ({' '.join(str(error).split())[:160]}): give one 'key: number' a line"
-        ) from error
-    except RecursionError as error:
-        raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
-    return table if isinstance(table, dict) else {}
-
-
-def _yaml_problem(error: yaml.MarkedYAMLError) -> str:
-    mark = error.problem_mark or error.context_mark
-    position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-    return f"{position}{shown(str(error.problem or error.context)[:160])}"
 
 
 def _is_measure(known: Measure, value: Any) -> bool:

@@ -15,6 +15,7 @@ from gcd_dataset.names import plain_names
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
+    "captioned",
     "contact_sheet",
     "design_sheet",
     "draw_body",
@@ -114,9 +115,19 @@ def sample_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3
     return contact_sheet([*pictures, *views], columns=len(pictures))
 
 
+def captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture under a line of text."""
+    height, width, _ = picture.shape
+    image = Image.new("RGB", (width, height + CAPTION), PAPER)
+    image.paste(Image.fromarray(picture), (0, CAPTION))
+    font = _font(text, width, 0.8 * CAPTION)
+    ImageDraw.Draw(image).text((0.5 * width, 0.5 * CAPTION), text, fill=INK, font=font, anchor="mm")
+    return np.asarray(image)
+
+
 def design_sheet(patterns: Sequence[Pattern], *, columns: int, size: int = 256) -> UInt8[np.ndarray, "h w 3"]:
     """Flat drawings of patterns in rows of ``columns``, each under its name."""
-    return contact_sheet([_captioned(draw_pattern(p, size=size), p.name) for p in patterns], columns=columns)
+    return contact_sheet([captioned(draw_pattern(p, size=size), p.name) for p in patterns], columns=columns)
 
 
 def picture_of(encoded: bytes, size: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -136,15 +147,6 @@ def jpeg_bytes(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
-
-
-def _captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h w 3"]:
-    height, width, _ = picture.shape
-    image = Image.new("RGB", (width, height + CAPTION), PAPER)
-    image.paste(Image.fromarray(picture), (0, CAPTION))
-    font = _font(text, width, 0.8 * CAPTION)
-    ImageDraw.Draw(image).text((0.5 * width, 0.5 * CAPTION), text, fill=INK, font=font, anchor="mm")
-    return np.asarray(image)
 
 
 def _font(text: str, room: float, largest: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

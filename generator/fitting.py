@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset import __version__
+from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
@@ -21,14 +22,25 @@ from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
+from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, Reject, check_outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
-from gcd_dataset.spec import pattern_name, read_pattern
-from gcd_dataset.validate import require_valid
+from gcd_dataset.release.published_names import ENDINGS
+from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
+from gcd_dataset.validate import Severity, require_valid
 
-__all__ = ["Fitting", "Refusal", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
+__all__ = [
+    "Fitting",
+    "Refusal",
+    "drape_patterns",
+    "read_patterns",
+    "write_drawn",
+    "write_fitting",
+    "write_report",
+]
 
 log = logging.getLogger(__name__)
 
@@ -107,6 +119,29 @@ def _distinct(names: Sequence[str]) -> Iterator[str]:
 
 def _file_key(name: str) -> str:
     return safe_name(name).casefold()  # some file systems ignore case
+
+
+def write_drawn(
+    design: OutfitDesign, size: Measurements, folder: Path, *, source: Path
+) -> tuple[Path, tuple[Reject, ...]]:
+    """Write specification, SVG and measures of a design for a wearer, named after its file ``source``.
+
+    Returns the path of the specification, and the rules that the design breaks on this wearer. Raises ``PatternError``
+    for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
+    """
+    name = safe_name(source.stem.removesuffix("_design_params"))
+    try:
+        drawn = DrawnOutfit.of(size, design, name=name)
+    except PatternError as error:
+        raise PatternError(f"{source}: {error}") from error
+    rejects = check_outfit(drawn)
+    if any(fault.severity is Severity.ERROR for fault in drawn.faults):
+        raise PatternError(f"{source}: cannot be sewn for this body: {'; '.join(map(str, rejects))}")
+    spec, svg, measures = (make_folder(folder) / f"{name}{ENDINGS[kind]}" for kind in ("spec", "svg", "measures"))
+    write_pattern(drawn.pattern, spec)
+    write_whole(svg, pattern_svg(drawn.pattern))
+    write_measurements(size, measures)
+    return spec, rejects
 
 
 def drape_patterns(

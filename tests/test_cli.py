@@ -8,17 +8,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
+from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -27,7 +29,7 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import read_index
-from gcd_dataset.spec import spec_from_pattern, write_pattern
+from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from tests.generator.drape.garments import stouter
 from tests.helpers import napkins
 from tests.test_validate import sewn_unequally
@@ -257,6 +259,46 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
     assert sum(line.startswith("v ") for line in lines) == row["vertices"]
     assert row["outcome"] == "SETTLED"
     assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
+
+
+def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pattern, measures, meshes and pictures lie together; broken rules are named with their figures."""
+    file, out = tmp_path / "mini_design_params.yaml", tmp_path / "out"
+    file.write_text("design:\n  meta: {bottom: {v: SkirtCircle}}\n  flare-skirt: {length: {v: 0.1}, suns: {v: 1.2}}\n")
+    options = ["--body", "female:7", "--resolution", "6", "--device", "cpu", "--quiet"]
+    assert main(["fit", str(file), "--out", str(out), *options, "--allow-unsettled"]) == 0
+    said = capsys.readouterr()
+    assert "mini: SETTLED" in said.out
+    assert "on this body, too_heavy: length 0.10 and 1.20 suns" in one_line(said.err)
+    _, size, _ = named_body("female:7")
+    drawn = read_pattern(out / "mini_specification.json")
+    assert spec_from_pattern(drawn) == spec_from_pattern(outfit(size, read_design(file)))
+    written = read_measurements(out / "mini_body_measurements.yaml")
+    assert written.to_file_values() == pytest.approx(size.to_file_values())
+    for ending in ("_pattern.svg", ".glb", "_front.png", "_pattern.png"):
+        assert (out / f"mini{ending}").stat().st_size > 1000
+
+
+def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For trousers too, whose bodies of the shape space stand with their legs apart."""
+    body, _, _ = named_body("male")
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "scan.obj")
+    (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
+    reads, worn = [], []
+
+    def counted(*given: Any) -> Any:
+        reads.append(given)
+        return read_body(*given)
+
+    def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
+        worn.extend([wearer(False), wearer(True)])
+        return iter(())
+
+    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", counted)
+    monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
+    words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
+    assert main(list(map(str, words))) == 0
+    assert len(reads) == 1 and worn[0] == worn[1]
 
 
 def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

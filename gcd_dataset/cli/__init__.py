@@ -9,17 +9,20 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, doctor, exchange, merge, show
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.subject import design_in
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
     INTERRUPTED,
     Parser,
+    add_body,
+    add_height,
     add_quiet,
     add_verb,
     body_name,
@@ -27,6 +30,7 @@ from gcd_dataset.cli.verb import (
     natural_number,
     process_count,
     stopped,
+    wearer_of,
 )
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, user_path
@@ -152,11 +156,10 @@ def _require_no_store(options: argparse.Namespace, data: str) -> None:
         raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
 
-def _drape(options: argparse.Namespace) -> int:
+def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = None) -> int:
     from tqdm.auto import tqdm
 
     from gcd_dataset.files import make_folder
-    from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
     from gcd_dataset.generator.fitting import (
         Fitting,
@@ -167,22 +170,11 @@ def _drape(options: argparse.Namespace) -> int:
         write_report,
     )
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements, Outcome
+    from gcd_dataset.records import Outcome
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
-
-    @cache
-    def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
-        body, measurements, _ = named_body(
-            options.body,
-            measurements=options.measurements,
-            segmentation=options.segmentation,
-            legs_apart=legs_apart,
-            height=options.height,
-        )
-        return body, measurements
-
+    wearer = wearer or wearer_of(options)
     wearer(False)  # raises before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting | Refusal] = []
@@ -201,7 +193,7 @@ def _drape(options: argparse.Namespace) -> int:
     failed = False
     for fitting in fittings:
         if isinstance(fitting, Refusal):
-            print(f"gcd drape: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
+            print(f"gcd {options.verb}: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
             failed = True
             continue
         drape = fitting.drape
@@ -215,6 +207,21 @@ def _drape(options: argparse.Namespace) -> int:
             failed = failed or not options.allow_unsettled
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    """Write the pattern of a design for a body, then drape it as ``gcd drape`` does."""
+    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.fitting import write_drawn
+    from gcd_dataset.generator.recipe import check_resolution
+
+    resolve_device(options.device), check_resolution(options.resolution), fabric_named(options.fabric)
+    design, wearer = design_in(options.design), wearer_of(options)
+    spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=options.design)
+    for reject in rejects:
+        print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
+    options.spec = [spec]
+    return _drape(options, wearer)
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -345,22 +352,16 @@ def _add_drape(verbs: Any) -> None:
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument(
-        "--body", type=body_name, default="neutral", help=f"{BODY_NAMES} or a mesh file (default: neutral)"
-    )
-    drape.add_argument(
-        "--measurements",
-        type=Path,
-        metavar="YAML",
-        help="measures of a mesh file's body [cm, degrees] (default: measured)",
-    )
-    drape.add_argument(
-        "--segmentation",
-        type=Path,
-        metavar="JSON",
-        help="vertex ids by body part, for a mesh file (default: detected)",
-    )
-    _add_height(drape)
+    _add_draping(drape)
+
+    fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
+    fit.add_argument("design", type=Path, metavar="DESIGN", help="GarmentCode's design_params.yaml, or ours")
+    _add_draping(fit)
+
+
+def _add_draping(drape: Parser) -> None:
+    """Add the options of ``_drape``."""
+    add_body(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument(
@@ -394,17 +395,8 @@ def _add_measure(verbs: Any) -> None:
     measure.add_argument(
         "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
     )
-    _add_height(measure)
+    add_height(measure)
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
-
-
-def _add_height(parser: Parser) -> None:
-    parser.add_argument(
-        "--height",
-        type=float,
-        metavar="CM",
-        help="height of a mesh file's body, which is scaled to it (default: the mesh is in m, cm or mm)",
-    )
 
 
 def _add_make_options(parser: Parser) -> None:

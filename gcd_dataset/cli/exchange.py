@@ -181,7 +181,9 @@ def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[
             print(file)
             if isinstance(garment, Fitting) and garment.drape.outcome is not Outcome.SETTLED:
                 drape = garment.drape
-                raise PatternError(": ".join(filter(None, (name, drape.outcome.name, drape.reason, drape.outcome.value))))
+                raise PatternError(
+                    ": ".join(filter(None, (name, drape.outcome.name, drape.reason, drape.outcome.value)))
+                )
         except (PatternError, ShardError) as error:
             print(f"gcd export: {error}", file=sys.stderr)
             failed = True

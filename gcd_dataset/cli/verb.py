@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -15,6 +16,7 @@ from gcd_dataset.cli.examples import EXAMPLES
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
 if TYPE_CHECKING:
+    from gcd_dataset.records import Body, Measurements
     from gcd_dataset.shards.store import Store
 
 __all__ = [
@@ -22,6 +24,8 @@ __all__ = [
     "INTERRUPTED",
     "SOURCE_HELP",
     "Parser",
+    "add_body",
+    "add_height",
     "add_quiet",
     "add_server",
     "add_verb",
@@ -32,6 +36,7 @@ __all__ = [
     "process_count",
     "require_folder",
     "stopped",
+    "wearer_of",
 ]
 
 INTERRUPTED = 130  # exit code of shells for a program ended by Ctrl-C
@@ -97,6 +102,43 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
     )
     parser.set_defaults(run=run)
     return parser
+
+
+def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
+    """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
+    parser.add_argument("--body", type=body_name, default=default, help=f"{BODY_NAMES}, a mesh file (default: neutral)")
+    parser.add_argument("--measurements", type=Path, metavar="YAML", help="measures for a mesh file [cm, degrees]")
+    parser.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file")
+    add_height(parser)
+
+
+def add_height(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--height`` to a verb that takes a mesh file."""
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="CM",
+        help="height of a mesh file's body, which is scaled to it (default: the mesh is in m, cm or mm)",
+    )
+
+
+def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
+    """The function that reads ``--body`` when called: body and measures, with legs straight or apart."""
+    from gcd_dataset.generator.body.by_name import named_body, shape_by_name
+
+    @cache
+    def wearer(legs_apart: bool) -> "tuple[Body, Measurements]":
+        if legs_apart and shape_by_name(options.body, legs_apart=True) is None:
+            return wearer(False)  # a mesh file has its own pose
+        return named_body(
+            options.body,
+            measurements=options.measurements,
+            segmentation=options.segmentation,
+            legs_apart=legs_apart,
+            height=options.height,
+        )[:2]
+
+    return wearer
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 
 from gcd_dataset.errors import BodyError, ConfigError, GcdError, PatternError, shown
-from gcd_dataset.records import EdgeRef, Pattern
+from gcd_dataset.generator.drawing import draw_pattern, picture_of
+from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.validate import require_valid
-from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
 
@@ -104,6 +105,10 @@ class Album(ABC):
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
 
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Front of a garment, stored or rendered; without a drape its pattern. Raises ``GcdError`` for damage."""
+        raise NotImplementedError
+
     def links(self, position: int) -> dict[str, Any]:
         """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
         return {"panels": [], "seams": []}
@@ -181,6 +186,9 @@ class ShardAlbum(Album):
     def page(self, position: int, side: int = 0) -> str:
         return page_of(content_of(self._reader.sample(position)))
 
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._reader.sample(position), size)
+
     def facets(self) -> Facets:
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
         settled = int(self._settled.sum())
@@ -256,6 +264,9 @@ class SpecAlbum(Album):
             require_valid(pattern, source=str(self._paths[position]) if not side else "")
             raise
 
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(require_valid(read_pattern(self._paths[position])), size)
+
     def links(self, position: int) -> dict[str, Any]:
         """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.
 
@@ -315,6 +326,9 @@ class PublishedAlbum(Album):
 
     def page(self, position: int, side: int = 0) -> str:
         return page_of(published_content(self._published, position))
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._published.sample(position), size)
 
     def facets(self) -> Facets:
         return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
@@ -376,6 +390,19 @@ def _patterns_of(reader: ShardReader) -> dict[str, Source]:
     if reader.sample(0).pattern.name != keys[0]:
         keys = [reader.sample(position).pattern.name for position in range(len(keys))]
     return {key: lambda position=position: reader.sample(position).pattern for position, key in enumerate(keys)}
+
+
+def _front(garment: Sample | Pattern, size: int) -> UInt8[np.ndarray, "h w 3"]:
+    if isinstance(garment, Pattern):
+        return draw_pattern(garment, size=size)
+    if garment.front:
+        return picture_of(garment.front, size)
+    mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
+    if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
+        return draw_pattern(garment.pattern, size=size)
+    from gcd_dataset.generator.render import render_garment
+
+    return render_garment(drape.vertices, mesh, body, size=size)[0]
 
 
 def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:

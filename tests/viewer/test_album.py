@@ -1,14 +1,23 @@
 """Albums of the viewer: order, filters, jumps, damaged garments, predictions beside truth."""
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.generator.body import named_body
+from gcd_dataset.generator.drawing import draw_pattern, jpeg_bytes
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.render import render_garment
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
@@ -16,6 +25,7 @@ from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer.album import Filter, ShardAlbum, spec_album
 
 COUNT = 6
+SHORT = Overlay.from_dict({"meta": {"upper": "none", "bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.2}})
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +103,58 @@ def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     album.close()
     album.read_tags()
     assert album.known == 0
+
+
+def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:
+    made = make(3, 0, MakeConfig(bodies="neutral", resolution=8.0, picture=0, device="cpu", design=SHORT))
+    assert made.drape is not None and made.box_mesh is not None
+    lost = replace(made.drape, vertices=np.full_like(made.drape.vertices, np.nan))
+    white = jpeg_bytes(np.full((8, 8, 3), 255, np.uint8))
+    with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
+        for index, sample in enumerate([replace(made, front=white), made, replace(made, drape=lost)]):
+            writer.write(replace(sample, provenance=replace(made.provenance, index=index)))
+    album = ShardAlbum(ShardReader(tmp_path), "shards")
+    stored, rendered, drawn = (album.picture(position, 64) for position in range(3))
+    assert (stored > 250).all()
+    assert np.array_equal(drawn, draw_pattern(made.pattern, size=64))
+    body, _, _ = named_body("neutral")
+    front, _ = render_garment(made.drape.vertices, made.box_mesh, body, size=64, device="cpu")
+    assert np.abs(rendered.astype(int) - front).mean() < 1
+
+
+def sheet_of(folder: Path, *options: str) -> tuple[int, tuple[int, int]]:
+    """Exit code of ``gcd show --sheet``, and width and height of the sheet in tiles."""
+    picture = folder.parent / "sheet.png"
+    code = main(["show", str(folder), "--sheet", str(picture), *options])
+    with Image.open(picture) as sheet:
+        width, height = sheet.size
+    return code, (width // 512, height // 512)
+
+
+@pytest.mark.parametrize(
+    ("options", "tiles"),
+    [
+        ([], (3, 2)),
+        (["--index", "0-2,5"], (2, 2)),
+        (["--where", "kind=dress", "grade=clean"], (2, 1)),
+        (["--where", "outcome=slid off", "--index", "3-5"], (1, 1)),
+    ],
+)
+def test_a_sheet_shows_the_selected_garments(options: list[str], tiles: tuple[int, int], folder: Path) -> None:
+    assert sheet_of(folder, *options) == (0, tiles)
+
+
+def test_a_damaged_garment_is_left_white_on_a_sheet(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, reader = tmp_path / "damaged", ShardReader(folder)
+    shutil.copytree(folder, copy)
+    (shard,) = copy.glob("*.tar")
+    content = bytearray(shard.read_bytes())
+    content[int(reader.index.table.offset[0, 0])] ^= 1
+    shard.write_bytes(content)
+    assert sheet_of(copy, "--index", "0-3") == (1, (2, 2))
+    assert "gcd show: " in capsys.readouterr().err
 
 
 def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> None:
