@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import read_whole, write_whole
-from gcd_dataset.jsonfile import read_json
+from gcd_dataset.jsonfile import read_json, whole
 from gcd_dataset.measurements import MEASURE, Measure
 from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import read_yaml
@@ -161,7 +161,7 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
         raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg (or SMPL's)")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
-        vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), ids)
+        vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), [] if ids is None else ids)
         if max(vertices, default=0) >= n_vertices:
             raise BodyError(
                 f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, but {mesh} has "
@@ -175,9 +175,10 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
 
 
 def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
-    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # isinstance(True, int) holds
+    numbers = [-1 if (number := whole(i)) is None else number for i in ids] if isinstance(ids, list) else [-1]
+    if min(numbers, default=0) < 0:
         raise BodyError(f"{path}: {name} is not a list of vertex ids: give whole numbers, 0 or more")
-    return ids
+    return numbers
 
 
 def _derived(size: Measurements) -> dict[str, float]:

@@ -46,6 +46,9 @@ JOINERS = dict.fromkeys(map(ord, "\xa0\u2009\u200c\u200d\u200e\u200f\u202f\u3000
 """Spaces and joiners in words of some scripts and in emoji, which ``str.isprintable`` refuses."""
 
 
+LONGEST = 4000  # characters of a message
+
+
 def shown(text: str) -> str:
     """The text for a message: unchanged if printable, else quoted and escaped.
 
@@ -84,7 +87,9 @@ class GcdError(Exception):
 
 
 def _one_line(text: str) -> str:
-    """The text with unprintable characters, line breaks included, as escapes."""
+    """The text with unprintable characters, line breaks included, as escapes; the middle of a long one is left out."""
+    if len(text) > LONGEST:  # a name in a file may have megabytes
+        text = f"{text[: LONGEST // 2]} … {text[-LONGEST // 2 :]}"
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)

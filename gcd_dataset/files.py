@@ -6,6 +6,7 @@ import fcntl
 import os
 import re
 import secrets
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ __all__ = [
     "discard_stdout",
     "drafted",
     "make_folder",
+    "open_regular",
     "open_whole",
     "read_whole",
     "user_path",
@@ -40,6 +42,12 @@ REMEDIES = {
     "make its folder first": (errno.ENOENT,),
 }
 REMEDY_OF = {code: remedy for remedy, codes in REMEDIES.items() for code in codes}
+OTHER_FILES = {
+    stat.S_IFDIR: (errno.EISDIR, "Is a directory"),
+    stat.S_IFIFO: (errno.ESPIPE, "a pipe, not a file"),
+    stat.S_IFSOCK: (errno.ENXIO, "a socket, not a file"),
+}
+"""Type of a path to the error of opening it as a file."""
 
 
 def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]) -> bytes:
@@ -48,8 +56,8 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
     Raises ``error`` if it is missing, unreadable or larger than ``limit`` bytes; the message asks for a ``kind``.
     """
     try:
-        with Path(path).open("rb") as file:
-            size = os.fstat(file.fileno()).st_size  # 0 for a device, so the read is limited too
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size  # may grow meanwhile, so the read is limited too
             content = file.read(limit + 1) if size <= limit else b""
     except FileNotFoundError as cause:
         raise error(f"{path}: no such file: give the path of a {kind}") from cause
@@ -62,6 +70,18 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
     if max(size, len(content)) > limit:
         raise error(f"{path}: more than {limit >> 20} MB: give the path of a {kind}")
     return content
+
+
+def open_regular(path: Path | str) -> BinaryIO:
+    """A file open for reading.
+
+    Raises ``OSError``, also for a pipe, a socket, a device or a folder: opening a pipe would wait for its writer.
+    """
+    mode = stat.S_IFMT(Path(path).stat().st_mode)
+    if mode != stat.S_IFREG:
+        number, fault = OTHER_FILES.get(mode, (errno.ENODEV, "a device, not a file"))
+        raise OSError(number, fault, str(path))
+    return Path(path).open("rb")
 
 
 def write_whole(path: Path | str, content: bytes) -> None:

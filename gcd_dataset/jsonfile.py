@@ -1,16 +1,19 @@
 """JSON from outside: strict parsing and type checks, with errors that name the file and the position in it."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import GcdError, SpecError, shown
+from gcd_dataset.filekinds import other_kind
 from gcd_dataset.files import read_whole
 
-__all__ = ["LARGEST_JSON", "JsonPath", "found", "loads", "parse_json", "read_json"]
+__all__ = ["LARGEST_JSON", "JsonPath", "found", "given", "is_flat", "loads", "parse_json", "read_json", "whole"]
 
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # larger than any length, angle or count; its square is finite
@@ -38,7 +41,7 @@ def parse_json(
         encoded = content.encode() if isinstance(content, str) else bytes(content)
         if len(encoded) > limit:
             raise ValueError(f"{len(encoded)} bytes, more than {limit}")
-        value = loads(str(encoded, "utf-8"), decode=DECODER.decode)
+        value = loads(str(encoded, "utf-8-sig"), decode=DECODER.decode)
         if b"\\u" in encoded:
             json.dumps(value, ensure_ascii=False).encode()
     except json.JSONDecodeError as cause:
@@ -60,15 +63,24 @@ def loads(text: str, *, decode: Callable[[str], Any] = json.loads) -> Any:
         value = decode(text)
     except RecursionError as error:
         raise ValueError(TOO_DEEP) from error
-    if not _surely_flat(text.encode("utf-8", "replace")) and not _is_flat(value):
+    if not _surely_flat(text.encode("utf-8", "replace")) and not is_flat(value):
         raise ValueError(TOO_DEEP)
     return value
 
 
 def read_json(path: Path, kind: str, *, error: type[GcdError] = SpecError) -> Any:
-    """The parsed JSON of a file. Raises ``error``, which asks for a ``kind``, if it is missing, broken or too large."""
-    content = read_whole(path, kind, limit=LARGEST_JSON, error=error)
-    return parse_json(content, source=str(path), error=error)
+    """The parsed JSON of a file.
+
+    Raises ``error``, which asks for a ``kind``, if it is missing, broken, too large or recognised as another kind.
+    """
+    try:
+        content = read_whole(path, kind, limit=LARGEST_JSON, error=error)
+        return parse_json(content, source=str(path), error=error)
+    except error as cause:
+        if (other := other_kind(path)) is None:
+            raise
+        found_kind, remedy = other
+        raise error(f"{path}: {found_kind}, not a {kind}: {remedy or f'give the path of a {kind}'}") from cause
 
 
 @dataclass(frozen=True)
@@ -112,9 +124,10 @@ class JsonPath:
         return float(value)
 
     def index(self, value: Any, name: str) -> int:
-        if not (isinstance(value, int) and _is_number(value)):
+        number = whole(value)
+        if number is None or not _is_number(number):
             raise self.error(f"{name} must be a whole number{_limit([value])}, found {found(value)}")
-        return value
+        return number
 
     def text(self, value: Any, name: str) -> str:
         if not isinstance(value, str):
@@ -123,8 +136,31 @@ class JsonPath:
 
     def require_flat(self, value: Any) -> None:
         """Raise ``SpecError`` for a value nested too deep to be written again."""
-        if not _is_flat(value):
+        if not is_flat(value):
             raise self.error(f"{TOO_DEEP}: flatten it")
+
+
+def given(holder: Mapping[str, Any], key: str, default: Any) -> Any:
+    """The value of a key, or ``default`` if it is absent or null."""
+    return default if (value := holder.get(key)) is None else value
+
+
+def whole(value: Any) -> int | None:
+    """The whole number that a parsed value is, ``1.0`` included; ``None`` for any other value."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value if type(value) is int else None
+
+
+def is_flat(value: Any, *, most: int | None = None) -> bool:
+    """Whether a tree has at most 64 levels, and on each level fewer than ``most`` values, aliases counted each time."""
+    level = [value]
+    for _ in range(DEEPEST):
+        inner = (holder.values() if isinstance(holder, Mapping) else holder for holder in level if _holds(holder))
+        level = list(islice(chain.from_iterable(inner), most))
+        if len(level) == most:
+            return False
+    return not level
 
 
 def found(value: Any) -> str:
@@ -152,8 +188,7 @@ def _finite(text: str) -> float:
 def _unique(items: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(items)
     if len(table) < len(items):
-        keys = [key for key, _ in items]
-        twice = next(key for key in keys if keys.count(key) > 1)
+        twice = next(key for key, count in Counter(key for key, _ in items).items() if count > 1)
         raise ValueError(f"key {shown(twice[:40])} occurs twice in one object")
     return table
 
@@ -171,14 +206,6 @@ def _surely_flat(content: bytes) -> bool:
             break
         brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
     return not brackets
-
-
-def _is_flat(value: Any) -> bool:
-    level = [value]
-    for _ in range(DEEPEST):
-        lists = [inner.values() if isinstance(inner, Mapping) else inner for inner in level if _holds(inner)]
-        level = [inner for values in lists for inner in values]
-    return not level
 
 
 def _first_sentence(error: ValueError) -> str:

@@ -14,6 +14,7 @@ True
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
-from gcd_dataset.jsonfile import JsonPath, found, read_json
+from gcd_dataset.jsonfile import JsonPath, found, given, read_json
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 
 __all__ = [
@@ -73,13 +74,16 @@ def write_pattern(pattern: Pattern, path: Path | str) -> None:
 def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     """The pattern of a parsed specification; ``source`` names it in errors.
 
-    Panels without a translation or rotation are placed at the origin; a file without stitches gives a pattern without
-    seams. Raises ``SpecError`` naming the panel and edge that break the format.
+    Null counts as absent. Panels without a translation or rotation are placed at the origin; a file without stitches
+    gives a pattern without seams. Raises ``SpecError`` naming the panel and edge that break the format.
     """
     at = JsonPath(source or name)
     at.require_flat(spec)
-    body = at.mapping(at.mapping(spec, "").get("pattern"), "pattern")
-    form = _Form.of(at.mapping(spec.get("properties", {}), "properties"), at)
+    if "pattern" not in at.mapping(spec, ""):
+        keys = ", ".join(shown(key[:MOST_NAMES]) for key in islice(spec, 9))
+        raise at.error(f"no object named pattern, only {keys or 'nothing'}: give a specification JSON")
+    body = at.mapping(spec["pattern"], "pattern")
+    form = _Form.of(at.mapping(given(spec, "properties", {}), "properties"), at)
     panels = {
         key: _panel(key, at.mapping(entry, f"panel {shown(key)}"), form, at.within(f"panel {shown(key)}"))
         for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
@@ -87,7 +91,7 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(_stitches(body, at)))
     if not form.loops_normalised:
         panels, seams = _normalise_loops(panels, seams)
-    order = _given_order(body, panels, at) if "panel_order" in body else panel_order(panels.values())
+    order = _given_order(body, panels, at) if body.get("panel_order") is not None else panel_order(panels.values())
     return Pattern(name, tuple(panels[key] for key in order), seams, _extra(spec, form))
 
 
@@ -156,10 +160,10 @@ class _Form:
 
     @staticmethod
     def of(properties: Mapping[str, Any], at: JsonPath) -> "_Form":
-        units = at.number(properties.get("units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
+        units = at.number(given(properties, "units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
         if not 1 / LARGEST_UNIT <= units <= LARGEST_UNIT:
             raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
-        controls = properties.get("curvature_coords", "relative")
+        controls = given(properties, "curvature_coords", "relative")
         if controls not in ("relative", "absolute"):
             raise at.error(f"properties.curvature_coords is {controls!r}: give 'relative' or 'absolute'")
         return _Form(
@@ -171,8 +175,8 @@ class _Form:
 
 
 def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: JsonPath) -> Panel:
-    translation = form.scale * np.array(at.numbers(entry.get("translation", UNPLACED), 3, "translation"))
-    rotation = np.radians(at.numbers(entry.get("rotation", UNPLACED), 3, "rotation"))
+    translation = form.scale * np.array(at.numbers(given(entry, "translation", UNPLACED), 3, "translation"))
+    rotation = np.radians(at.numbers(given(entry, "rotation", UNPLACED), 3, "rotation"))
     points = [at.numbers(point, 2, f"vertex {i}") for i, point in enumerate(at.list_of(entry, "vertices"))]
     vertices = form.scale * np.array(points, float).reshape(-1, 2)
     edges = tuple(
@@ -193,7 +197,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
         raise at.error(f"endpoints must be two vertex numbers, found {found(ends)}")
     start, end = (at.index(vertex, "endpoint") for vertex in ends)
     label = role_of(EdgeRole, at.text(entry.get("label") or "", "label"))
-    if "curvature" not in entry:
+    if entry.get("curvature") is None:
         return Edge(start, end, label=label)
     curve = _curve(entry["curvature"], form.scale, at)
     if form.absolute_controls and not isinstance(curve, Arc):
@@ -245,19 +249,19 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
 
 
 def _stitches(body: Mapping[str, Any], at: JsonPath) -> Sequence[Any]:
-    return at.list_of(body, "stitches") if "stitches" in body else []
+    return at.list_of(body, "stitches") if body.get("stitches") is not None else []
 
 
 def _seam(entry: Any, at: JsonPath) -> Seam:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
         raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {found(entry)}")
-    if len(entry) == 3 and entry[2] != "right_wrong":
+    if len(entry) == 3 and entry[2] not in ("right_wrong", None):
         raise at.error(f"the third word of a stitch is right_wrong, found {found(entry[2])}")
     sides = [at.mapping(side, "a side of the stitch") for side in entry[:2]]
     left, right = (
         EdgeRef(at.text(side.get("panel"), "panel"), at.index(side.get("edge"), "edge number")) for side in sides
     )
-    return Seam(left, right, right_wrong=len(entry) == 3)
+    return Seam(left, right, right_wrong=entry[2:] == ["right_wrong"])
 
 
 def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonPath) -> tuple[str, ...]:
@@ -271,7 +275,7 @@ def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonP
 
 def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
     """The file's content beside the pattern; a converted unit is recorded in ``original_units_in_meter``."""
-    extra = {key: value for key, value in spec.items() if key != "pattern"}
+    extra = {key: value for key, value in spec.items() if key != "pattern" and value is not None}
     if form.scale != 1.0:
         units = spec["properties"]["units_in_meter"]
         extra["properties"] = {"original_units_in_meter": units, **spec["properties"], "units_in_meter": UNITS_IN_METER}

@@ -1,6 +1,7 @@
 """YAML from outside: ambiguous values are rejected, and size and depth are limited."""
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,13 @@ import yaml
 
 from gcd_dataset.errors import GcdError, shown
 from gcd_dataset.files import read_whole
+from gcd_dataset.jsonfile import DEEPEST, is_flat
 
-__all__ = ["read_yaml", "require_shallow", "strict_yaml"]
+__all__ = ["read_yaml", "require_shallow", "require_small", "strict_yaml"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
-DEEPEST = 64  # levels; libyaml crashes the process when its stack overflows
+MOST_VALUES = 300_000  # in one level; the labels of a published garment list some ten thousand vertices
 DEEPEST_BYTES = 1000  # open brackets, or columns of indentation; libyaml's stack overflows at tens of thousands
 BLOCK_START = re.compile(rb"^[ ?:-]{64,}", re.MULTILINE)
 OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: in YAML 1.1 070 is 56, and 1:50 is 110
@@ -40,14 +42,22 @@ def strict_yaml(content: str | bytes) -> Any:
     """The parsed value of YAML without ambiguous constructs.
 
     Raises ``yaml.MarkedYAMLError`` with the line of a repeated key, a number in base 8 or 60, or a merge key (``<<``),
-    which can expand to millions of entries; ``RecursionError`` for more than 64 levels.
+    which can expand to millions of entries; ``RecursionError`` for more than 64 levels, aliases expanded.
     """
     depth = 0
     for event in yaml.parse(content, Loader=LOADER):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST:
+        if depth > DEEPEST:  # libyaml crashes the process when its stack overflows
             raise RecursionError(f"more than {DEEPEST} levels deep")
-    return yaml.load(content, Loader=_StrictLoader)
+    value = yaml.load(content, Loader=_StrictLoader)
+    require_small(value)
+    return value
+
+
+def require_small(value: Any) -> None:
+    """Raise ``RecursionError`` for a value of more than 64 levels or 300,000 values in one, its aliases expanded."""
+    if not is_flat(value, most=MOST_VALUES):
+        raise RecursionError(f"more than {DEEPEST} levels deep, or {MOST_VALUES} values")
 
 
 def require_shallow(content: bytes) -> None:
@@ -72,8 +82,8 @@ class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         table: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(table) < len(node.value):
-            names = [key.value for key, _ in node.value]
-            repeated = next((key for key, _ in node.value if names.count(key.value) > 1), node)
+            counts = Counter(key.value for key, _ in node.value)
+            repeated = next((key for key, _ in node.value if counts[key.value] > 1), node)
             raise _refused("a repeated key: remove one of the entries", repeated)
         return table
 

@@ -3,14 +3,15 @@
 import errno
 import fcntl
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from gcd_dataset.errors import OutputError
-from gcd_dataset.files import DRAFTS, make_folder, open_whole, write_whole
+from gcd_dataset.errors import OutputError, SpecError
+from gcd_dataset.files import DRAFTS, make_folder, open_whole, read_whole, write_whole
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -176,3 +177,17 @@ def test_a_url_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         with pytest.raises(OutputError, match=r"a URL, but a local folder is needed: give a folder"):
             make_folder(path)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_regular_file_is_refused_and_never_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # the path of a socket is short
+    os.mkfifo("pipe")
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind("socket")
+        for name, kind in {"pipe": "a pipe", "socket": "a socket", "/dev/zero": "a device"}.items():
+            with pytest.raises(
+                SpecError, match=rf"{name}: cannot be read \({kind}, not a file\): give the path of a mesh"
+            ):
+                read_whole(name, "mesh", limit=9, error=SpecError)

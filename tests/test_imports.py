@@ -130,7 +130,7 @@ def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
 LAYERS = {
     "measurements": {"errors"},
     "records": {"errors", "curves", "measurements", "viewer.notebook"},  # the last when displayed in a notebook
-    "jsonfile": {"errors", "files"},
+    "jsonfile": {"errors", "filekinds", "files"},
     "spec": {"errors", "curves", "records", "files", "jsonfile"},
     "crossings": {"curves", "records"},
     "validate": {"errors", "curves", "records", "crossings"},

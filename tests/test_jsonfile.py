@@ -20,6 +20,7 @@ BROKEN: dict[str, str | bytes] = {
     "overflow": "1e400",
     "key twice": '{"front": 1, "back": 2, "front": 3}',
     "half a pair": r'"\ud800"',
+    "key twice among many": "{" + ",".join(f'"k{number}": 0' for number in range(50_000)) + ',"z": 0, "z": 1}',
     "no JSON": "{",
     "nothing": "",
     "latin": b'"\xe9"',
@@ -60,6 +61,43 @@ def test_more_than_the_limit_is_refused_before_it_is_parsed(tmp_path: Path) -> N
         file.truncate(1 << 40)
     with pytest.raises(BodyError, match=r"sparse\.json: more than 32 MB: give the path of a segmentation"):
         read_json(tmp_path / "sparse.json", "segmentation", error=BodyError)
+
+
+def test_a_byte_order_mark_is_skipped() -> None:
+    assert parse_json(b"\xef\xbb\xbf[1]", source="x") == [1]
+
+
+KINDS: dict[str, tuple[str | bytes, str]] = {
+    "a.svg": ('<?xml version="1.0"?>\n<!-- x -->\n<svg xmlns="x"/>', "an SVG drawing"),
+    "svg.json": ("\ufeff<svg/>", "an SVG drawing"),
+    "a.dxf": ("999\nby hand\n  0\r\nSECTION\r\n  2\r\n", "a DXF drawing"),
+    "a.val": ('<?xml version="1.0"?>\n<!--x-->\n<pattern><version/></pattern>', "a file of Valentina or Seamly2D"),
+    "a.sm2d": ("damaged", "a file of Valentina or Seamly2D"),
+    "a.zprj": (b"PK\x03\x04\x14", "a file of CLO or Marvelous Designer"),
+    "zip.json": (b"PK\x03\x04\x14", "an archive, not a map: unpack it"),
+    "a.obj": ("# by hand\no Cube\nv 1 2 3\n", "a mesh, not a map: if it is a body, give it as --body"),
+    "a.pdf": ("%PDF-1.7", "a PDF"),
+    "a.jpg": (b"\xff\xd8\xff\xe0", "a picture"),
+    "page.json": ("\n<!DOCTYPE html>\n<svg>", "a web page, perhaps the error of a server, not a map: download"),
+    "lfs.json": (
+        "version https://git-lfs.github.com/spec/v1\noid",
+        "a pointer of Git LFS, not a map: get the file itself",
+    ),
+    "utf16.json": ("[1]".encode("utf-16"), "text in UTF-16, not a map: save it as UTF-8"),
+    "design.yaml": ("meta: {upper: Shirt}", "YAML"),
+    "empty.json": (b"", "empty"),
+    "large.obj": (b"v 1 2 3\n" * 5_000_000, "a mesh"),
+    "json.svg": ('{"a": ', "line 1, column 7: Expecting value: correct the JSON"),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_files_of_other_kinds_are_named_by_content_first(name: str, tmp_path: Path) -> None:
+    content, said = KINDS[name]
+    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(SpecError) as caught:
+        read_json(tmp_path / name, "map")
+    assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
 
 
 def test_a_path_that_no_system_takes_is_reported() -> None:

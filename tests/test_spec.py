@@ -166,6 +166,26 @@ def test_the_folder_names_a_file_without_a_name(tmp_path: Path) -> None:
     assert read_pattern(tmp_path / "skirt" / "specification.json").name == "skirt"
 
 
+def test_null_is_absent_and_a_whole_float_is_an_index() -> None:
+    """As pydantic writes absent values, and JavaScript or pandas whole numbers."""
+    spec = parsed(tube())
+    for entry in (*spec["pattern"]["panels"].values(), *spec["pattern"]["panels"]["front"]["edges"]):
+        entry.pop("label", None)
+    spec["pattern"]["panels"]["back"] |= {"translation": None, "rotation": None, "label": None}
+    spec["pattern"]["panel_order"] = spec["parameters"] = None
+    spec["properties"] |= {"units_in_meter": None, "curvature_coords": None}
+    for edge in spec["pattern"]["panels"]["back"]["edges"]:
+        edge |= {"curvature": None, "label": None, "endpoints": [float(end) for end in edge["endpoints"]]}
+    spec["pattern"]["stitches"] = [[{"panel": "front", "edge": 1.0}, {"panel": "back", "edge": 3.0}, None]]
+    read = pattern_from_spec(spec, "tube")
+    back = replace(square("back"), placement=Placement(np.zeros(3), np.zeros(3)), label="")
+    assert {panel.name: panel for panel in read.panels}["back"] == back
+    assert read.seams == tube().seams[:1]
+    assert pattern_from_spec(parsed(read), "tube").panels == read.panels
+    assert pattern_from_spec({**spec, "properties": None}, "tube").seams == read.seams
+    assert not pattern_from_spec({"pattern": {**spec["pattern"], "stitches": None}}, "tube").seams
+
+
 def nested(levels: int) -> list[Any]:
     inner: list[Any] = []
     for _ in range(levels):
@@ -189,12 +209,16 @@ def broken(change: str) -> Any:
             front["edges"][1]["curvature"]["params"] = [[0, 0]]
         case "endpoint":
             front["edges"][2]["endpoints"] = [2]
+        case "half a vertex":
+            front["edges"][2]["endpoints"] = [2.5, 3]
         case "stitch word":
             spec["pattern"]["stitches"][1][2] = "wrong_right"
         case "order":
             spec["pattern"]["panel_order"] = ["front", "side"]
         case "units":
             spec["properties"]["units_in_meter"] = 0
+        case "no pattern":
+            spec = {"asset": {"version": "2.0"}, "nodes": []}
         case "list":
             spec = []
         case "list for a kind":
@@ -225,6 +249,8 @@ def broken(change: str) -> Any:
         ("unknown curve", "panel front, edge 0: curvature type 'spline'"),
         ("one control point for two", "panel front, edge 1: a cubic curvature has 2 params, found 1"),
         ("endpoint", "panel front, edge 2: endpoints must be two vertex numbers"),
+        ("half a vertex", "panel front, edge 2: endpoint must be a whole number, found 2.5"),
+        ("no pattern", "no object named pattern, only asset, nodes: give a specification JSON"),
         ("stitch word", 'stitch 1: the third word of a stitch is right_wrong, found "wrong_right"'),
         ("order", "panel_order must name each of the 2 panels once: look at back, side"),
         ("units", "units_in_meter is 0"),

@@ -14,6 +14,8 @@ BROKEN = {
     "a = 1\na = 2": "Cannot overwrite a value",
     "a = 2026-13-45": "correct the TOML",
     "= 1": "Invalid statement (at line 1, column 1): correct the TOML",
+    ".".join("a" * 50_000) + " = 1": "nested too deep: flatten the TOML",
+    ".".join("a" * 100) + " = 1": "nested too deep: flatten the TOML",
     "# much\n" * 200_000: "more than 1 MB: give the path of a TOML file",
 }
 
@@ -26,6 +28,11 @@ def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path)
     assert str(caught.value).startswith(f"{tmp_path / 'c.toml'}: ")
     assert BROKEN[text] in str(caught.value)
     assert str(caught.value).isprintable()
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1")
+    assert read_toml(tmp_path / "c.toml") == {"a": 1}
 
 
 def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:

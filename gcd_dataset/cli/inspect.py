@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.errors import GcdError, ShardError
+from gcd_dataset.files import open_regular
 from gcd_dataset.hub.partition import DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.codec import decode_field, read_meta
@@ -251,5 +252,5 @@ def _header_faults(path: Path, reader: ShardReader, table: ShardTable) -> Iterat
 
 
 def _sha256(path: Path) -> str:
-    with reading(path), path.open("rb") as file:
+    with reading(path), open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -16,7 +16,7 @@ __all__ = ["design_in", "names_a_file", "pattern_of", "sample_of"]
 
 def names_a_file(source: str) -> bool:
     """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
-    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).is_file())
+    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).exists())
 
 
 def design_in(path: Path | str) -> "OutfitDesign":

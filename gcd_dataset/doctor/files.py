@@ -6,6 +6,7 @@ from pathlib import Path
 from gcd_dataset.doctor import checks
 from gcd_dataset.doctor.checks import Check
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import open_regular
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.body_folder import FOLDER
 from gcd_dataset.release.garment_list import PublishedGarments
@@ -50,7 +51,7 @@ def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
 def _member_faults(path: Path, offsets: set[int]) -> Iterator[FileFault]:
     """Members of a shard that its index does not list."""
     try:
-        with reading(path), path.open("rb") as file:
+        with reading(path), open_regular(path) as file:
             for entry in tar_entries(file.fileno()):
                 if entry.offset not in offsets:
                     yield checks.ORPHANS, _place(path, entry), "members that the index does not list"

@@ -10,7 +10,7 @@ from math import dist
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.jsonfile import JsonPath
+from gcd_dataset.jsonfile import JsonPath, whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import pattern_from_spec
 
@@ -74,8 +74,6 @@ def _mend_panel(entry: dict[str, Any]) -> list[str]:
     remarks = []
     edges: list[dict[str, Any]] = entry["edges"]
     for index, edge in enumerate(edges):
-        if edge.get("curvature", 0) is None:
-            del edge["curvature"]
         if _too_small(edge, entry.get("vertices")):
             remarks.append(f"edge {index}: its arc is too small for its chord: made a half circle")
     first, last = _end(edges[0], 0), _end(edges[-1], 1)
@@ -105,8 +103,7 @@ def _too_small(edge: dict[str, Any], vertices: Any) -> bool:
 
 def _end(edge: Mapping[str, Any], side: int) -> int | None:
     ends = edge.get("endpoints")
-    vertex = ends[side] if isinstance(ends, list) and len(ends) == 2 else None
-    return vertex if isinstance(vertex, int) else None
+    return whole(ends[side]) if isinstance(ends, list) and len(ends) == 2 else None
 
 
 def _joins(stitch: Any, panels: Mapping[str, Mapping[str, Sequence[Any]]]) -> bool:
@@ -116,7 +113,7 @@ def _joins(stitch: Any, panels: Mapping[str, Mapping[str, Sequence[Any]]]) -> bo
         isinstance(side, Mapping)
         and isinstance(side.get("panel"), str)
         and side["panel"] in panels
-        and isinstance(side.get("edge"), int)
-        and 0 <= side["edge"] < len(panels[side["panel"]]["edges"])
+        and (edge := whole(side.get("edge"))) is not None
+        and 0 <= edge < len(panels[side["panel"]]["edges"])
         for side in sides
     )

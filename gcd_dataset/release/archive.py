@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError, shown
+from gcd_dataset.files import open_regular
 from gcd_dataset.records import Record
 from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
 from gcd_dataset.release.gzip_index import WINDOW, GzipScanner, SeekPoint, read_from
@@ -201,7 +202,7 @@ class _Plain:
 
 def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> None:
     """Scan an archive and write its index. Raises ``ShardError`` for a damaged one, ``OutputError``."""
-    with reading(path), path.open("rb") as file:
+    with reading(path), open_regular(path) as file:
         is_packed = os.pread(file.fileno(), 2, 0) == GZIP_MAGIC
         stream = GzipScanner(file.fileno()) if is_packed else _Plain(file.fileno())
         try:

@@ -8,7 +8,7 @@ from typing import Protocol
 from gcd_dataset.errors import ShardError
 from gcd_dataset.release.archive import Archive
 from gcd_dataset.release.published_names import ENDINGS, REMEDY
-from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.access import read_file, reading
 
 __all__ = ["GarmentFiles", "open_batch"]
 
@@ -46,7 +46,7 @@ class Extracted:
             path = self.path / name / f"{name}{ENDINGS[kind]}"
             with reading(path):
                 if path.exists():
-                    content[kind] = path.read_bytes()
+                    content[kind] = read_file(path)
         return content
 
 

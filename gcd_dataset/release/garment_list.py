@@ -14,7 +14,7 @@ from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.release.published_names import BODY_FOLDERS, REMEDY, SPLIT_FILE, SPLIT_NAMES
 from gcd_dataset.release.read_garment import PublishedGarment
-from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.access import read_file
 
 __all__ = ["ALL", "GarmentEntry", "PublishedGarments"]
 
@@ -83,8 +83,7 @@ class PublishedGarments:
         """Hash of the split file, which determines the indices; ``None`` for split ``all``."""
         if self.split_file is None:
             return None
-        with reading(self.split_file):
-            return hashlib.sha256(self.split_file.read_bytes()).hexdigest()
+        return hashlib.sha256(read_file(self.split_file)).hexdigest()
 
     def _listed(self) -> Iterator[tuple[int, str, str]]:
         """Position, batch and name of every design of the split."""
@@ -147,8 +146,7 @@ def _split_file(batches: PublishedBatches) -> Path:
 
 def _designs(path: Path, split: str) -> list[tuple[str, str]]:
     """Batch and name of the designs that a split file lists. Raises ``ShardError``."""
-    with reading(path):
-        text = path.read_bytes()
+    text = read_file(path)
     try:
         lists: Mapping[str, Any] = json.loads(text)
         (key,) = (name for name in SPLIT_NAMES[split] if name in lists)

@@ -15,7 +15,7 @@ import yaml
 from gcd_dataset.errors import ShardError
 from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
 from gcd_dataset.release.published_names import REMEDY
-from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.access import read_file
 from gcd_dataset.yamlfile import require_shallow
 
 __all__ = ["Facts", "Properties", "read_properties"]
@@ -68,8 +68,7 @@ def _read_cache(path: Path, stamp: list[int]) -> Properties | None:
 
 
 def _parsed(path: Path) -> Properties:
-    with reading(path):
-        text = path.read_bytes()
+    text = read_file(path)
     try:
         require_shallow(text)
         table = yaml.load(text, Loader=_Loader)

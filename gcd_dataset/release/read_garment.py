@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,13 @@ from gcd_dataset.release.ply import Ply, read_ply, weld
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
-from gcd_dataset.yamlfile import require_shallow
+from gcd_dataset.yamlfile import require_shallow, require_small
 
 __all__ = ["PublishedGarment"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # prefix of seam vertices in the segmentation file
 SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
-MOST_VALUES, DEEPEST = 1_000_000, 64  # values and depth of a YAML tree with its aliases expanded
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
 """Exceptions of PyYAML on invalid dates, ``!!bool maybe``, a map that is its own key, …"""
 SHORTEST = 1e-6  # cm: flat length below which an edge has no stretch
@@ -287,30 +285,13 @@ class PublishedGarment:
             content = self._file(kind)
             require_shallow(content)
             table = yaml.load(content, Loader=LOADER)
+            require_small(table)
         except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error
-        if not _is_small(table):
-            raise self.broken(kind, f"more than {DEEPEST} levels, or {MOST_VALUES} values")
         return table if isinstance(table, dict) else {}
 
     def _path(self, kind: str) -> str:
         return f"{self.location}/{self.name}{ENDINGS[kind]}"
-
-
-def _is_small(table: Any) -> bool:
-    """Whether a tree, its aliases expanded, has at most ``DEEPEST`` levels and ``MOST_VALUES`` values."""
-    level, count = [table], 1
-    for _ in range(DEEPEST):
-        inner = (value.values() if isinstance(value, Mapping) else value for value in level if _is_container(value))
-        level = list(islice(chain.from_iterable(inner), MOST_VALUES))
-        count += len(level)
-        if not level or count > MOST_VALUES:
-            break
-    return not level and count <= MOST_VALUES
-
-
-def _is_container(value: Any) -> bool:
-    return isinstance(value, Mapping | list | tuple | set)
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:

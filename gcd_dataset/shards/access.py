@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
+from gcd_dataset.files import open_regular
 
-__all__ = ["REMEDY", "locked", "read_limited", "reading", "writing"]
+__all__ = ["REMEDY", "locked", "read_file", "read_limited", "reading", "writing"]
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
 """Remedy for a damaged shard: the next writer makes the missing samples again."""
@@ -32,9 +33,15 @@ class reading:  # noqa: N801 -- a context manager, named as functions are
             raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_remedy(error)}") from error
 
 
+def read_file(path: Path) -> bytes:
+    """The content of a file. Raises ``ShardError``."""
+    with reading(path), open_regular(path) as file:
+        return file.read()
+
+
 def read_limited(path: Path, limit: int) -> bytes:
     """The content of a file. Raises ``ShardError`` for more than ``limit`` bytes, before any is read."""
-    with reading(path), path.open("rb") as file:
+    with reading(path), open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > limit:
             raise ShardError(f"{path}: {size} bytes, over the limit of {limit}: {REMEDY}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, did_you_mean
-from gcd_dataset.files import user_path
+from gcd_dataset.files import open_regular, user_path
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.contents import no_shards_remedy, read_index, splits_in
@@ -73,7 +73,7 @@ class FolderStore(Store):
 
     def _opened(self, shard: str, path: Path) -> "_OpenFile":
         """Open a shard. Raises ``ShardError`` where its samples have moved since the index was read."""
-        file = _OpenFile(os.open(path, os.O_RDONLY))
+        file = _OpenFile(os.open(path, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
         last = self._last.get(shard)
         if last is not None and last.has_moved(file.fd):
             raise ShardError(f"{path}: samples were inserted since its index was read: open the data set again")
@@ -82,7 +82,7 @@ class FolderStore(Store):
 
     def stream(self, shard: str) -> BinaryIO:
         with reading(self.folder / shard):
-            return (self.folder / shard).open("rb")
+            return open_regular(self.folder / shard)
 
     def _require_whole(self, split: str) -> None:
         """Raise ``ShardError`` for an incomplete download, unmerged parts, and a missing or truncated shard."""

@@ -14,6 +14,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from gcd_dataset.errors import ShardError, shown
+from gcd_dataset.files import open_regular
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.index import ShardIndex, ShardTable
 from gcd_dataset.shards.layout import foreign_layout
@@ -87,7 +88,7 @@ def foreign_index(archives: Mapping[str, Sequence[ForeignSample]], lengths: Sequ
 def scan_foreign(path: Path) -> list[ForeignSample]:
     """The samples of an archive. Raises ``ShardError`` naming a member that is damaged, or no plain file."""
     try:
-        with reading(path), path.open("rb") as file:
+        with reading(path), open_regular(path) as file:
             return list(samples_of(file))
     except ShardError as error:
         if str(error).startswith(str(path)):

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8, UInt32
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import write_whole
+from gcd_dataset.files import open_regular, write_whole
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Grade, Outcome, Record
 from gcd_dataset.shards.access import REMEDY, read_limited, reading
@@ -409,7 +409,7 @@ def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
     """The file's descriptor. Raises ``ShardError`` for an OS error."""
-    with reading(path), path.open("rb") as file:
+    with reading(path), open_regular(path) as file:
         yield file.fileno()
 
 

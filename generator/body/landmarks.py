@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import landmark_table
-from gcd_dataset.jsonfile import found, read_json
+from gcd_dataset.jsonfile import found, read_json, whole
 from gcd_dataset.records import Record
 
 __all__ = ["LEVEL_RINGS", "GivenLandmarks", "Landmarks", "levels_of", "model_landmarks", "read_landmarks"]
@@ -111,8 +111,8 @@ def _ring(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.n
 
 
 def _position(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "3"]:
-    if type(value) is int and 0 <= value < len(vertices):
-        return vertices[value]
+    if (vertex := whole(value)) is not None and 0 <= vertex < len(vertices):
+        return vertices[vertex]
     if not (isinstance(value, list) and len(value) == 3 and all(type(n) in (int, float) for n in value)):
         raise BodyError(f"{path}: {name} is {_short(value)}: give a vertex id under {len(vertices)}, or [x, y, z]")
     low, high = vertices.min(axis=0), vertices.max(axis=0)

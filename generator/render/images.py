@@ -7,6 +7,7 @@ from jaxtyping import Float32
 from PIL import Image, UnidentifiedImageError
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import open_regular
 
 __all__ = ["linear_light", "read_picture"]
 
@@ -23,7 +24,7 @@ def read_picture(path: Path | str) -> Linear:
     try:
         if path.suffix.lower() in (".hdr", ".pic"):
             return _radiance(path)
-        with Image.open(path) as image:
+        with open_regular(path) as file, Image.open(file) as image:
             return linear_light(np.asarray(image.convert("RGB"), np.float32) / 255.0).astype(np.float32)
     except (OSError, UnidentifiedImageError, ValueError) as error:
         raise ConfigError(
@@ -41,7 +42,8 @@ def linear_light(srgb: np.ndarray) -> np.ndarray:
 
 def _radiance(path: Path) -> Linear:
     """A Radiance picture: text header, then rows of RGBE, run-length coded or flat (Ward, Graphics Gems II, 1991)."""
-    data = path.read_bytes()
+    with open_regular(path) as file:
+        data = file.read()
     head, blank, rest = data.partition(b"\n\n")
     if not head.startswith(b"#?") or not blank:
         raise ValueError("no Radiance header")

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import SpecError
+from gcd_dataset.files import open_regular
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.points import sample_surface
 
@@ -108,6 +109,7 @@ def read_shape(path: Path) -> Shape:
     Raises ``SpecError`` with the file and a remedy.
     """
     try:
+        open_regular(path).close()
         points, faces = _array(path) if path.suffix.lower() == ".npy" else _mesh(path)
     except Exception as error:  # trimesh and numpy raise any exception for malformed files
         line = " ".join(str(error).split())[:120]

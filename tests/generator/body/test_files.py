@@ -105,6 +105,12 @@ def test_inward_faces_are_flipped(mannequin: dict[str, Path]) -> None:
     assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
 
 
+def test_vertex_ids_may_be_written_as_whole_floats_and_a_list_as_null(mannequin: dict[str, Path]) -> None:
+    mannequin["parts"].write_text(PARTS % '7.0], "head": null, "hands": [0.0')
+    body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+    assert body.parts.tolist() == [BodyPart.HANDS.value, 0, 0, 0, 1, 2, 3, 4]
+
+
 LAUGHS = "".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 9) if i else 'ha'}]\n" for i in range(12)) + (
     "body: {height: *l11}"
 )
@@ -126,7 +132,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
         ("parts", PARTS % '7], "left_leg": [5', "key left_leg occurs twice in one object"),
         ("parts", PARTS % -1, "right_leg is not a list of vertex ids: give whole numbers, 0 or more"),
-        ("parts", PARTS % 7.0, "right_leg is not a list of vertex ids"),
+        ("parts", PARTS % 7.5, "right_leg is not a list of vertex ids"),
         ("parts", '{"%s": 1}' % ("a" * 10**5), "add left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
         ("parts", PARTS % "true", "right_leg is not a list of vertex ids"),
@@ -152,7 +158,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
         ("size", "body: {height: 1:50.5}", "the number 1:50.5, which is not in base 10"),
         ("size", "a: &a {x: 1}\nbody:\n  <<: *a\n", "line 3, column 3: a merge key (<<): write the entries out"),
-        ("size", LAUGHS, "body.height is [[[...], [...], "),
+        ("size", LAUGHS, "nested too deeply"),
         ("size", MERGED_LAUGHS, "a merge key"),
         ("size", "body: {height: !!python/object:os.system 1}", "not YAML (line 1, column 16: could not determine"),
         ("size", "# much\n" * 200_000, "more than 1 MB: give the path of a measurement YAML"),
