@@ -106,12 +106,8 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
 def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
     """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
     parser.add_argument("--body", type=body_name, default=default, help=f"{BODY_NAMES}, a mesh file (default: neutral)")
-    parser.add_argument(
-        "--measurements", type=Path, metavar="YAML", help="for a mesh file [cm, degrees] (default: measured)"
-    )
-    parser.add_argument(
-        "--segmentation", type=Path, metavar="JSON", help="for a mesh file, vertex ids by part (default: found)"
-    )
+    parser.add_argument("--measurements", type=Path, metavar="YAML", help="of a mesh file [cm] (default: measured)")
+    parser.add_argument("--segmentation", type=Path, metavar="JSON", help="of a mesh file, vertex ids (default: found)")
 
 
 def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
