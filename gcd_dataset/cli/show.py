@@ -46,7 +46,7 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument("--html", type=Path, metavar="FILE", help="pattern, mesh and drape as one self-contained page")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
     show.add_argument("--sheet", type=Path, metavar="FILE", help="pictures of several garments, as JPEG or PNG")
-    conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hood grade=clean"
+    conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hooded grade=clean"
     show.add_argument("--where", nargs="+", default=[], metavar="NAME=VALUE", help=conditions)
     show.add_argument(
         "--truth", metavar="DATASET|SPEC", help="true patterns beside those of SPEC, by name; prints the scores"

@@ -107,8 +107,8 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
 def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
     """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
     parser.add_argument("--body", type=body_name, default=default, help=f"{BODY_NAMES}, a mesh file (default: neutral)")
-    parser.add_argument("--measurements", type=Path, metavar="YAML", help="measures for a mesh file [cm, degrees]")
-    parser.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file")
+    parser.add_argument("--measurements", type=Path, metavar="YAML", help="of a mesh file [cm] (default: measured)")
+    parser.add_argument("--segmentation", type=Path, metavar="JSON", help="of a mesh file, vertex ids (default: found)")
     add_height(parser)
 
 

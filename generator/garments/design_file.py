@@ -34,9 +34,7 @@ def read_design(path: Path | str) -> OutfitDesign:
     sections = {entry.key for entry in DesignSpace.declared(OutfitDesign).entries}
     if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
         names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
-        raise ConfigError(
-            f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or a design of ours"
-        )
+        raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
     try:
         return _design(content, f"{path}: ")
     except ConfigError as error:
@@ -77,14 +75,15 @@ def _design(values: Mapping[str, Any], source: str) -> OutfitDesign:
         raise ConfigError(f"design is {short(tree)}, not a table of parameters")
     design, faults = read_values(space, tree)
     used = {entry.key for entry in space.entries if entry.name in design.sections_used()}
-    unknown, ignored = [], []
-    for one in islice(unknown_parameters(space, tree), MOST_UNKNOWN):
+    refused, ignored = [], []
+    unknown = list(islice(unknown_parameters(space, tree), MOST_UNKNOWN))
+    for one in unknown:
         found = list(islice(_changes(one.path, one.node, used), MOST_UNKNOWN))
-        if len(found) == MOST_UNKNOWN or any(changes for _, changes in found):
-            unknown.append(one.fault(space))
+        if MOST_UNKNOWN in (len(unknown), len(found)) or any(changes for _, changes in found):
+            refused.append(one.fault(space))
         else:
             ignored += [text for text, _ in found]
-    require_no_fault([*unknown, *faults])
+    require_no_fault([*refused, *faults])
     if ignored:
         more = f" and {len(ignored) - LISTED} more" if len(ignored) > LISTED else ""
         log.warning("%signored, as gcd_dataset lacks them: %s%s", source, ", ".join(ignored[:LISTED]), more)

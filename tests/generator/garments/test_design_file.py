@@ -147,6 +147,8 @@ def test_names_and_values_beyond_number_end_at_once() -> None:
     with pytest.raises(ConfigError, match="; and more") as caught:
         design_from_dict(many)
     assert len(str(caught.value)) < 3000
+    with pytest.raises(ConfigError, match="; and more"):  # the last one may change the garment
+        design_from_dict({"meta": {"upper": "Shirt"}, **dict.fromkeys(map(str, range(100)), entry(0)), "zzz": 1})
 
 
 BAD = {
