@@ -112,7 +112,7 @@ class PointNoise:
 class PickCaption:
     """Replaces ``caption``, the captions of all levels, by one of them: a string without line breaks.
 
-    >>> PickCaption("short")({"caption": "A skirt.\\nA long skirt.\\nA long skirt. It has a plain hem."})
+    >>> PickCaption("short")({"caption": "short: A skirt.\\nmedium: A long skirt.\\nfull: A long plain skirt."})
     {'caption': 'A skirt.'}
 
     ``levels``: the level, or several, of which each use draws one; default: all. With one level it may serve as a

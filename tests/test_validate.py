@@ -150,6 +150,17 @@ def test_each_rule_names_its_place_and_figure(rule: Rule) -> None:
     assert "\n" not in str(faults[0])
 
 
+def test_a_narrow_dart_is_found_whole_and_a_wide_one_is_none() -> None:
+    """Its legs may be divided, and the loop may run clockwise."""
+    corners = ((0, 0), (20, 0), (20, 20), (10.2, 20), (10.1, 14), (10, 8), (9.9, 14), (9.8, 20), (0, 20))
+    divided = alone_sewn(polygon(*corners), (4, 5), (6, 3))
+    clockwise = alone_sewn(polygon(*corners[::-1]), (4, 1), (2, 3))
+    figures = [[fault.figure.partition(":")[0] for fault in check_pattern(each)] for each in (divided, clockwise)]
+    assert figures == [["with edge 6 it is 0.4 cm wide"], ["with edge 4 it is 0.4 cm wide"]]
+    wide = polygon((0, 0), (20, 0), (20, 20), (12, 20), (10, 8), (8, 20), (0, 20))
+    assert not check_pattern(alone_sewn(wide, (3, 4)))
+
+
 def named(*names: str) -> Pattern:
     return Pattern("p", tuple(square(name) for name in names), ())
 

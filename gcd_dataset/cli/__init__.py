@@ -248,7 +248,8 @@ def _validate(options: argparse.Namespace) -> int:
     from gcd_dataset.validate import Severity, check_pattern
 
     found: list[Severity] = []
-    for path in dict.fromkeys(options.spec):
+    paths = dict.fromkeys(options.spec)
+    for path in paths:
         try:
             faults = check_pattern(read_pattern(path))
         except GcdError as error:
@@ -260,7 +261,7 @@ def _validate(options: argparse.Namespace) -> int:
             print(f"{path}:", *listed, sep="\n  ")
         found += [fault.severity for fault in listed]
     if not found:
-        print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
+        print(f"{len(paths)} pattern{'s' if len(paths) > 1 else ''}: no fault found")
     return 1 if found and (options.strict or Severity.ERROR in found) else 0
 
 
