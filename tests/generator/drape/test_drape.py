@@ -271,6 +271,19 @@ def test_start_positions_of_another_mesh_are_refused() -> None:
         replace(job, start=job.box_mesh.vertices[:3])
 
 
+def test_a_job_that_cannot_be_draped_costs_no_other() -> None:
+    good, config = on_a_ball(4), DrapeConfig(max_frames=1)
+    mesh = good.box_mesh
+    empty = replace(mesh, faces=mesh.faces[:0], corners=mesh.corners[:0], panel_id=mesh.panel_id[:0])
+    beyond = replace(mesh, faces=mesh.faces + len(mesh.vertices))
+    jobs = [replace(good, box_mesh=empty), good, replace(good, box_mesh=beyond)]
+    first, drape, last = drape_batch(jobs, config, device="cpu")
+    assert [drape] == drape_batch([good], config, device="cpu")
+    assert first.outcome is last.outcome is Outcome.REFUSED
+    assert "no faces" in first.reason
+    assert "faces: numbers 25 to 49, but there are 25 rows" in last.reason
+
+
 def test_no_jobs_give_no_drapes() -> None:
     assert drape_batch([], device="cpu") == []
 
