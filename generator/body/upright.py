@@ -31,7 +31,9 @@ MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is large
 SHORTLIST = 6  # orientations refined after the quick fits
 COARSE_LEAN = np.radians(4.0)  # error of a coarse fit's rotation
 SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is
-POSTURE = np.radians(6.0)  # per cm of misfit: more lean to front or back that stays, for another posture than the model's
+POSTURE = np.radians(
+    6.0
+)  # per cm of misfit: more lean to front or back that stays, for another posture than the model's
 
 _AXES = [np.eye(3)[list(order)] for order in itertools.permutations(range(3))]
 _SIGNS = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
