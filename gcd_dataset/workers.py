@@ -29,6 +29,7 @@ UNSTARTED = (
     "a worker process could not start, see above: a script that uses workers must start them under "
     'if __name__ == "__main__":'
 )
+SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, timeout and Slurm send them to the whole process group
 AHEAD = 2  # tasks submitted for each process, so that none is idle while the consumer is busy
 
 
@@ -74,7 +75,7 @@ def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> 
         for task in tasks:
             receiver, sender = context.Pipe(duplex=False)
             process = context.Process(target=_run_stream, args=(work, task, sender, lifeline), daemon=True)
-            with _no_program_from_standard_input():
+            with _starting():
                 process.start()
             sender.close()
             processes.append(process)
@@ -83,7 +84,7 @@ def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> 
     finally:
         parent_end.close()
         for process in processes:
-            process.terminate()
+            process.kill()
 
 
 @contextmanager
@@ -115,18 +116,23 @@ def _run_stream(
 
 
 @contextmanager
-def _no_program_from_standard_input() -> Iterator[None]:
-    """Start processes without the main module if it has no file that they could import, as with ``python -``."""
+def _starting() -> Iterator[None]:
+    """Start processes with ``SIGNALS`` blocked, which they inherit until ``_start_worker`` ignores them.
+
+    Without the main module if it has no file that they could import, as with ``python -``.
+    """
     program = sys.modules["__main__"]
     file = getattr(program, "__file__", None)
-    if file is None or Path(file).exists():
-        yield
-        return
-    del program.__file__
+    is_missing = file is not None and not Path(file).exists()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
+        if is_missing:
+            del program.__file__
         yield
     finally:
-        program.__file__ = file
+        if is_missing:
+            program.__file__ = file
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _receive(connection: Connection, process: BaseProcess) -> Iterator[Any]:
@@ -146,7 +152,7 @@ def _receive(connection: Connection, process: BaseProcess) -> Iterator[Any]:
 def _submit(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
     """The future of a task. Raises ``GcdError`` if a process of the pool has died."""
     try:
-        with _no_program_from_standard_input():  # the pool starts its processes here
+        with _starting():  # the pool starts its processes here
             return pool.submit(work, task)
     except BrokenProcessPool as error:
         raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
@@ -180,8 +186,10 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker(lifeline: Connection) -> None:
-    """Called first in a worker: ignore SIGINT, and exit when the parent closes its end of the lifeline or dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Called first in a worker: leave signals to the parent, and exit when it closes its end of the lifeline or dies."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_exit_with_parent, args=(lifeline,), daemon=True).start()
 
 

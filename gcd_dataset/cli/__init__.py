@@ -2,7 +2,7 @@
 
 Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, or options that do not
 fit each other, this machine or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
-the requested content. Exit 130 after Ctrl-C.
+the requested content. Exit 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 import argparse
@@ -19,8 +19,8 @@ from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.subject import design_in
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
-    INTERRUPTED,
     Parser,
+    Stopped,
     add_body,
     add_height,
     add_quiet,
@@ -29,7 +29,6 @@ from gcd_dataset.cli.verb import (
     interrupts_after_imports,
     natural_number,
     process_count,
-    stopped,
     wearer_of,
 )
 from gcd_dataset.errors import ConfigError, GcdError
@@ -42,19 +41,20 @@ FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them a
 BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, no garments
 
 
+@interrupts_after_imports()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     name = "gcd"
     try:
-        with interrupts_after_imports():
-            options = _with_user_paths(_parse(arguments))
-            name = f"gcd {options.verb}"
-            return int(options.run(options))
-    except KeyboardInterrupt:
-        print(f"{name}: stopped: finished files are kept", file=sys.stderr)
-        return INTERRUPTED
+        options = _with_user_paths(_parse(arguments))
+        name = f"gcd {options.verb}"
+        return int(options.run(options))
+    except KeyboardInterrupt as error:
+        stopped = Stopped.of(error)
+        print(f"{name}: {stopped}", file=sys.stderr)
+        return stopped.exit_code
     except ConfigError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
@@ -97,8 +97,6 @@ def _generate(options: argparse.Namespace) -> int:
     with Bar("garment", options.quiet) as bar:
         bar.run(partial(work, part=part, workers=options.workers, engine=options.engine, log=options.log))
     done = bar.progress
-    if bar.interrupted:
-        return stopped("generate", f"{done.done} of {done.count}")
     rejected = done.rejects.total()
     which = "" if part is None else f"part {part}: "
     if part is not None and not done.made:
@@ -144,8 +142,6 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         work = partial(generate_people, options.out, options.count, seed=options.seed, bodies=bodies)
         bar.run(partial(work, workers=options.workers, log=options.log))
     done = bar.progress
-    if bar.interrupted:
-        return stopped("generate", f"{done.done} of {done.count}")
     print(f"{options.out}: {done.count} bodies in two poses, {done.made} of them made now")
     return 0
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from gcd_dataset.cli.verb import Stopped
 from gcd_dataset.verbs.progress import SETTLED, Progress
 
 if TYPE_CHECKING:
@@ -18,23 +19,26 @@ MOST_RULES = 3  # rules named in the bar
 class Bar:
     """A progress bar on stderr, a new one for each split; keeps the latest progress.
 
-    ``verb``: the verb named in lines about skipped samples.
+    ``verb``: the verb named in lines about skipped samples; ``again``: how to go on after a signal.
     """
 
-    def __init__(self, unit: str, quiet: bool, *, verb: str = "generate") -> None:
-        self._unit, self._quiet, self._verb = unit, quiet, verb
+    def __init__(
+        self, unit: str, quiet: bool, *, verb: str = "generate", again: str = "the same command continues from there"
+    ) -> None:
+        self._unit, self._quiet, self._verb, self._again = unit, quiet, verb, again
         self._bar: tqdm[Any] | None = None
         self.progress = Progress(0, 0)
         """The latest progress."""
-        self.interrupted = False
 
     def run(self, work: Callable[..., Any]) -> Any:
-        """Call ``work(on_progress=…)``; returns its result, or ``None`` after Ctrl-C, with ``interrupted`` set."""
+        """The result of ``work(on_progress=…)``. Raises ``Stopped``, with the latest progress, after a signal."""
         try:
             return work(on_progress=self.show)
-        except KeyboardInterrupt:
-            self.interrupted = True
-            return None
+        except KeyboardInterrupt as error:
+            done = self.progress
+            split = "" if done.split == "train" else f" of {done.split}"
+            so_far = f" at {done.done} of {done.count}{split}" if done.count else ""
+            raise Stopped(Stopped.of(error).number, f"{so_far}: {self._again}") from None
 
     def show(self, progress: Progress) -> None:
         """Update the bar; a ``ProgressCallback``."""

@@ -2,13 +2,12 @@
 
 import argparse
 import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.verb import INTERRUPTED, SOURCE_HELP, add_quiet, add_server, add_verb
+from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb
 
 __all__ = ["add_verbs"]
 
@@ -36,12 +35,9 @@ def add_verbs(verbs: Any) -> None:
 def _doctor(options: argparse.Namespace) -> int:
     from gcd_dataset.verbs import doctor
 
-    with Bar("garment", options.quiet, verb="doctor") as bar:
+    with Bar("garment", options.quiet, verb="doctor", again="nothing was changed") as bar:
         work = partial(doctor, options.dataset, quick=options.quick, endpoint=options.endpoint)
         report = bar.run(partial(work, cache_dir=options.cache_dir))
-    if bar.interrupted:
-        print("gcd doctor: stopped: nothing was changed", file=sys.stderr)
-        return INTERRUPTED
     if options.json:
         print(json.dumps(report.to_json(), indent=1, ensure_ascii=False))
     else:

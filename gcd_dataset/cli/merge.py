@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder, stopped
+from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder
 from gcd_dataset.errors import ConfigError, shown
 
 if TYPE_CHECKING:
@@ -79,8 +79,6 @@ def _merge(options: argparse.Namespace) -> int:
     folder = require_folder(options.out)
     with Bar("garment", options.quiet, verb="merge") as bar:
         counts = bar.run(partial(merge, folder))
-    if bar.interrupted:
-        return stopped("merge", f"{bar.progress.done} of {bar.progress.count}")
     splits = ", ".join(f"{split} {count}" for split, count in sorted(counts.items(), reverse=True))
     print(f"{folder}: {sum(counts.values())} garments: {splits}")
     return 0

@@ -1,10 +1,9 @@
-"""Shared by the verbs of ``gcd``: parser, option types, Ctrl-C, and opening data sets."""
+"""Shared by the verbs of ``gcd``: parser, option types, signals that end a verb, and opening data sets."""
 
 import argparse
 import contextlib
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
@@ -12,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from gcd_dataset import files
 from gcd_dataset.cli.examples import EXAMPLES
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BODY_NAMES",
-    "INTERRUPTED",
     "SOURCE_HELP",
     "Parser",
+    "Stopped",
     "add_body",
     "add_height",
     "add_quiet",
@@ -35,17 +35,32 @@ __all__ = [
     "open_source",
     "process_count",
     "require_folder",
-    "stopped",
     "wearer_of",
 ]
 
-INTERRUPTED = 130  # exit code of shells for a program ended by Ctrl-C
-RETRY = 0.05  # s between checks whether an import has ended
+SIGNALLED = 128  # added by shells to the number of the signal that ended a program
+USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+"""The signals that end a verb in good order, and Python's handlers of them."""
+RETRY = 0.005  # s between checks whether a signal may be raised
 WRONG_USAGE = 2
 SOURCE_HELP = "folder, URL, or repository ORG/NAME of the Hub"
 MEAN, RANDOM = ("neutral", "female", "male"), ("random", "female", "male", "pooled")
 BODY_NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in RANDOM)))
 """Names of generated bodies, for messages and help."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A verb was stopped by a signal; the message says how far it got, and how to go on."""
+
+    def __init__(self, number: int = signal.SIGINT, message: str = ": finished files are kept: run it again") -> None:
+        super().__init__(f"stopped{message}")
+        self.exit_code = SIGNALLED + number
+        self.number = number
+
+    @classmethod
+    def of(cls, error: KeyboardInterrupt) -> "Stopped":
+        """The error itself, or that of Ctrl-C."""
+        return error if isinstance(error, cls) else cls()
 
 
 class Parser(argparse.ArgumentParser):
@@ -165,50 +180,45 @@ def natural_number(text: str) -> int:
 
 @contextlib.contextmanager
 def interrupts_after_imports() -> Iterator[None]:
-    """Delay Ctrl-C until no import is running: trimesh would take it for a missing package, and continue.
+    """Raise ``Stopped`` for Ctrl-C and SIGTERM, but not during an import, where trimesh would take it for a missing
+    package, nor where it would leave a draft behind.
 
-    Does nothing outside the main thread, or if Python's default handler is not installed.
+    A further SIGTERM is ignored, since ``timeout`` and Slurm send two. Does nothing outside the main thread, and leaves
+    signals for which Python's usual handler is not installed.
     """
     is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-    later: list[threading.Timer] = []
+    taken = [number for number, usual in USUAL.items() if is_main and signal.getsignal(number) == usual]
+    later: dict[int, threading.Timer] = {}
 
     def interrupted(number: int, frame: FrameType | None) -> None:
-        for timer in later:
+        if (timer := later.pop(number, None)) is not None:
             timer.cancel()
-        later.clear()
-        if not _importing(frame):
-            raise KeyboardInterrupt
-        later.append(threading.Timer(RETRY, os.kill, (os.getpid(), signal.SIGINT)))
-        later[0].daemon = True
-        later[0].start()
+        if not _must_wait(frame):
+            if number == signal.SIGTERM:
+                signal.signal(number, signal.SIG_IGN)
+            raise Stopped(number)
+        later[number] = threading.Timer(RETRY, os.kill, (os.getpid(), number))
+        later[number].daemon = True
+        later[number].start()
 
-    signal.signal(signal.SIGINT, interrupted)
+    for number in taken:
+        signal.signal(number, interrupted)
     try:
         yield
-        if later:
-            raise KeyboardInterrupt
     finally:
-        for timer in later:
+        for timer in later.values():
             timer.cancel()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in taken:
+            signal.signal(number, USUAL[number])
 
 
-def _importing(frame: FrameType | None) -> bool:
-    """Whether an import is on the call stack."""
+def _must_wait(frame: FrameType | None) -> bool:
+    """Whether an import, or the start or end of a file's draft, is on the call stack."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        if frame.f_code.co_filename.startswith(("<frozen importlib", str(files.__file__))):
             return True
         frame = frame.f_back
     return False
-
-
-def stopped(verb: str, progress: str) -> int:
-    """Report that Ctrl-C stopped a verb, and return the exit code; ``progress``: text such as ``3 of 10``."""
-    print(f"gcd {verb}: stopped at {progress}: the same command continues from there", file=sys.stderr)
-    return INTERRUPTED
 
 
 def require_folder(source: str) -> Path:
