@@ -397,11 +397,10 @@ def require_number(name: str, value: Any, *, least: float = 0.0, most: float = m
     return float(value)
 
 
-def require_garments(user: str, value: Any) -> None:
-    """Raise ``ConfigError`` for anything but garments, the argument of the class ``user``."""
+def require_garments(name: str, value: Any) -> None:
+    """Raise ``ConfigError`` for an argument that is no data set of garments."""
     if not isinstance(value, Garments):
-        kind = type(value).__name__
-        raise ConfigError(f"{user} of a {kind}: give GarmentDataset, GeneratedGarments or another data set of garments")
+        raise ConfigError(f"{name} is a {type(value).__name__}: give GarmentDataset, GeneratedGarments or the like")
 
 
 def require_callable(name: str, value: Any, takes: str = "item") -> Any:

@@ -86,7 +86,7 @@ class FreshGarments(IterableDataset[GarmentFields]):
         seed: int = 0,
         augment: Augment | None = None,
     ) -> None:
-        require_garments("FreshGarments", garments)
+        require_garments("garments", garments)
         self.garments, self.room = garments, require_integer("room", room, least=1)
         self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
         self.augment = None if augment is None else require_callable("augment", augment, "item, rng")

@@ -215,7 +215,7 @@ def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) 
     if len(datasets) != len(weights):
         raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one weight for each data set")
     for number, dataset in enumerate(datasets):
-        require_garments("MixedDataset", dataset)
+        require_garments(f"data set {number}", dataset)
         if not len(dataset):
             raise ConfigError(f"data set {number} has no garments: leave it out")
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):

@@ -182,7 +182,7 @@ class Augmented(DerivedGarments):
     """
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
-        require_garments("Augmented", whole)
+        require_garments("whole", whole)
         super().__init__(whole, None)
         self.augment, self.seed = require_callable("augment", augment, "item, rng"), require_integer("seed", seed)
         self.garments_per_design = whole.garments_per_design

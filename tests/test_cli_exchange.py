@@ -299,7 +299,6 @@ def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
     program = f"""
 import resource, sys
 from pathlib import Path
-from typing import Any
 from gcd_dataset.cli import main
 for room in ({size // 20}, {size // 2}, {size - 1}):
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))

@@ -16,6 +16,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
 from gcd_dataset.shards import FIELDS, MEMBERS, ShardWriter, read_index
 from gcd_dataset.shards.reader import Quality, Verify
+from gcd_dataset.shards.unfinished import filling
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -198,6 +199,26 @@ def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
         GarmentDataset(folder, quality="clean")
     with pytest.raises(ConfigError, match="quality='good': choose from clean, paper, or None for all"):
         GarmentDataset(folder, quality="good")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_an_unfinished_run_is_warned_of_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], streaming: bool
+) -> None:
+    options: dict[str, Any] = {"streaming": streaming, "fields": ["meta"]}
+    with pytest.raises(StopIteration), filling(tmp_path, 400):
+        fill(tmp_path, range(3))
+        raise StopIteration
+    ds = GarmentDataset(tmp_path, "train[:1]+train[1:]", **options)
+    assert len(list(DataLoader(ds, 2, num_workers=2, collate_fn=collate_list))) == 2
+    (message,) = caplog.messages
+    assert message.startswith(f"{tmp_path}: split train is unfinished: 3 of 400 samples: its run was stopped, or is")
+    assert "400 samples" not in "".join(capfd.readouterr())  # nor printed by a worker
+    GarmentDataset(tmp_path, partial=True, **options)
+    with filling(tmp_path, 3):
+        pass
+    GarmentDataset(tmp_path, **options)
+    assert caplog.messages == [message]
 
 
 @pytest.mark.parametrize("recipe", [{"fake": True}, {"stage": "mesh"}])
