@@ -2,10 +2,10 @@
 
 import codecs
 import logging
-import math
 import re
 import reprlib
 from collections.abc import Mapping
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -53,21 +53,15 @@ LIMBS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.LEFT_LEG, BodyPart.RIGH
 RELATIVE = re.compile(rb"(?<=\s)-(\d+)")  # a vertex number, not one of a texture or normal after a slash
 
 SMPL_SEGMENTS = {
-    f"{side}{name}": part
-    for side, arm, leg in (
-        ("left", BodyPart.LEFT_ARM, BodyPart.LEFT_LEG),
-        ("right", BodyPart.RIGHT_ARM, BodyPart.RIGHT_LEG),
-    )
-    for part, names in {
-        arm: ("Shoulder", "Arm", "ForeArm"),
-        leg: ("UpLeg", "Leg"),
-        BodyPart.HANDS: ("Hand", "HandIndex1"),
-        BodyPart.FEET: ("Foot", "ToeBase"),
-        BodyPart.INTERNAL: ("Eye",),
-    }.items()
-    for name in names
+    BodyPart.LEFT_ARM: "leftShoulder leftArm leftForeArm",
+    BodyPart.RIGHT_ARM: "rightShoulder rightArm rightForeArm",
+    BodyPart.LEFT_LEG: "leftUpLeg leftLeg",
+    BodyPart.RIGHT_LEG: "rightUpLeg rightLeg",
+    BodyPart.HANDS: "leftHand leftHandIndex1 rightHand rightHandIndex1",
+    BodyPart.FEET: "leftFoot leftToeBase rightFoot rightToeBase",
+    BodyPart.INTERNAL: "leftEye rightEye eyeballs",
 }
-SEGMENTS = SMPL_SEGMENTS | {
+SEGMENTS = {name: part for part, names in SMPL_SEGMENTS.items() for name in names.split()} | {
     "body": BodyPart.TRUNK,
     "left_arm": BodyPart.LEFT_ARM,
     "right_arm": BodyPart.RIGHT_ARM,
@@ -77,12 +71,8 @@ SEGMENTS = SMPL_SEGMENTS | {
     "hands": BodyPart.HANDS,
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
-    "eyeballs": BodyPart.INTERNAL,
 }
-"""Part names of a segmentation file: GarmentCode's and ours, SMPL's and SMPL-X's.
-
-Vertices under other names, and unlisted vertices, count as trunk.
-"""
+"""Part names of a segmentation file, SMPL's and SMPL-X's too. Vertices under other names, or unlisted, count as trunk."""
 
 
 def read_measurements(path: Path | str) -> Measurements:
@@ -111,26 +101,20 @@ def require_same_body(given: Measurements, ours: Measurements, source: Path | st
 
     Angles are not compared. Raises ``BodyError`` if most measures are the mesh's in another unit.
     """
-    lengths = {
-        name: (getattr(given, name), getattr(ours, name)) for name, known in MEASURE.items() if known.unit == "cm"
-    }
-    positive = {name: pair for name, pair in lengths.items() if min(pair) > 0}  # not NaN either
+    known = [name for name, known in MEASURE.items() if known.unit == "cm"]
+    pairs = [(name, getattr(given, name), getattr(ours, name)) for name in known]
+    ratios = np.array([other / one for _, one, other in pairs if min(one, other) > 0])  # of neither NaN
     for unit, factor in FACTORS:
-        alike = [abs(math.log(other / (one * factor))) < math.log(SAME_UNIT) for one, other in positive.values()]
-        if sum(alike) > len(alike) / 2:
+        if np.mean(np.abs(np.log(ratios / factor)) < np.log(SAME_UNIT)) > 0.5:
             raise BodyError(f"{source}: most measures are those of {mesh} in {unit}: give them in centimetres")
     far = [
         f"{name} {one:.1f} ({other:.1f})"
-        for name, (one, other) in lengths.items()
-        if abs(one - other) > max(FAR, FAR_SHARE * abs(other))
+        for name, one, other in pairs
+        if abs(one - other) > max(FAR, FAR_SHARE * other)
     ]
     if far:
-        log.warning(
-            "%s: doubtful: differs from %s (its measures in brackets): %s [cm]: give the measures of this body",
-            source,
-            mesh,
-            ", ".join(far),
-        )
+        reason = f"differs from {mesh} (its measures in brackets): {', '.join(far)} [cm]"
+        log.warning("%s: doubtful: %s: give the measures of this body", source, reason)
 
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:
@@ -211,11 +195,8 @@ def read_body_file(path: Path) -> bytes:
     return read_whole(path, "file of a body", limit=LARGEST_BODY_FILE, error=BodyError)
 
 
-def obj_lines(content: bytes, path: Path) -> list[bytes]:
-    """The ``v`` and ``f`` lines of an OBJ file, in order; relative vertex numbers (-1: the latest) become absolute.
-
-    A byte order mark is skipped, and continued lines are joined. Raises ``BodyError`` for a number before the first.
-    """
+def obj_lines(content: bytes) -> list[bytes]:
+    """The ``v`` and ``f`` lines of an OBJ file; relative vertex numbers (-1: the latest) are made absolute."""
     joined = re.sub(rb"\\\r?\n", b" ", content.removeprefix(codecs.BOM_UTF8))
     lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
     count = 0
@@ -223,10 +204,10 @@ def obj_lines(content: bytes, path: Path) -> list[bytes]:
         if line[:1] == b"v":
             count += 1
         elif b"-" in line:
-            back = [int(number) for number in RELATIVE.findall(line)]
-            if max(back, default=0) > count:
-                raise BodyError(f"{path}: a face names vertex -{max(back)} of {count} so far: export the mesh again")
-            for number in back:
-                line = RELATIVE.sub(b"%d" % (count + 1 - number), line, count=1)
-            lines[row] = line
+            lines[row] = RELATIVE.sub(partial(_absolute, count), line)
     return lines
+
+
+def _absolute(count: int, relative: re.Match[bytes]) -> bytes:
+    back = int(relative[1])
+    return b"%d" % (count + 1 - back) if 0 < back <= count else relative[0]

@@ -432,7 +432,7 @@ def test_unusable_options_are_reported_before_any_drape(
     assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
     assert "body.obj" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--height", "170"]) == 1
-    assert "neutral: a named body has known parts and size" in one_line(capsys.readouterr().err)
+    assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
 
 
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,10 +16,9 @@ __all__ = ["measured_text"]
 def measured_text(
     body: str, landmarks: Path | None = None, segmentation: Path | None = None, height: float | None = None
 ) -> str:
-    """The measures of a mesh file, or of a generated body given by name, as commented YAML.
+    """The measures of a mesh file, or of a generated body given by name, as commented YAML; errors: see ``named_body``.
 
     Generated bodies are measured in the A-pose with the legs straight. ``height`` [cm] gives the scale of a mesh file.
-    Raises ``BodyError``, and ``ConfigError`` for a ``height`` that no adult has.
     """
     shape = shape_by_name(body, legs_apart=False)
     if shape is None:

@@ -67,8 +67,8 @@ class PublishedPeople:
         """One person. Raises ``BodyError`` naming an invalid file."""
         straight, apart = (self.vertices(name, pose) for pose in POSES)
         size = self.measurements(name)
-        tall = Measurements(height=float(np.ptp(straight[:, 1])))
-        require_same_body(size, tall, self._path(name, "measures"), self._path(name, POSES[0]))
+        ours = Measurements(height=float(straight[:, 1].max()))
+        require_same_body(size, ours, self._path(name, "measures"), self._path(name, "straight"))
         return Person(name, self.shape(name), straight, apart, size)
 
     def vertices(self, name: str, pose: str) -> Float32[np.ndarray, "v 3"]:

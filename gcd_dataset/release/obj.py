@@ -54,7 +54,7 @@ class ObjText:
 
 def read_obj(path: Path) -> ObjText:
     """The vertex and face lines of a file. Raises ``BodyError`` for a file without vertices or faces."""
-    lines = obj_lines(read_body_file(path), path)
+    lines = obj_lines(read_body_file(path))
     text = ObjText(
         path,
         tuple(line for line in lines if line.startswith(b"v")),

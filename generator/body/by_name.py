@@ -36,8 +36,7 @@ def named_body(
     if shape is None:
         return *read_body(name_or_path, measurements, segmentation, height=height), None
     if segmentation is not None or height is not None:
-        given = "height" if segmentation is None else "segmentation"
-        raise BodyError(f"{name_or_path}: a named body has known parts and size: leave the {given} out")
+        raise BodyError(f"{name_or_path}: a named body has known parts and height: leave segmentation and height out")
     body, size = build_body(shape, name=str(name_or_path)), measure(build_body(replace(shape, legs_apart=False)))
     if measurements is None:
         return body, size, shape

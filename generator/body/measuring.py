@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Self
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, ArmPose, model_mesh_in_a_pose, turn_off_a_pose
@@ -25,7 +24,7 @@ from gcd_dataset.generator.body.register import Registration, registration_at
 from gcd_dataset.generator.body.scan import Scan, kept_mesh
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import MeasureResult, measure_at, model_sites, sites_of
-from gcd_dataset.generator.body.upright import StandingTransform, UprightScan, find_upright, unit_of
+from gcd_dataset.generator.body.upright import UprightScan, find_upright, unit_of
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["FoundBody", "find_body", "measure", "measure_closely", "measure_model_mesh"]
@@ -76,24 +75,16 @@ class FoundBody(Record):
     """In the coordinates of the upright mesh, soles at y = 0 [cm]."""
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` of each vertex of the input mesh; loose pieces are internal."""
-    kept: Bool[np.ndarray, " v"]
-    """Whether each vertex of the input mesh belongs to the body: not unused, nor of another object such as a floor."""
-    by_vertex: bool
-    """Whether the mesh is the body model's, so that landmarks and parts are known by vertex."""
-    transform: StandingTransform
-    """From the input to a body that stands upright on y = 0 and faces +z [cm]."""
+    upright: UprightScan
+    """The skin of the mesh, upright [cm]."""
     misfit: float
     """Mean distance of the registered body model from the skin, scaled to the model's height [cm]."""
     arm_turn: float
     """Rotation of the arms to the A-pose before measuring [rad]; 0 if they were near it."""
-    holes: Float[np.ndarray, " h"]
-    """Distance across each hole in the skin [cm]."""
     underbust_error: float
     """Possible error of the underbust, from the uncertainty of its level [cm]."""
-    mean_edge: float
-    """Mean length of the mesh's edges [cm]."""
-    sagitta: float
-    """Mean depth of the triangles under a smooth skin [cm]."""
+    by_vertex: bool
+    """Whether the mesh is the body model's, so that landmarks and parts are known by vertex."""
 
 
 def find_body(
@@ -115,68 +106,18 @@ def find_body(
     """
     upright, registration = find_upright(Scan.of(vertices, faces, name), name)
     if not in_cm:
-        upright = upright.in_cm(unit_of(upright.height, name, height))
-    scan = upright.scan
+        upright = upright.in_cm(unit_of(float(np.ptp(upright.scan.vertices[:, 1])), name, height))
+    scan, scale, shift, misfit = upright.scan, upright.scale, upright.shift, registration.alignment.misfit
     require_body_alone(scan, upright.surface, registration, name)
-    found = partial(
-        FoundBody,
-        kept=~scan.outside,
-        transform=upright.transform,
-        misfit=registration.alignment.misfit,
-        holes=scan.holes,
-        mean_edge=scan.mean_edge,
-        sagitta=scan.sagitta,
-    )
     skin = ~(scan.loose | scan.outside)
     known = None if given is not None else _model_vertices(*kept_mesh(vertices, faces, skin), upright, registration)
     if known is not None:
-        return _found_by_vertex(found, known, skin, parts)
-    return _found_by_landmarks(found, upright, registration, skin, name, given, parts)
-
-
-def _model_vertices(
-    vertices: np.ndarray, faces: np.ndarray, upright: UprightScan, registration: Registration
-) -> Float[np.ndarray, "m 3"] | None:
-    """The upright vertices [cm] of a body with the model's mesh; ``None`` for another mesh, or a mirrored body."""
-    if not np.array_equal(faces, body_model().faces):
-        return None
-    standing = upright.transform.apply(vertices)
-    off = np.linalg.norm(standing * upright.scale + upright.shift - registration.vertices, axis=1)
-    return standing if np.median(off) < SAME_VERTICES else None
-
-
-def _found_by_vertex(
-    found: Callable[..., FoundBody],
-    standing: Float[np.ndarray, "m 3"],
-    skin: Bool[np.ndarray, " v"],
-    parts: UInt8[np.ndarray, " v"] | None,
-) -> FoundBody:
-    """The measures of a body with the model's mesh, upright [cm]; ``skin``: its vertices in the input mesh."""
-    result = measure_model_mesh(standing)
-    if parts is None:
-        parts = np.full(len(skin), BodyPart.INTERNAL.value, np.uint8)
-        parts[skin] = body_model().parts
-    return found(
-        by_vertex=True,
-        result=result,
-        marks=model_landmarks(standing),
-        parts=parts,
-        arm_turn=turn_off_a_pose(result.measurements.arm_pose_angle),
-        underbust_error=0.0,
-    )
-
-
-def _found_by_landmarks(
-    found: Callable[..., FoundBody],
-    upright: UprightScan,
-    registration: Registration,
-    skin: Bool[np.ndarray, " v"],
-    name: str,
-    given: GivenLandmarks | None,
-    parts: UInt8[np.ndarray, " v"] | None,
-) -> FoundBody:
-    """The measures of any body; ``skin``: its vertices in the input mesh. Raises ``BodyError``."""
-    scan, scale, shift = upright.scan, upright.scale, upright.shift
+        result, marks = measure_model_mesh(known), model_landmarks(known)
+        if parts is None:
+            parts = np.full(len(vertices), BodyPart.INTERNAL.value, np.uint8)
+            parts[skin] = body_model().parts
+        arm_turn = turn_off_a_pose(result.measurements.arm_pose_angle)
+        return FoundBody(result, marks, parts, upright, misfit, arm_turn, underbust_error=0.0, by_vertex=True)
     labels = find_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
         labels[scan.source[skin]] = parts[skin]
@@ -194,16 +135,28 @@ def _found_by_landmarks(
         raise BodyError(f"{name}: {error}") from error
     require_skin(posed.scan, marks, sites, result, name)
     require_free_limbs(scan, labels, result, name)
-    if parts is None:
-        parts = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
-    return found(
-        by_vertex=False,
+    found_parts = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
+    return FoundBody(
         result=posed.result_in_pose(result, marks),
         marks=posed.marks_in_pose(marks),
-        parts=parts,
+        parts=found_parts if parts is None else parts,
+        upright=upright,
+        misfit=misfit,
         arm_turn=posed.turn,
-        underbust_error=underbust_uncertainty(posed.scan, sites, result, registration.alignment.misfit),
+        underbust_error=underbust_uncertainty(posed.scan, sites, result, misfit),
+        by_vertex=False,
     )
+
+
+def _model_vertices(
+    vertices: np.ndarray, faces: np.ndarray, upright: UprightScan, registration: Registration
+) -> Float[np.ndarray, "m 3"] | None:
+    """The upright vertices [cm] of a body with the model's mesh; ``None`` for another mesh, or a mirrored body."""
+    if not np.array_equal(faces, body_model().faces):
+        return None
+    standing = upright.transform.apply(vertices)
+    off = np.linalg.norm(standing * upright.scale + upright.shift - registration.vertices, axis=1)
+    return standing if np.median(off) < SAME_VERTICES else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,13 +69,15 @@ def read_body(
         if size is None or file.parts is None:
             raise
         log.warning("%s; taken as it stands, y up and facing +z, with the given measures and parts", error)
-        return _as_it_stands(file, file.parts, size, height), size
-    for remark in _remarks(file, found):
-        log.info("%s: %s", file.path, remark)
-    if size is not None and measurements is not None:
-        require_same_body(size, _sure_measures(found), measurements, file.path)
-    vertices, faces = kept_mesh(found.transform.apply(file.vertices), file.faces, found.kept)
-    return _closed(file, vertices, faces, found.parts[found.kept]), size or found.result.measurements
+        body, ours = _as_it_stands(file, file.parts, height)
+    else:
+        for remark in _remarks(file, found):
+            log.info("%s: %s", file.path, remark)
+        body, ours = _upright_body(file, found), _sure_measures(found)
+        if size is None:
+            return body, found.result.measurements
+    require_same_body(size, ours, str(measurements), file.path)
+    return body, size
 
 
 def measure_file(
@@ -118,18 +120,23 @@ def _find_body(file: _MeshFile, given: Path | str | None, height: float | None) 
     )
 
 
+def _upright_body(file: _MeshFile, found: FoundBody) -> Body:
+    kept = ~found.upright.scan.outside
+    vertices, faces = kept_mesh(found.upright.transform.apply(file.vertices), file.faces, kept)
+    return _closed(file, vertices, faces, found.parts[kept])
+
+
 def _sure_measures(found: FoundBody) -> Measurements:
     """The measures without those that are uncertain because the arms were moved."""
     unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()
     return replace(found.result.measurements, **dict.fromkeys(unsure, np.nan))
 
 
-def _as_it_stands(file: _MeshFile, parts: UInt8[np.ndarray, " v"], size: Measurements, height: float | None) -> Body:
-    """The body in a mesh in which no body is found, such as a dress form. Raises ``BodyError``."""
+def _as_it_stands(file: _MeshFile, parts: UInt8[np.ndarray, " v"], height: float | None) -> tuple[Body, Measurements]:
+    """The body in a mesh in which none is found, such as a dress form, and its height. Raises ``BodyError``."""
     tall = float(np.ptp(file.vertices[:, 1]))
-    vertices = stand(file.vertices * unit_of(tall, str(file.path), height))
-    require_same_body(size, Measurements(height=float(np.ptp(vertices[:, 1]))), "the measures", file.path)
-    return _closed(file, vertices, file.faces, parts)
+    unit = unit_of(tall, str(file.path), height)
+    return _closed(file, stand(file.vertices * unit), file.faces, parts), Measurements(height=tall * unit)
 
 
 def _closed(
@@ -152,12 +159,12 @@ def _closed(
 
 def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
     """Remarks for the user, a line each: assumptions about the mesh, and doubts about measures."""
-    height = found.result.measurements.height
-    unit = next((name for name, factor in UNITS.items() if factor == found.transform.unit), None)
+    height, scan, transform = found.result.measurements.height, found.upright.scan, found.upright.transform
+    unit = next((name for name, factor in UNITS.items() if factor == transform.unit), None)
     remarks = [f"taken to be in {unit}, {height:.1f} cm tall" if unit else f"scaled to {height:.1f} cm"]
-    if found.transform.turned:
+    if transform.turned:
         remarks.append("did not stand upright facing +z and was turned")
-    if others := int((~found.kept[file.faces]).any(axis=1).sum()):
+    if others := int(scan.outside[file.faces].any(axis=1).sum()):
         remarks.append(f"left out: {others} triangles not connected to the body, such as a floor")
     remarks += _arm_remark(found.arm_turn)
     if found.by_vertex:
@@ -169,9 +176,9 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
                 f"doubtful: {', '.join(unsure)} were found with less confidence than arms in this pose require: check "
                 f"{', '.join(ARM_MEASURES)}, or scan with the arms 45° down"
             )
-    if len(found.holes):
+    if len(scan.holes):
         remarks.append(
-            f"{len(found.holes)} holes in the skin, up to {found.holes.max():.1f} cm across, bridged where a tape "
+            f"{len(scan.holes)} holes in the skin, up to {scan.holes.max():.1f} cm across, bridged where a tape "
             "crosses less than 3 cm of them"
         )
     remarks += _coarse_mesh_remark(found)
@@ -192,13 +199,14 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
 
 def _coarse_mesh_remark(found: FoundBody) -> list[str]:
     """Error bounds for a coarse mesh, as found on decimated bodies."""
-    girth = GIRTH_ERROR * found.sagitta
+    scan = found.upright.scan
+    girth = GIRTH_ERROR * scan.sagitta
     if girth < COARSE_ERROR * found.result.measurements.height / USUAL_HEIGHT:
         return []
     return [
-        f"doubtful: a coarse mesh, its edges {found.mean_edge:.1f} cm long on average: height and girths may be up to "
-        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * found.sagitta:.1f} cm, distances between landmarks "
-        f"{found.mean_edge:.1f} cm and {ANGLE_ERROR * found.mean_edge:.0f}°: give a finer mesh"
+        f"doubtful: a coarse mesh, its edges {scan.mean_edge:.1f} cm long on average: height and girths may be up to "
+        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * scan.sagitta:.1f} cm, distances between landmarks "
+        f"{scan.mean_edge:.1f} cm and {ANGLE_ERROR * scan.mean_edge:.0f}°: give a finer mesh"
     ]
 
 

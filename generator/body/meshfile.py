@@ -64,9 +64,9 @@ def read_mesh(path: Path) -> _Mesh:
 
 def _read_obj(content: bytes, path: Path) -> _Mesh:
     """Reads positions and faces only: trimesh renumbers vertices by texture seams, materials and groups."""
-    plain = re.sub(rb"/\S*", b"", b"\n".join(obj_lines(content, path)))
-    if odd := re.search(rb"^f.*\s[+-]?0+(?!\S).*$", plain, re.MULTILINE):
-        raise ValueError(f"a face names vertex 0, but OBJ counts from 1: {odd[0][:60].decode(errors='replace')}")
+    plain = re.sub(rb"/\S*", b"", b"\n".join(obj_lines(content)))
+    if odd := re.search(rb"^f.*\s(-\d+|\+?0+)(?!\S)", plain, re.MULTILINE):
+        raise ValueError(f"a face names vertex {odd[1].decode()}, but OBJ counts from 1")
     return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
 
 

@@ -64,11 +64,6 @@ class Alignment(Record):
         return Rotation.from_rotvec(self.pose[3:6].copy()).as_matrix()
 
     @property
-    def lean(self) -> float:
-        """Angle of that rotation [rad]."""
-        return float(np.linalg.norm(self.pose[3:6]))
-
-    @property
     def arm_turns(self) -> Float[np.ndarray, "2 3"]:
         """Rotation of each arm from the A-pose, in the order of ``ARMS``: rotation vectors [rad]."""
         return self.pose[6:12].reshape(2, 3)

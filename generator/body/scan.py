@@ -1,6 +1,6 @@
 """Prepares any mesh for measuring: welds coincident vertices, drops degenerate faces, patches holes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -80,16 +80,6 @@ class Scan(Record):
             beyond | unused,
             holes.widths,
             *_coarseness(welded, faces),
-        )
-
-    def scaled(self, factor: float) -> "Scan":
-        """The scan with all lengths multiplied by a factor."""
-        return replace(
-            self,
-            vertices=self.vertices * factor,
-            holes=self.holes * factor,
-            mean_edge=self.mean_edge * factor,
-            sagitta=self.sagitta * factor,
         )
 
 

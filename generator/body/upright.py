@@ -31,9 +31,7 @@ MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is large
 SHORTLIST = 6  # orientations refined after the quick fits
 COARSE_LEAN = np.radians(4.0)  # error of a coarse fit's rotation
 SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is
-POSTURE = np.radians(
-    6.0
-)  # per cm of misfit: more lean to front or back that stays, for another posture than the model's
+POSTURE = np.radians(6.0)  # per cm of misfit, further lean forwards or backwards that stays: the posture may differ
 
 _AXES = [np.eye(3)[list(order)] for order in itertools.permutations(range(3))]
 _SIGNS = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
@@ -81,19 +79,11 @@ class UprightScan(Record):
     shift: Float[np.ndarray, "3"]
     alignment: Alignment
 
-    @property
-    def height(self) -> float:
-        """From the soles to the top of the head."""
-        return float(np.ptp(self.scan.vertices[:, 1]))
-
     def in_cm(self, unit: float) -> "UprightScan":
         """The scan in centimetres; ``unit``: the length of the mesh's unit [cm]."""
-        return replace(
-            self,
-            scan=self.scan.scaled(unit),
-            transform=replace(self.transform, unit=unit),
-            scale=self.scale / unit,
-        )
+        lengths = ("vertices", "holes", "mean_edge", "sagitta")
+        scan = replace(self.scan, **{name: getattr(self.scan, name) * unit for name in lengths})
+        return replace(self, scan=scan, transform=replace(self.transform, unit=unit), scale=self.scale / unit)
 
 
 def unit_of(tall: float, name: str, height: float | None = None) -> float:
@@ -107,7 +97,8 @@ def unit_of(tall: float, name: str, height: float | None = None) -> float:
     if height is not None:
         if not is_adult_height(height):
             raise ConfigError(f"height {height:g}: no adult's: give it in centimetres, {ADULT[0]:g} to {ADULT[1]:g}")
-        return height / tall
+        if tall > 0:
+            return height / tall
     for unit in UNITS.values():
         if is_adult_height(tall * unit):
             return unit
@@ -124,7 +115,7 @@ def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
     Raises ``BodyError`` if it holds no body.
     """
     found = _nearest_quarter_turn(scan)
-    if leans := found.alignment.lean > COARSE_LEAN:
+    if leans := np.linalg.norm(found.alignment.pose[3:6]) > COARSE_LEAN:
         found = _try(scan, found.alignment.turn.T @ found.transform.turn)
     if found.alignment.misfit > MAX_MISFIT:
         raise BodyError(

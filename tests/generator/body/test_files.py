@@ -302,7 +302,7 @@ def test_unknown_names_are_errors(name: str, expected: str) -> None:
 def test_a_height_must_be_an_adults_and_is_for_a_mesh(mannequin: dict[str, Path]) -> None:
     with pytest.raises(ConfigError, match=r"height 1\.7: no adult's: give it in centimetres, 120 to 230"):
         named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"], height=1.7)
-    with pytest.raises(BodyError, match="neutral: a named body has known parts and size: leave the height out"):
+    with pytest.raises(BodyError, match="neutral: a named body has known parts and height: leave"):
         named_body("neutral", height=170.0)
 
 

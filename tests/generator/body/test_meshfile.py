@@ -158,7 +158,7 @@ MALFORMED = {
     "nothing.ply": (b"", ""),
     "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
     "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
-    "back.obj": (f"{V}f -1 -2 -9\n".encode(), "a face names vertex -9 of 3 so far"),
+    "back.obj": (f"{V}f -1 -2 -9\n".encode(), "a face names vertex -9, but OBJ counts from 1"),
     "none.obj": (b"f 1 2 3\n", ""),
     "words.obj": (f"{V}f a b c\n".encode(), ""),
     "flat.obj": (f"{V}f 1 2\n".encode(), ""),
