@@ -30,10 +30,12 @@ MOST_EDGES = 2000  # per panel: 10 m in steps of half a centimetre; published an
 WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment are shorter than LONG
 LONG = 60.0  # cm: between the median edge of a garment and the median edge of a garment scaled by ten
 HIGH = 400.0  # cm: higher than any panel hangs
-LOW = 25.0  # cm: only shoes, or a garment scaled by a tenth, have their top so low
+LOW = 25.0  # cm: only shoes have their top so low
+FLAT = 0.01  # ratio of the depth of a garment to its greatest extent: panels in one plane were never placed
+ACROSS = 300.0  # cm: more than the second largest extent of any placed garment
 TINY = 10.0  # cm: the largest panel of a garment that is not placed, even of a belt, is larger
 USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
-USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
+USUAL_ACROSS = 60.0  # cm: the second largest extent of a typical garment, a better guess if its panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # units per metre
 CROSSWISE = 0.85  # a seam is crosswise if pairing its ends the other way shortens their distance to this share …
 APART = 2.0  # … and by this much [cm]; published and sampled seams all keep a share of 0.9 or more
@@ -62,6 +64,7 @@ class Rule(Enum):
     ARC_RADIUS = "arc radius under half its chord"
     TOO_LARGE = "panel over 10 m"
     UNLIKELY_SIZE = "size unlikely for a person"
+    UNLIKELY_HEIGHT = "hangs above or below every person"
     SELF_CROSSING = "outline crosses itself"
     NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
@@ -76,7 +79,7 @@ class Rule(Enum):
         return Severity.WARNING if self in SEWABLE else Severity.ERROR
 
 
-SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
+SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.UNLIKELY_HEIGHT, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,24 +229,22 @@ def _unlikely_size(
     highest = max(float(panel.placement.translation[1]) for panel in pattern.panels)
     if TINY <= largest <= WIDE and LOW <= highest <= HIGH:
         return
-    top = _top(pattern.panels)
-    if top is not None and top > HIGH:
-        figure = f"it hangs up to {top:.4g} cm high, its largest panel is {largest:.4g} cm"
-    elif largest > WIDE and np.median(list(lengths)) > LONG:
+    points = np.concatenate([panel.placement.apply(panel.vertices) for panel in pattern.panels])
+    extents, top = np.ptp(points, axis=0), float(points[:, 1].max())
+    placed, across = extents[2] > FLAT * extents.max(), float(np.median(extents))
+    if largest > WIDE and np.median(list(lengths)) > LONG:
         figure = f"its largest panel is {largest:.4g} cm, and half of its edges are over {LONG:.0f} cm"
-    elif largest < TINY if top is None else top < LOW:
+    elif placed and across > ACROSS:
+        figure = f"it extends over {across:.4g} cm in two directions, its largest panel is {largest:.4g} cm"
+    elif (extents.max() if placed else largest) < TINY:
         figure = f"its largest panel is {largest:.4g} cm"
     else:
+        if placed and not LOW <= top <= HIGH:
+            figure = f"its top is {top:.0f} cm above the floor: correct the translations; gcd drape moves most garments"
+            yield Fault(Rule.UNLIKELY_HEIGHT, "", None, figure)
         return
-    scale = USUAL / largest if top is None else USUAL_TOP / top if top > 0 else None
+    scale = USUAL_ACROSS / across if placed and across else USUAL / largest
     yield Fault(Rule.UNLIKELY_SIZE, "", None, f"{figure}: {_probable_unit(largest, units, scale)}")
-
-
-def _top(panels: Sequence[Panel]) -> float | None:
-    """Height of the garment's highest point [cm]; ``None`` if no panel is placed."""
-    if not any(panel.placement.translation.any() for panel in panels):
-        return None
-    return max(float(panel.placement.apply(panel.vertices)[:, 1].max()) for panel in panels)
 
 
 def _units(pattern: Pattern) -> float:

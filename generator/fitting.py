@@ -139,7 +139,7 @@ def _work(
     try:
         dressing, (body, size) = _dress(pattern, wearer)
         start = time.perf_counter()
-        mesh = _box_mesh(dressing.pattern, resolution)
+        mesh = build_box_mesh(dressing.pattern, spacing=resolution)
         seconds = time.perf_counter() - start
         job = DrapeJob(mesh, body, size, fabric)
         job.require_drapeable()
@@ -166,13 +166,6 @@ def _dress(
     for sentence in dressing.assumed:
         log.info("%s: %s", pattern.name, sentence)
     return dressing, wearer(legs_apart)
-
-
-def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
-    try:
-        return build_box_mesh(pattern, spacing=resolution)
-    except MeshError as error:
-        raise MeshError(f"pattern {pattern.name}: {error}") from error
 
 
 def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: str = "auto") -> None:

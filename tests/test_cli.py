@@ -328,26 +328,49 @@ def test_assumptions_of_a_drape_are_logged_and_reported(
     assert found["outcome"] == labelled["outcome"] == "SETTLED"
 
 
-def test_a_pattern_that_cannot_be_meshed_leaves_the_report_of_the_others(
+def test_a_file_that_cannot_be_draped_costs_no_other(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Two files of one name both leave a mesh."""
     strip = napkins().panels[0]
     strip = replace(strip, vertices=strip.vertices * [1.0, 0.01])
-    thin = tmp_path / "thin.json"
-    write_pattern(Pattern("thin", (strip,), ()), thin)
+    write_pattern(Pattern("thin", (strip,), ()), tmp_path / "thin.json")
+    apart = replace(napkins(), seams=())
+    write_pattern(apart, tmp_path / "apart.json")
+    (tmp_path / "empty.json").touch()
+    (tmp_path / "other").mkdir()
+    twin = tmp_path / "other" / spec.name
+    twin.write_bytes(spec.read_bytes())
+    bad = {
+        "missing": "no such file",
+        "other": "Is a directory",
+        "empty": "Expecting value",
+        "thin": "panel one is nearly a line",
+        "apart": "no seam joins",
+    }
+    files = [tmp_path / "missing.json", spec, tmp_path / "other", twin]
+    files += [tmp_path / f"{name}.json" for name in ("empty", "thin", "apart")]
     out = tmp_path / "out"
     options = ["--out", str(out), "--resolution", "5", "--device", "cpu", "--quiet"]
-    assert main(["drape", str(spec), str(thin), *options]) == 1
-    assert "thin" in one_line(capsys.readouterr().err.splitlines()[-1])
-    assert [row["pattern"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["garment"]
+    assert main(["drape", *map(str, files), *options]) == 1
+    rows = {row["pattern"]: row for row in json.loads((out / "report.json").read_text())["garments"]}
+    assert [row["file"] for row in rows.values()] == list(map(str, files))
+    assert {name for name, row in rows.items() if row["outcome"] == "REFUSED"} == bad.keys()
+    errors = capsys.readouterr().err
+    for name, reason in bad.items():
+        assert reason in rows[name]["reason"]
+        assert f"gcd drape: {name}: REFUSED: {rows[name]['reason']}" in errors
+    for name in ("garment", "garment-2"):
+        assert rows[name]["outcome"] == "SETTLED"
+        assert (out / f"{name}.ply").exists()
+    assert main(["drape", str(files[0]), *options, "--allow-unsettled"]) == 1
+    assert [row["outcome"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_patterns_that_cannot_be_draped_are_reported_before_any_drape(
+def test_unusable_options_are_reported_before_any_drape(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ["--out", str(tmp_path / "out")]
-    assert main(["drape", str(tmp_path / "missing.json"), *out]) == 1
-    assert "missing.json: no such file" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--fabric", "denin"]) == 2
     assert "unknown fabric 'denin': choose one of default" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2

@@ -29,8 +29,8 @@ def square(name: str = "front", side: float = 10.0) -> Panel:
     return polygon((0, 0), (side, 0), (side, side), (0, side), name=name)
 
 
-def hung(name: str, z: float) -> Panel:
-    return replace(square(name), placement=Placement(np.array([0.0, 100.0, z]), np.zeros(3)))
+def hung(name: str, z: float, y: float = 100.0) -> Panel:
+    return replace(square(name), placement=Placement(np.array([0.0, y, z]), np.zeros(3)))
 
 
 def with_edge(panel: Panel, index: int, edge: Edge) -> Panel:
@@ -105,6 +105,12 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
         "10.00 and 15.00 cm, ratio 1.500",
     ),
     Rule.UNLIKELY_SIZE: (lambda: alone(square(side=7.0)), "", None, "largest panel is 7 cm"),
+    Rule.UNLIKELY_HEIGHT: (
+        lambda: Pattern("p", tuple(hung(name, z, y=-60.0) for name, z in (("front", 9.0), ("back", -9.0))), ()),
+        "",
+        None,
+        "its top is -50 cm above the floor: correct the translations",
+    ),
     Rule.SEWN_CROSSWISE: (
         lambda: Pattern(
             "p",

@@ -28,7 +28,7 @@ OVER = 20.0  # cm above the height at which an edge is worn: the highest place o
 UNDER_ARMPIT = 3.0  # cm below the armpits: the lowest place of a neckline, off the shoulders
 UNDER_HIPS = 4.0  # cm below the hips: the lowest place of a waist
 OVER_HEAD = 40.0  # cm above the head: the highest place of a hood, before it is sewn
-WIDE = 28.0  # cm: an opening or a garment that goes round the trunk is wider
+WIDE = 31.0  # cm: an opening or a garment that goes round the trunk is wider, a hat is not
 ABOVE_NECKLINE = ("hood", "collar", "lapel")  # parts of the names of panels above the neckline
 SLEEVES = ("sleeve", "sl_")  # parts of the names of panels round an arm
 WAISTBANDS = ("wb", "waist")  # parts of the names of panels above a skirt or trousers
@@ -100,7 +100,8 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
     arms = [
         o
         for o in openings
-        if abs(o.centre[0] - middle) > ASIDE
+        if any(across.low[0] < middle < across.high[0] for across in openings)  # unlike leg warmers
+        and abs(o.centre[0] - middle) > ASIDE
         and (len(inner) > 1 or is_armhole(o, openings, middle))
         and all(roles[ref.panel] != PanelRole.LEG for ref in o.edges)
     ]

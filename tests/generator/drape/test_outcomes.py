@@ -70,6 +70,23 @@ def test_a_hem_below_the_floor_is_not_a_fall() -> None:
     assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices - [0.0, 20.0, 0.0])
 
 
+def test_cloth_below_the_floor_is_a_fall_unless_it_hangs_from_hip_height() -> None:
+    heap, train = patch(4, 40, origin=(0.0, -20.0, 0.0)), patch(4, 140, origin=(0.0, -50.0, 0.0))
+    said = fell(DrapeJob(heap, far_ball(), SIZE), heap.vertices)
+    assert said == "51% of the cloth lies below the floor; it hangs from 20 to -20 cm"
+    assert not fell(DrapeJob(train, far_ball(), SIZE), train.vertices)
+
+
+def test_a_ring_round_both_ankles_has_slid_off_and_a_sock_has_not() -> None:
+    """Also if the panels were placed there."""
+    ring = tube(36, 3, radius=11.5, spacing=2.0, height=10.0)
+    sock = replace(ring, vertices=ring.vertices * [0.4, 1.0, 0.4] + [10.0, 0.0, 0.0])
+    assert (
+        off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices) == "its top lies at 16 cm, below the knees at 43 cm"
+    )
+    assert not off_body(DrapeJob(sock, far_ball(), SIZE), sock.vertices)
+
+
 def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
     """Without labels: a wide ring drops from the waist onto the foot of a post and rests there."""
     post = trimesh.creation.cylinder(radius=6.0, height=130.0, sections=24)
@@ -83,6 +100,7 @@ def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
     assert np.ptp(drape.vertices[:, 1]) < 8.0
     assert 6.0 < drape.vertices[:, 1].min() < drape.vertices[:, 1].max() < 20.0
     assert drape.outcome is Outcome.SLID_OFF
+    assert "below the knees" in drape.reason
 
 
 def test_a_neckline_belongs_above_the_waist() -> None:
