@@ -53,9 +53,9 @@ class GarmentLoader:
       a ``Subset`` or a subclass, is seeded per batch.
     - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
       the garment.
-    - Not needed: ``pin_memory``, since batches are in pinned memory on a machine with a GPU; ``sampler``, since the order
-      must be one that a state resumes (``select`` chooses or repeats garments); ``generator``, since ``seed`` decides;
-      ``set_epoch``, since each ``iter()`` is the next epoch on every rank. With a ``DataLoader``: ``ElasticSampler``.
+    - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
+      able to resume the order; ``select`` chooses or repeats garments, and a ``DataLoader`` takes ``ElasticSampler``. No
+      ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
     - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
       is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
       ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an

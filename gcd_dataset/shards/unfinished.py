@@ -88,7 +88,7 @@ def _command(manifest: Manifest, split: str, count: int, folder: Path) -> str:
     elif record is not None and "stage" in record.recipe and not record.recipe.get("design"):
         words += ["--count", str(count), "--seed", str(record.seed)]
         for name, value in record.recipe.items():
-            if name != "design":
+            if name not in ("design", "mesh", "part"):  # no options
                 words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
     else:
         return ""

@@ -208,7 +208,7 @@ def test_an_unfinished_run_is_warned_of(ours: Path, tmp_path: Path, caplog: pyte
     BodyDataset(copy, partial=True)
     assert not caplog.messages
     BodyDataset(copy)
-    words = "3 of 9 samples: .*: gcd generate .*copy --count 9 --seed 5 --stage body --bodies random; partial=True"
+    words = "3 of 9 samples: .*: gcd generate .*copy --count 9 --seed 5 --bodies random --stage body; partial=True"
     assert re.search(words, "".join(caplog.messages))
 
 
