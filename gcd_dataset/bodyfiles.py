@@ -72,7 +72,7 @@ SEGMENTS = {name: part for part, names in SMPL_SEGMENTS.items() for name in name
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
 }
-"""Part names of a segmentation file, SMPL's and SMPL-X's too. Vertices under other names, or unlisted, count as trunk."""
+"""Part names of a segmentation file, also SMPL's and SMPL-X's. Vertices under other names, or unlisted, are trunk."""
 
 
 def read_measurements(path: Path | str) -> Measurements:

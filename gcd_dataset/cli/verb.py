@@ -5,7 +5,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import FrameType
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 SIGNALLED = 128  # added by shells to the number of the signal that ended a program
-USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+USUAL: Mapping[int, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 """The signals that end a verb in good order, and Python's handlers of them."""
 RETRY = 0.005  # s between checks whether a signal may be raised
 WRONG_USAGE = 2
