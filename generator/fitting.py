@@ -186,7 +186,7 @@ def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> No
 
 
 def write_report(
-    results: Iterable[tuple[Path, Fitting | Refusal]],
+    done: Iterable[tuple[Path, Fitting | Refusal]],
     path: Path,
     *,
     body: str,
@@ -203,6 +203,6 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in results],
+        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in done],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())
