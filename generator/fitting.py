@@ -223,7 +223,7 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
 
 
 def write_report(
-    results: Iterable[tuple[Path, Fitting | Refusal]],
+    done: Iterable[tuple[Path, Fitting | Refusal]],
     path: Path,
     *,
     body: str,
@@ -240,6 +240,6 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in results],
+        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in done],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

@@ -132,7 +132,7 @@ class DrapeJob:
             )
 
     def require_drapeable(self) -> None:
-        """Raise ``DrapeError`` for a mesh or body without faces, or with numbers beyond its vertices."""
+        """Raise ``DrapeError`` for a mesh or body without faces, or with indices beyond its vertices."""
         mesh, body = self.box_mesh, self.body
         if not len(mesh.faces):
             raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")

@@ -112,8 +112,12 @@ def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
     supported = find_keepers(job)[0]
     if _hangs_from_shoulders(job):
         supported = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
-        if (neckline := vertices[supported, 1].mean()) < waist:
-            return f"its neckline lies at {neckline:.0f} cm, below the waist at {waist:.0f} cm"
+        armpit = job.measurements.height - job.measurements.head_l - job.measurements.armscye_depth
+        neckline = vertices[supported, 1]
+        if neckline.mean() < waist:
+            return f"its neckline lies at {neckline.mean():.0f} cm, below the waist at {waist:.0f} cm"
+        if neckline.max() < armpit:
+            return f"its neckline lies at {neckline.max():.0f} cm, below the armpits at {armpit:.0f} cm"
     start, (x, now, _) = mesh.vertices[:, 1], vertices.T
     if not (now < KNEES * waist).any():
         return ""
@@ -137,11 +141,10 @@ def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
 
     Many count if no part of the garment is as high as the hips: a train may have a third of its cloth below the floor.
     """
-    floor, top = floor_height(job), float(vertices[:, 1].max())
-    low = vertices[:, 1] <= np.float32(floor)
+    low, top = vertices[:, 1] <= np.float32(floor_height(job)), float(vertices[:, 1].max())
     buried = low.mean() > BURIED and top < HIPS * job.measurements.waist_level
     if buried or (low.any() and (np.bincount(_pieces(job.box_mesh), ~low) == 0).any()):
-        lowest = float(vertices[:, 1].min()) - floor
+        lowest = float(vertices[:, 1].min())
         return f"{low.mean():.0%} of the cloth lies below the floor; it hangs from {top:.0f} to {lowest:.0f} cm"
     return ""
 

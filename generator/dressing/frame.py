@@ -4,19 +4,13 @@ Some data sets put the origin at the pelvis or the neck instead of the floor bet
 edge is placed where nobody wears it is moved as a whole.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import (
-    ASIDE,
-    edge_points,
-    is_armhole,
-    middle_of,
-    openings_of,
-    panel_outline,
-)
+from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, middle_of, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRole, Panel, PanelRole, Pattern, Placement
 from gcd_dataset.spec import is_bodice, role_by_name
@@ -25,7 +19,8 @@ __all__ = ["height_for", "in_body_frame", "moved", "placed_outline"]
 
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 OVER = 20.0  # cm above the height at which an edge is worn: the highest place of one for a taller wearer
-UNDER_ARMPIT = 3.0  # cm below the armpits: the lowest place of a neckline, off the shoulders
+UNDER_NECK = 4.0  # cm below that: shoulders sewn lower slide under the arms
+UNDER_ARMPIT = 3.0  # cm below the armpits: the lowest place of a neckline off the shoulders
 UNDER_HIPS = 4.0  # cm below the hips: the lowest place of a waist
 OVER_HEAD = 40.0  # cm above the head: the highest place of a hood, before it is sewn
 WIDE = 31.0  # cm: an opening or a garment that goes round the trunk is wider, a hat is not
@@ -58,11 +53,11 @@ def in_body_frame(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str,
     if not by.any():
         return pattern, ()
     steps = [f"{abs(step):.0f} cm {words[int(step < 0)]}" for step, words in zip(by, DIRECTIONS, strict=True) if step]
-    fault = f"its {support.name} hung {support.height:.0f} cm high and is worn at {support.level:.0f} cm"
+    place = f"its {support.name} hung {support.height:.0f} cm high, and is worn at {support.level:.0f} cm"
     if not by[1]:
-        fault = f"it hung {np.linalg.norm(by):.0f} cm beside the body"
+        place = f"it hung {np.linalg.norm(by):.0f} cm beside the body"
     return replace(pattern, panels=tuple(moved(panel, by) for panel in pattern.panels)), (
-        f"the origin of the pattern is not on the floor between the feet: {fault}: moved {' and '.join(steps)}",
+        f"the garment is moved {' and '.join(steps)}: {place}; the origin belongs on the floor, between the feet",
     )
 
 
@@ -93,23 +88,26 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
     if collar is None and (strapless := _labelled(pattern, EdgeRole.STRAPLESS_TOP)) is not None:
         return _Support("top edge", strapless, armpit, waist, armpit + OVER)
     inner = [o for o in openings if abs(o.centre[0] - middle) <= ASIDE]
-    trunk = {p.name for p in panels if roles[p.name] == PanelRole.BODY and not _has(p, ABOVE_NECKLINE)}
-    round_top = trunk or {ref.panel for o in inner[:1] for ref in o.edges} or set(roles)
+    trunk = {
+        p.name for p in panels if roles[p.name] not in (PanelRole.ARM, PanelRole.LEG) and not _has(p, ABOVE_NECKLINE)
+    }
+    named = any(roles[name] == PanelRole.BODY for name in trunk)
+    round_top = trunk if named else {ref.panel for o in inner[:1] for ref in o.edges} or set(roles)
     heights = np.concatenate([placed_outline(panel)[:, 1] for panel in panels if panel.name in round_top])
     top, low = float(heights.max()), float(heights.min())
     arms = [
         o
         for o in openings
-        if any(across.low[0] < middle < across.high[0] for across in openings)  # unlike leg warmers
-        and abs(o.centre[0] - middle) > ASIDE
-        and (len(inner) > 1 or is_armhole(o, openings, middle))
-        and all(roles[ref.panel] != PanelRole.LEG for ref in o.edges)
+        if _is_armhole(o, openings, middle) and all(roles[e.panel] != PanelRole.LEG for e in o.edges)
     ]
     if collar is not None or arms or any(p.label == PanelRole.ARM or _has(p, SLEEVES) for p in panels):
-        height = top if collar is None else collar
-        unsure = height != collar and not trunk and (not arms or any(hole.centre[1] < wearer.nape for hole in arms))
+        if collar is not None:
+            return _Support("neckline", collar, neck, neck - UNDER_NECK, neck + OVER)
+        off_shoulders = bool(inner) and float(inner[0].high[0] - inner[0].low[0]) > WIDE
+        lowest = armpit - UNDER_ARMPIT if off_shoulders else neck - UNDER_NECK
+        unsure = not named and (not arms or any(hole.centre[1] < wearer.nape for hole in arms))
         highest = head + OVER_HEAD if unsure else neck + OVER  # without names a hood looks like a bodice
-        return _Support("neckline", height, neck, armpit - UNDER_ARMPIT, highest)
+        return _Support("neckline", top, neck, lowest, highest)
     if (waistline := _labelled(pattern, EdgeRole.LOWER_INTERFACE)) is not None:
         return _Support("waist", waistline, waist, hips, waist + OVER)
     if any(is_bodice(panel.name) and roles[panel.name] != PanelRole.LEG for panel in panels):
@@ -119,6 +117,19 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
     if openings and _goes_round(np.stack([openings[0].low, openings[0].high]), wearer):
         return _Support("top edge", float(openings[0].high[1]), waist, hips, neck + OVER)
     return _Support("top", top, waist + top - float(heights.mean()), 0.0, head + top - low)
+
+
+def _is_armhole(opening: Opening, openings: Sequence[Opening], middle: float) -> bool:
+    """Whether an arm goes through an opening: it is beside the middle, and the garment is open below it as well.
+
+    That is, at neck and hem, or lower on the same side.
+    """
+    aside = opening.centre[0] - middle
+    inner = sum(abs(o.centre[0] - middle) <= ASIDE for o in openings)
+    across = any(o.low[0] < middle < o.high[0] for o in openings)  # unlike leg warmers
+    below = (o for o in openings if o.centre[1] < opening.centre[1] - ASIDE)
+    reach = max((np.sign(aside) * (x - middle) for o in below for x in (o.low[0], o.high[0])), default=0.0)
+    return bool(abs(aside) > ASIDE and across and (inner > 1 or reach > ASIDE))
 
 
 def _to_trunk(pattern: Pattern, wearer: Wearer) -> Float[np.ndarray, "3"]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["ASIDE", "Opening", "edge_points", "is_armhole", "middle_of", "openings_of", "panel_outline"]
+__all__ = ["ASIDE", "Opening", "edge_points", "middle_of", "openings_of", "panel_outline"]
 
 ASIDE = 8.0  # cm from the middle to the centre of an opening: openings further out belong to an arm or a leg
 POINTS = 9  # sample points of an edge
@@ -50,18 +50,6 @@ def middle_of(openings: Sequence[Opening]) -> float:
     tried = sorted({0.5 * (a + b) for a in centres.tolist() for b in centres.tolist()})
     uneven = [(np.abs(centres[:, None] + centres - 2 * x) + unlike).min(axis=1, initial=UNPAIRED).sum() for x in tried]
     return float(tried[int(np.argmin(uneven))])
-
-
-def is_armhole(opening: Opening, openings: Sequence[Opening], middle: float) -> bool:
-    """Whether an arm goes through an opening: its centre is off the middle, and another of its side lies below it."""
-    side = np.sign(opening.centre[0] - middle)
-    below = [
-        o
-        for o in openings
-        if o.centre[1] < opening.centre[1] - ASIDE
-        and max(side * (o.low[0] - middle), side * (o.high[0] - middle)) > ASIDE
-    ]
-    return abs(opening.centre[0] - middle) > ASIDE and bool(below)
 
 
 def edge_points(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarray, "n 3"]:
