@@ -54,7 +54,7 @@ class GarmentLoader:
     - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
       the garment.
     - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
-      able to resume the order; ``select`` chooses or repeats garments, and a ``DataLoader`` takes ``ElasticSampler``. No
+      able to resume the order; ``select`` chooses or repeats garments; a ``DataLoader`` takes ``ElasticSampler``. No
       ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
     - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
       is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
