@@ -14,7 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, concatenate, fill
-from gcd_dataset.loaders.worker import naming_full_memory, sent, unwrap
+from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
@@ -167,7 +167,7 @@ def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None
     batch = {}
     for field in items[0]:
         try:
-            with naming_full_memory():
+            with naming_full():
                 batch[field] = collate([item[field] for item in items], collate_fn_map=collate_fn_map)
         except (RuntimeError, TypeError, KeyError, ValueError) as error:
             raise ConfigError(

@@ -171,11 +171,8 @@ class GeneratedGarments(Garments):
         self._wait_is_logged = True
         each = core_seconds(config.resolution) if (config.stage, config.device) == ("drape", "cpu") else 0.0
         if each >= LOGGED_FROM:
-            logger.warning(
-                "waiting for the first garment: about %.0f s each on cpu, longer for the first if kernels must be "
-                "compiled",
-                each,
-            )
+            message = "waiting for the first garment: about %.0f s each on cpu, the first longer if it compiles kernels"
+            logger.warning(message, each)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, draped together; a ``DataLoader`` calls this."""

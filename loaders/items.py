@@ -74,9 +74,8 @@ class GarmentFields(TypedDict, total=False):
     scan: Float[Tensor, "n 6"]
     """``Scan``: measured position [cm], true normal towards the camera; NaN where nothing was measured."""
     scan_panel_id: Int[Tensor, " n"]
-    """-1 on the body."""
     scan_camera: Int[Tensor, " n"]
-    """-1 where nothing was measured."""
+    """Panel and camera of each point: -1 on the body, and where nothing was measured."""
     scan_camera_rt: Float[Tensor, "k 3 4"]
     scan_camera_k: Float[Tensor, "k 3 3"]
     sketch: UInt8[Tensor, "n h w"]

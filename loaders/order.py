@@ -94,7 +94,10 @@ class SampleOrder:
     """
 
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
-        _require_indexable(dataset)
+        is_indexed = isinstance(dataset, Sized) and hasattr(dataset, "__getitem__")
+        if not is_indexed or isinstance(dataset, str | bytes | type | Mapping):
+            path = f"{str(dataset)!r:.99}" if isinstance(dataset, str | PathLike) else "…"
+            raise ConfigError(f"dataset={dataset!r:.99} is no data set: give GarmentDataset({path}) or the like")
         self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
             raise ConfigError("an empty data set has no order: give a data set with at least one garment")
@@ -141,16 +144,6 @@ class SampleOrder:
 
     def _entries(self) -> dict[str, Any]:
         return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length}
-
-
-def _require_indexable(dataset: Any) -> None:
-    if isinstance(dataset, str | PathLike):
-        raise ConfigError(f"dataset={dataset!r:.99} is a path: give GarmentDataset({str(dataset)!r})")
-    is_sized = isinstance(dataset, Sized) and hasattr(dataset, "__getitem__")
-    if not is_sized or isinstance(dataset, bytes | type | Mapping):
-        raise ConfigError(
-            f"dataset={dataset!r:.99}: give a data set with a length and indices, as GarmentDataset(…) is"
-        )
 
 
 @dataclass(frozen=True)

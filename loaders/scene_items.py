@@ -40,8 +40,7 @@ BodyOf = Callable[[str], Body]
 class SceneTransform(ABC):
     """Base of ``Views``, ``Scan`` and ``Sketch``: adds entries to an item, drawn from seed, epoch and garment."""
 
-    on_gpu = "give device='cpu'"
-    """Remedy for a GPU in a worker process."""
+    on_gpu = "give device='cpu'"  # remedy for a GPU in a worker process
 
     def __init__(self, size: int, seed: int, device: str, bodies: Bodies | BodyOf | None) -> None:
         self.size, self.seed = require_integer("size", size, least=1, most=LARGEST), require_integer("seed", seed)

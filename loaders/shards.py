@@ -377,8 +377,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
 
     def __len__(self) -> int:
         # A DataLoader counts the batches of this rank; all others ask for the whole data set.
-        is_of_rank = sys._getframe(1).f_code in LENGTHS
-        return len(self._rank_share()) if is_of_rank else super().__len__()
+        return len(self._rank_share()) if sys._getframe(1).f_code in LENGTHS else super().__len__()
 
     def __iter__(self) -> Iterator[Any]:
         share = self._share()

@@ -45,7 +45,6 @@ PLACED = ("box", "verts", "points", "scan")
 CAMERAS = ("camera_rt", "scan_camera_rt", "sketch_rt")
 """Fields of extrinsics [R | t], world to camera."""
 VIEW_FACTS = re.compile(r"view_\d+_json")
-FARTHEST_REACH = 12.0  # beyond, the reflected points have no digits left
 DIRECTIONS = ("key_direction", "fill_direction")
 """Directions in the world, in the light of a stored view's facts."""
 
@@ -152,7 +151,7 @@ class PartialView:
 
     def __post_init__(self) -> None:
         require_number("distance", self.distance, least=1.0, unit=" cm")
-        require_number("reach", self.reach, most=FARTHEST_REACH)
+        require_number("reach", self.reach, most=12.0)  # beyond, reflected points have no digits left
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item or len(item["points"]) < 4:

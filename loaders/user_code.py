@@ -31,9 +31,6 @@ COLLATES = (collate_list, collate_packed, collate_padded)
 class isolated_rng:  # noqa: N801 -- a context manager, named as functions are
     """Context manager: saves the global random states of torch (CPU), NumPy and Python, and restores them on exit.
 
-    A transform that draws from a global stream between two training steps would shift every later draw of the model,
-    such as its dropout masks; in a thread the shift would even depend on timing.
-
     After ``seed``, draws depend on its arguments alone. Enter it in the training thread: the streams are per process.
 
     >>> with isolated_rng() as random_state:

@@ -17,15 +17,7 @@ from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError, GcdError
 
-__all__ = [
-    "begin_worker",
-    "naming_full_memory",
-    "require_semaphores",
-    "sent",
-    "shared_number",
-    "unwrap",
-    "with_traceback",
-]
+__all__ = ["begin_worker", "naming_full", "require_semaphores", "sent", "shared_number", "unwrap", "with_traceback"]
 
 POLL = 1.0  # s between two looks at the parent and the done event
 
@@ -51,7 +43,7 @@ def begin_worker(worker: int) -> None:
 
 
 @contextlib.contextmanager
-def naming_full_memory() -> Iterator[None]:
+def naming_full() -> Iterator[None]:
     """Turn the error of full shared memory into a ``ConfigError`` with the remedy."""
     try:
         yield
@@ -64,12 +56,11 @@ def naming_full_memory() -> Iterator[None]:
         ) from error
 
 
-@naming_full_memory()
+@naming_full()
 def require_semaphores(workers: int) -> None:
     """Raise ``ConfigError`` if shared memory is too full for a ``DataLoader`` to start its workers."""
     context = multiprocessing.get_context("fork")  # with others a process would track the semaphores
-    held = [context.Semaphore() for _ in range(8 + 3 * workers)]  # of an event and a queue, and a queue for each worker
-    held.clear()
+    tuple(context.Semaphore() for _ in range(8 + 3 * workers))  # of an event and a queue, and a queue for each worker
 
 
 def sent(value: Value) -> Value | GcdError:
@@ -80,7 +71,7 @@ def sent(value: Value) -> Value | GcdError:
     try:
         for tensor in _tensors(value) if get_worker_info() is not None else ():
             if tensor.device.type == "cpu" and tensor.layout is torch.strided:
-                with naming_full_memory():
+                with naming_full():
                     tensor.share_memory_()  # type: ignore[no-untyped-call]
     except GcdError as error:
         return with_traceback(error)
@@ -96,7 +87,7 @@ def _tensors(value: Any, depth: int = 2) -> Iterator[torch.Tensor]:
             yield from _tensors(part, depth - 1)
 
 
-@naming_full_memory()
+@naming_full()
 def shared_number() -> torch.Tensor:
     """An int64 in shared memory: worker processes see its changes. Raises ``ConfigError`` if that memory is full."""
     return torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]

@@ -13,8 +13,6 @@ from gcd_dataset.shards.manifest import Manifest
 
 __all__ = ["MemberLocation", "Store", "runs"]
 
-logger = logging.getLogger("gcd_dataset")
-
 
 class MemberLocation(NamedTuple):
     """Offset, size and CRC-32 of one member of a sample in its shard."""
@@ -63,7 +61,7 @@ class Store(ABC):
         for split in splits:
             if (fault := self.unfinished(split)) is not None:
                 message = "%s: split %s is unfinished: %s; partial=True opens it without this warning"
-                logger.warning(message, self.location(), split, fault)
+                logging.getLogger("gcd_dataset").warning(message, self.location(), split, fault)
 
     @abstractmethod
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:

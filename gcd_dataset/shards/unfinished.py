@@ -61,9 +61,8 @@ def unfinished_by(note: bytes | None, manifest: Manifest, split: str, folder: Pa
     splits, count = noted or ([split], None)
     made = sum(shard.count for name in splits if name in manifest.splits for shard in manifest.splits[name].shards)
     progress = f"{made} samples in whole shards" if count is None else f"{made} of {count} samples"
-    remedy = "ask its publisher to finish it" if folder is None else "run the same command again"
-    command = "" if folder is None or count is None else _command(manifest, split, count, folder)
-    return f"{progress}: its run was stopped, or is still running: {remedy}{command}"
+    again = f"run the same command again{_command(manifest, split, count or 0, folder)}" if folder else ""
+    return f"{progress}: its run was stopped, or is still running: {again or 'ask its publisher to finish it'}"
 
 
 def note_name(split: str) -> str:
@@ -85,7 +84,7 @@ def _command(manifest: Manifest, split: str, count: int, folder: Path) -> str:
     record = manifest.splits.get(split)
     if manifest.recipe is not None:
         words += ["--recipe", manifest.recipe.name]
-    elif record is not None and "stage" in record.recipe and not record.recipe.get("design"):
+    elif count and record is not None and "stage" in record.recipe and not record.recipe.get("design"):
         words += ["--count", str(count), "--seed", str(record.seed)]
         for name, value in record.recipe.items():
             if name not in ("design", "mesh", "part"):  # no options

@@ -373,7 +373,7 @@ def test_the_time_of_a_drape_is_logged_once(caplog: pytest.LogCaptureFixture) ->
         FreshGarments(MixedDataset([ds], [1])).garments.tell_wait()
         GeneratedGarments(3, stage="mesh").tell_wait()
     assert [record.message for record in caplog.records] == [
-        "waiting for the first garment: about 7 s each on cpu, longer for the first if kernels must be compiled"
+        "waiting for the first garment: about 7 s each on cpu, the first longer if it compiles kernels"
     ]
 
 
