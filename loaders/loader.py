@@ -25,48 +25,43 @@ __all__ = ["GarmentLoader"]
 class GarmentLoader:
     """Batches in an order that depends on ``seed``, epoch and position alone; each ``iter()`` is the next epoch.
 
-        >>> from gcd_dataset.loaders import FakeGarments
-        >>> loader = GarmentLoader(FakeGarments(10, fields=["meta"]), batch_size=4)
-        >>> [[meta["index"] for meta in batch["meta"]] for batch in loader]
-        [[9, 7, 8, 3], [4, 5, 6, 0], [1, 2]]
-        >>> loader.epoch, loader.state_dict()["position"]
-        (1, 10)
+    >>> from gcd_dataset.loaders import FakeGarments
+    >>> loader = GarmentLoader(FakeGarments(10, fields=["meta"]), batch_size=4)
+    >>> [[meta["index"] for meta in batch["meta"]] for batch in loader]
+    [[9, 7, 8, 3], [4, 5, 6, 0], [1, 2]]
+    >>> loader.epoch, loader.state_dict()["position"]
+    (1, 10)
 
-        - ``state_dict()`` counts the batches that the training loop has received, not those prefetched by workers. A loader
-          with another number of ranks or workers or another ``batch_size`` can load the state: the rest of the epoch
-          follows, each garment once.
-        - Each ``iter()`` begins the next epoch, also after a loop that ended early. After ``load_state_dict`` it yields the
-          rest of the state's epoch; to continue a loop that ended early, call
-          ``loader.load_state_dict(loader.state_dict())``. Only the most recent iterator yields batches.
-        - ``batch_size`` is per rank; all ranks get equally many garments, so none waits for another. ``rank``,
-          ``world_size`` and ``pad`` are those of ``ElasticSampler``; if not given, each ``iter()`` looks them up. With
-          ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that are repeated.
-          ``drop_last`` leaves out each rank's last, smaller batch.
-        - ``views``: pictures of each garment, rendered while the training works: on a CPU with workers in these, after
-          transforms and before ``collate_fn``; otherwise by a thread of this process, from batches of ``collate_packed``,
-          ``collate_padded`` or ``collate_list``.
-        - ``num_workers=0``: a thread reads stored garments, two batches ahead of the loop. Worker processes cost more than
-          reading does; use them for generated garments and slow transforms. They persist over epochs.
-        - Your ``transform``, ``augment`` and ``collate_fn`` run in the training thread or in worker processes. Their draws
-          from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depend on ``seed``, epoch and garment (for
-          ``collate_fn``: on the batch), and leave the model's random state alone. A data set with ``__getitems__``, such as
-          a ``Subset`` or a subclass, is seeded per batch.
-        - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
-          the garment.
-        - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
-    <<<<<<< HEAD
-          able to resume the order; ``select`` chooses or repeats garments, and a ``DataLoader`` takes ``ElasticSampler``.
-          No ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
-    =======
-          able to resume the order; ``select`` chooses or repeats garments; a ``DataLoader`` takes ``ElasticSampler``. No
-          ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
-    >>>>>>> loaders
-        - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
-          is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
-          ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an
-          exception: the loader reads it by index.
+    - ``state_dict()`` counts the batches that the training loop has received, not those prefetched by workers. A loader
+      with another number of ranks or workers or another ``batch_size`` can load the state: the rest of the epoch
+      follows, each garment once.
+    - Each ``iter()`` begins the next epoch, also after a loop that ended early. After ``load_state_dict`` it yields the
+      rest of the state's epoch; to continue a loop that ended early, call
+      ``loader.load_state_dict(loader.state_dict())``. Only the most recent iterator yields batches.
+    - ``batch_size`` is per rank; all ranks get equally many garments, so none waits for another. ``rank``,
+      ``world_size`` and ``pad`` are those of ``ElasticSampler``; if not given, each ``iter()`` looks them up. With
+      ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that are repeated.
+      ``drop_last`` leaves out each rank's last, smaller batch.
+    - ``views``: pictures of each garment, rendered while the training works: on a CPU with workers in these, after
+      transforms and before ``collate_fn``; otherwise by a thread of this process, from batches of ``collate_packed``,
+      ``collate_padded`` or ``collate_list``.
+    - ``num_workers=0``: a thread reads stored garments, two batches ahead of the loop. Worker processes cost more than
+      reading does; use them for generated garments and slow transforms. They persist over epochs.
+    - Your ``transform``, ``augment`` and ``collate_fn`` run in the training thread or in worker processes. Their draws
+      from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depend on ``seed``, epoch and garment (for
+      ``collate_fn``: on the batch), and leave the model's random state alone. A data set with ``__getitems__``, such as
+      a ``Subset`` or a subclass, is seeded per batch.
+    - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
+      the garment.
+    - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
+      able to resume the order; ``select`` chooses or repeats garments; a ``DataLoader`` takes ``ElasticSampler``. No
+      ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
+    - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
+      is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
+      ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an
+      exception: the loader reads it by index.
 
-        Raises ``ConfigError`` for options that do not fit together, and for full shared memory.
+    Raises ``ConfigError`` for options that do not fit together, and for full shared memory.
     """
 
     def __init__(
