@@ -180,8 +180,8 @@ def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[
             write(garment, file)
             print(file)
             if isinstance(garment, Fitting) and garment.drape.outcome is not Outcome.SETTLED:
-                drape = garment.drape
-                raise PatternError(": ".join(filter(None, (name, drape.outcome.name, drape.reason, drape.outcome.value))))
+                outcome, reason = garment.drape.outcome, garment.drape.reason
+                raise PatternError(": ".join(filter(None, (name, outcome.name, reason, outcome.value))))
         except (PatternError, ShardError) as error:
             print(f"gcd export: {error}", file=sys.stderr)
             failed = True
