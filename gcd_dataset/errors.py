@@ -38,7 +38,6 @@ __all__ = [
     "SpecError",
     "TransformError",
     "did_you_mean",
-    "is_printable",
     "shown",
 ]
 
@@ -55,12 +54,7 @@ def shown(text: str) -> str:
     >>> shown("train"), shown("a\\nb")
     ('train', "'a\\\\nb'")
     """
-    return text if is_printable(text) else ascii(text)
-
-
-def is_printable(text: str) -> bool:
-    """Whether a text is one line without control characters, in any script."""
-    return text.translate(JOINERS).isprintable()
+    return text if text.translate(JOINERS).isprintable() else ascii(text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

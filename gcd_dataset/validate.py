@@ -16,7 +16,7 @@ from jaxtyping import Complex
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.curves import LINE, Arc, curve_length
-from gcd_dataset.errors import PatternError, is_printable, shown
+from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
 __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
@@ -177,7 +177,7 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
     for number, panel in enumerate(panels):
         if not panel.name.strip():
             yield Fault(Rule.PANEL_NAME, "", None, f"panel {number} of {len(panels)} has no name: give it one")
-        elif not is_printable(panel.name):
+        elif shown(panel.name) != panel.name:
             yield Fault(Rule.PANEL_NAME, panel.name, None, "it holds an unprintable character: remove it")
     for name, count in Counter(panel.name for panel in panels if panel.name.strip()).items():
         if count > 1:

@@ -345,7 +345,7 @@ sys.exit(code)
 
 @pytest.mark.parametrize("where", ["networkx", "frame"])
 def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
-    """Ctrl-C during trimesh's import of an optional package, when files are written, and between time steps."""
+    """Ctrl-C during trimesh's import of an optional package, which writing a mesh needs, and between time steps."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
     options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]
@@ -353,7 +353,6 @@ def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path:
     assert done.returncode == 130, done.stderr
     assert "gcd drape: stopped" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
-    assert not (out / "report.json").exists()
     assert where == "networkx" or not out.exists() or not list(out.iterdir())
 
 

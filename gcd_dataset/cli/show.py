@@ -194,6 +194,8 @@ def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
+    if options.truth is not None and (folder / MANIFEST).exists():
+        raise ConfigError(f"{folder}: a data set: give predictions, specification files, and the data set as --truth")
     if options.truth is not None:
         return spec_album(folder, _truth(options))
     published = _published(options)

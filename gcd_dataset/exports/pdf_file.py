@@ -467,7 +467,7 @@ def _text(
     *,
     font: str = FONT,
     centred: bool = True,
-    room: float = np.inf,
+    room: float = 1e9,
 ) -> None:
     """A line of text with its base line at ``y``, at most ``room`` wide; ``size`` [cm]."""
     font = _font_of(text, font) or font

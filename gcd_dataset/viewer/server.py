@@ -254,13 +254,11 @@ def serve(
 
 def _announce(address: str) -> None:
     print(f"{address}  (Ctrl-C ends)", flush=True)
-    if not has_display():
-        return
-    # A private file that leads to the address: other users see the arguments of the browser's process.
-    with tempfile.NamedTemporaryFile("w", prefix="gcd_show_", suffix=".html", delete=False) as file:
-        file.write(f'<meta http-equiv="refresh" content="0; url={address}">')
-    atexit.register(Path(file.name).unlink, missing_ok=True)
-    webbrowser.open(Path(file.name).as_uri())
+    if has_display():  # by a private file: other users see the arguments of the browser's process
+        with tempfile.NamedTemporaryFile("w", prefix="gcd_show_", suffix=".html", delete=False) as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={address}">')
+        atexit.register(Path(file.name).unlink, missing_ok=True)
+        webbrowser.open(Path(file.name).as_uri())
 
 
 def has_display() -> bool:
