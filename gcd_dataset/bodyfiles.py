@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import read_whole, write_whole
 from gcd_dataset.jsonfile import read_json, whole
-from gcd_dataset.measurements import MEASURE, Measure
+from gcd_dataset.measurements import ANGLES, MEASURE, Measure
 from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import read_yaml
 
@@ -72,7 +72,7 @@ SEGMENTS = {name: part for part, names in SMPL_SEGMENTS.items() for name in name
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
 }
-"""Part names of a segmentation file, also SMPL's and SMPL-X's. Vertices under other names, or unlisted, are trunk."""
+"""Part names of a segmentation file, SMPL's and SMPL-X's too. Vertices unlisted, or under other names, are trunk."""
 
 
 def read_measurements(path: Path | str) -> Measurements:
@@ -101,8 +101,7 @@ def require_same_body(given: Measurements, ours: Measurements, source: Path | st
 
     Angles are not compared. Raises ``BodyError`` if most measures are the mesh's in another unit.
     """
-    known = [name for name, known in MEASURE.items() if known.unit == "cm"]
-    pairs = [(name, getattr(given, name), getattr(ours, name)) for name in known]
+    pairs = [(name, getattr(given, name), getattr(ours, name)) for name in MEASURE if name not in ANGLES]
     ratios = np.array([other / one for _, one, other in pairs if min(one, other) > 0])  # of neither NaN
     for unit, factor in FACTORS:
         if np.mean(np.abs(np.log(ratios / factor)) < np.log(SAME_UNIT)) > 0.5:

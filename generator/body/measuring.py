@@ -38,10 +38,7 @@ def measure(body: Body) -> Measurements:
 
 
 def measure_closely(body: Body) -> MeasureResult:
-    """The measures of a body, with the level of each girth; see ``MeasureResult``.
-
-    A body with the model's mesh must stand upright and face +z, as ``build_body`` and ``read_body`` return it.
-    """
+    """The measures of a body, with the level of each girth; one with the model's mesh must be upright, facing +z."""
     vertices = np.asarray(body.vertices, float)
     model_faces = body_model().faces
     if body.faces is model_faces or np.array_equal(body.faces, model_faces):
