@@ -10,14 +10,12 @@ from typing import Any
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.subject import names_a_file, sample_of
 from gcd_dataset.cli.verb import (
-    INTERRUPTED,
     SOURCE_HELP,
     add_quiet,
     add_server,
     add_verb,
     natural_number,
     require_folder,
-    stopped,
 )
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
@@ -80,8 +78,6 @@ def _convert(options: argparse.Namespace) -> int:
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
     with Bar("garment", options.quiet, verb="convert") as bar:
         splits = bar.run(partial(work, cache_dir=options.cache_dir))
-    if bar.interrupted:
-        return stopped("convert", f"{bar.progress.done} of {bar.progress.count} of {bar.progress.split}")
     for done in splits:
         print(f"{options.out}: {done.split}: {done.done} garments, {done.made} of them converted now")
     if faults := sum(len(done.skipped) for done in splits):
@@ -195,15 +191,12 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
     from gcd_dataset.verbs import export
 
     out = options.hdf5 if options.layout is None else Path(options.layout[1])
-    with Bar("garment", options.quiet, verb="export") as bar:
+    resumes = form != "hdf5"
+    again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
+    with Bar("garment", options.quiet, verb="export", again=again) as bar:
         folder = require_folder(options.what)
         bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
     done = bar.progress
-    if bar.interrupted and form == "hdf5":
-        print(f"gcd export: stopped; {out} was not written: start again", file=sys.stderr)
-        return INTERRUPTED
-    if bar.interrupted:
-        return stopped("export", f"{done.made} of {done.count}")
     layout = "" if form == "hdf5" else " in the published layout"
     print(f"{out}: {done.count} garments of {done.split}{layout}")
     return 0
