@@ -375,7 +375,7 @@ def _patterns_of(reader: ShardReader) -> dict[str, Source]:
     keys = [reader.index.key(row) for row in reader.rows(range(len(reader))).tolist()]
     if reader.sample(0).pattern.name != keys[0]:
         keys = [reader.sample(position).pattern.name for position in range(len(keys))]
-    return {key: lambda position=position: reader.sample(position).pattern for position, key in enumerate(keys)}
+    return {key: partial(lambda i: reader.sample(i).pattern, position) for position, key in enumerate(keys)}
 
 
 def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:
