@@ -389,11 +389,7 @@ def _patterns_of(reader: ShardReader) -> dict[str, Source]:
     keys = [reader.index.key(row) for row in reader.rows(range(len(reader))).tolist()]
     if reader.sample(0).pattern.name != keys[0]:
         keys = [reader.sample(position).pattern.name for position in range(len(keys))]
-
-    def pattern(position: int) -> Pattern:
-        return reader.sample(position).pattern
-
-    return {key: partial(pattern, position) for position, key in enumerate(keys)}
+    return {key: partial(lambda i: reader.sample(i).pattern, position) for position, key in enumerate(keys)}
 
 
 def _front(garment: Sample | Pattern, size: int) -> UInt8[np.ndarray, "h w 3"]:
