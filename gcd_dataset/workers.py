@@ -186,7 +186,7 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker(lifeline: Connection) -> None:
-    """Called first in a worker: leave signals to the parent; exit when it dies or closes its end of the lifeline."""
+    """Called first in a worker: ignore ``SIGNALS``, and exit when the parent closes its end of the lifeline or dies."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)

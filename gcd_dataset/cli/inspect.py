@@ -36,6 +36,7 @@ from gcd_dataset.shards.unfinished import unfinished
 __all__ = ["faults", "info_lines"]
 
 FIRST_CAPTIONS = 3
+DRAPE = "drape"  # the stage that drapes
 SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent
 BAR = 30  # characters
 
@@ -75,9 +76,11 @@ def info_lines(store: Store) -> Iterator[str]:
 def _split_lines(reader: ShardReader) -> Iterator[str]:
     index, count = reader.index, len(reader)
     size = f"{index.length.sum() / 1e6:.1f} MB"
-    settled = int(index.table.settled.sum())
-    at_rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
-    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{at_rest}"
+    settled, record = int(index.table.settled.sum()), reader.manifest and reader.manifest.splits.get(reader.split)
+    stage = DRAPE if record is None else record.recipe.get("stage", DRAPE)
+    at_rest = f"{settled} at rest ({settled / count:.1%})" if stage == DRAPE else f"stage {stage}, without drapes"
+    drapes = f", {at_rest}" if reader.layout.kind == GARMENTS.kind else ""
+    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{drapes}"
     grades = np.bincount(index.table.grade, minlength=len(GRADES))
     if grades[1:].any():
         shares = (

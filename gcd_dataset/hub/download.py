@@ -17,6 +17,7 @@ from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.contents import warn_of_others
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.download_file import DownloadRecord
 from gcd_dataset.shards.index import ShardIndex
@@ -77,7 +78,7 @@ def download(
         raise _foreign_error(site)
     _require_shard_names(site, reader)
     layout = reader.layout if fields is None else _reduced_layout(site, reader.layout, wanted, joint)
-    make_folder(folder)
+    warn_of_others(make_folder(folder))
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
         if completed := completed_download(folder, source, split, layout):
             return completed  # by another process meanwhile

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, RemoteError, shown
+from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.hub.card import Release, card, croissant
+from gcd_dataset.hub.card import LICENSES, Release, card, croissant
 from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.retry import first_line
 from gcd_dataset.hub.site import hub_endpoint
@@ -33,6 +33,7 @@ __all__ = ["Staged", "stage", "upload"]
 CARD, CROISSANT = "README.md", "croissant.json"
 CLIENTS = ("httpx2", "httpx", "requests")  # HTTP libraries of huggingface_hub 2, 1 and 0.36
 ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
+LICENSE_LIST = "huggingface.co/docs/hub/repositories-licenses"
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
 REPLACED = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
@@ -78,11 +79,13 @@ def stage(
     """Write the files to publish as ``repo`` into ``folder``, continuing an interrupted call.
 
     A data set of one split is divided by ``shares`` into splits that share no design, body or pattern; several splits
-    are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for splits that share designs,
-    foreign tars, an unfinished data set, parts that are not merged, and for a staging folder that holds other files.
+    are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for a license that the Hub
+    does not know, splits that share designs, foreign tars, an unfinished data set, parts that are not merged, and for a
+    staging folder that holds other files.
     """
     if not isinstance(parse_source(repo), Repo):
         raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
+    license = _license(license)  # noqa: A001
     require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
         if not partial and (problem := unfinished(dataset, split)) is not None:
@@ -140,6 +143,18 @@ def upload(
             commit_message=f"{staged.garments} garments",
         )
     return str(commit.oid)
+
+
+def _license(name: str) -> str:
+    """The Hub's identifier of a license, from that or the SPDX name. Raises ``ConfigError`` for any other."""
+    families = re.fullmatch(r"(odc-by|odbl|pddl)-1\.0|(.*?)(?:-only|-or-later)?", name.lower(), re.DOTALL)
+    known = (families and (families[1] or families[2])) or ""
+    if known not in LICENSES:
+        raise ConfigError(
+            f"license {shown(name)}: unknown to the Hub: give cc-by-4.0, cc0-1.0, odc-by, cdla-permissive-2.0, "
+            f"apache-2.0, another that {LICENSE_LIST} lists, or other{did_you_mean(name.lower(), LICENSES)}"
+        )
+    return known
 
 
 def _prepare(folder: Path) -> None:

@@ -1,14 +1,16 @@
 """The index and the splits of a folder with our shards, or with tars by other programs."""
 
 import logging
+import re
 from pathlib import Path
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.download_file import DOWNLOAD_FILE
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
 from gcd_dataset.shards.index import ShardIndex, first_sample_format, read_stored_index, read_tables, shard_sizes
-from gcd_dataset.shards.job_parts import require_merged
+from gcd_dataset.shards.job_parts import PARTS, require_merged
 from gcd_dataset.shards.layout import (
     BODIES,
     FOREIGN,
@@ -24,7 +26,19 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.manifest import MANIFEST, read_manifest
 from gcd_dataset.shards.published import is_published
 
-__all__ = ["layout_in", "no_shards_remedy", "read_index", "rebuild_index", "require_splits", "splits_in"]
+__all__ = [
+    "layout_in",
+    "no_shards_remedy",
+    "read_index",
+    "rebuild_index",
+    "require_splits",
+    "splits_in",
+    "warn_of_others",
+]
+
+OWN = re.compile(r"\..*|rejects\.jsonl|(?:index|mesh)-.+\.npz|\w+-\d{5,}\.tar(?:\.part)?")
+"""Files that a killed run may leave in a folder without a manifest; with one, the data set is continued."""
+NAMED = 3  # files named in a message
 
 log = logging.getLogger(__name__)
 
@@ -72,6 +86,16 @@ def require_splits(folder: Path | str) -> tuple[str, ...]:
     if not splits:
         raise ShardError(f"{folder}: no shards: {no_shards_remedy(Path(folder))}")
     return splits
+
+
+def warn_of_others(folder: Path) -> None:
+    """Log a warning before a new data set is written into a folder with other files. Raises ``ShardError``."""
+    with reading(folder):
+        names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    others = [shown(name) for name in names if not OWN.fullmatch(name)]
+    if others and not {MANIFEST, DOWNLOAD_FILE, PARTS}.intersection(names):
+        named = ", ".join(others[:NAMED]) + (f" and {len(others) - NAMED} more" if len(others) > NAMED else "")
+        log.warning("%s: holds other files (%s), which stay beside the data set: right folder?", folder, named)
 
 
 def no_shards_remedy(folder: Path) -> str:

@@ -12,6 +12,7 @@ from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.body_set import BodyWriter
+from gcd_dataset.shards.contents import warn_of_others
 from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.log import run_log
@@ -71,6 +72,7 @@ def generate_people(
     """
     recipe = people_recipe(bodies)
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers, **recipe}
+    warn_of_others(user_path(require_folder(out, "bodies")))
     with run_log(log, on_progress, options=options, recipe=recipe) as on_progress:
         task = plan_people(out, count, seed=seed, bodies=bodies)
         progress, pace = Progress(count, task.existing), Pace()

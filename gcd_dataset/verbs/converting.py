@@ -12,6 +12,7 @@ from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.contents import warn_of_others
 from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.making_plan import MakingPlan
@@ -70,6 +71,7 @@ def plan_conversion(
     present = [source for source in sources if len(_garments(source))]
     if not present:
         _garments(sources[0]).require_any()
+    warn_of_others(user_path(out))
     return tuple(_plan(source, Path(out)) for source in present)
 
 

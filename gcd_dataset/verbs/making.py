@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.hub.source import Folder, parse_target
 from gcd_dataset.records import Outcome, Rejected, Sample
 from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards.contents import warn_of_others
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.verbs.array_jobs import JobPart
 from gcd_dataset.verbs.log import run_log
@@ -153,6 +156,8 @@ def generate(
         raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine} | _as_json(config)
     options |= {"part": part and str(part), "name": recipe and recipe.name}
+    if isinstance(folder := parse_target(out), Folder):
+        warn_of_others(user_path(folder.path))
     target = {"recipe": recipe, "part": part, "spool": spool, "patience": patience}
     with contextlib.ExitStack() as opened:
         if engine == "ray":
