@@ -102,5 +102,5 @@ def test_the_sentence_tells_edge_heights_and_shift(wearer: Wearer) -> None:
     found, [sentence] = in_body_frame(shifted(skirt, 0, 0, 100.0), wearer)
     top = max(float(placed_outline(panel)[:, 1].max()) for panel in found.panels)
     assert top == pytest.approx(wearer.waist)
-    assert f"hung {wearer.waist - 100:.0f} cm high and is worn at {wearer.waist:.0f} cm" in sentence
+    assert f"hung {wearer.waist - 100:.0f} cm high, and is worn at {wearer.waist:.0f} cm" in sentence
     assert "moved 100 cm up and" in sentence
