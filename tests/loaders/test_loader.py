@@ -103,7 +103,7 @@ def is_full(*_: Any) -> Any:
 def test_a_batch_without_room_in_shared_memory_is_an_error(monkeypatch: pytest.MonkeyPatch, collate: Any) -> None:
     """torch's thread in the worker would print it, and the training would wait forever."""
     ds = FakeGarments(4, fields=["verts"])
-    makers = [
+    makers: list[Any] = [
         GarmentLoader(ds, 2, num_workers=1, collate_fn=collate),
         *([] if collate.__name__ == "<lambda>" else [DataLoader(ds, 2, num_workers=1, collate_fn=collate)]),
         FreshGarments(ds, workers=1),
