@@ -318,10 +318,9 @@ def test_select_takes_several_indices(indices: Any) -> None:
 
 
 def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence() -> None:
-    ds = FakeGarments(4, fields=["meta"])
+    ds: Any = FakeGarments(4, fields=["meta"])
     for indices in ([1, 3], (1, 3), np.array([1, 3]), torch.tensor([1, -1]), iter([1, 3]), range(1, 4, 2)):
         assert [item["meta"]["index"] for item in ds.select(indices)] == [1, 3]
-    wrong: Any
     for wrong in ([True] * 4, np.ones(3, bool), torch.ones(4, dtype=torch.bool), [4], [-5], [0.5], ["gcd_000000009"]):
         with pytest.raises(ConfigError, match=r"^[^\n]+: [^\n]+$"):
             ds.select(wrong)
