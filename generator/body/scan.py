@@ -126,9 +126,9 @@ def _largest_piece(
     piece = connected_components(graph, directed=False)[1]
     a, b, c = vertices[faces].transpose(1, 0, 2)
     areas = np.bincount(piece[faces[:, 0]], np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=piece.max() + 1)
-    for number in np.flatnonzero(areas > OBJECT_SHARE * areas.sum()):
-        if is_convex(vertices[piece == number]):
-            areas[number] = 0.0
+    for large in np.flatnonzero(areas > OBJECT_SHARE * areas.sum()):
+        if is_convex(vertices[piece == large]):
+            areas[large] = 0.0
     largest = int(areas.argmax())
     kept = (piece == largest) if areas[largest] > BODY_SHARE * areas.sum() else np.isin(piece, piece[faces[:, 0]])
     low, high = vertices[kept].min(axis=0), vertices[kept].max(axis=0)
