@@ -15,8 +15,10 @@ import hashlib
 import logging
 import math
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -75,7 +77,8 @@ def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["Ray
         if not ray.is_initialized():
             _log_events(ray)
             opened.callback(ray.shutdown)
-            _connect(ray, os.environ.get("RAY_ADDRESS"))
+            with _own_handler():
+                _connect(ray, os.environ.get("RAY_ADDRESS"))
         _require_same(ray)
         resources = ray.cluster_resources()
         gpus = int(resources.get("GPU", 0)) if config.stage == "drape" else 0
@@ -328,6 +331,15 @@ def _log_events(ray: ModuleType) -> None:
         logger.warning("Ray: %s", shown(" ".join(" ".join(data["lines"]).split())[:EVENT]))
 
     ray._private.worker.print_to_stdstream = log
+
+
+@contextmanager
+def _own_handler() -> Iterator[None]:
+    """Restore the handler of SIGTERM after the block: that of Ray aborts the process, without finishing the shards."""
+    handler = signal.getsignal(signal.SIGTERM)
+    yield
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
 
 
 def _connect(ray: ModuleType, address: str | None) -> None:
