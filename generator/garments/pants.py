@@ -148,8 +148,8 @@ def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[
         )
     )
     for piece, quarter in ((front, front_quarter), (back, back_quarter)):
-        for drawn in quarter.darts:
-            leg = leg.sewn(piece.along(f"{drawn.name}.0"), piece.against(f"{drawn.name}.1"))
+        for sewn in quarter.darts:
+            leg = leg.sewn(piece.along(f"{sewn.name}.0"), piece.against(f"{sewn.name}.1"))
     return leg if design.cuff.type is None else _with_cuff(size, design, leg, design.cuff.type)
 
 
