@@ -87,9 +87,9 @@ WRONG_USAGE = [
 
 BAD_INPUT = [
     ("generate text.txt --count 1 --stage pattern --quiet", "text.txt: cannot be written"),
-    ("drape missing.json --out out", "missing.json: no such file"),
+    ("drape missing.json --out reports --quiet", "missing.json: no such file"),
     ("drape spec.json --out out --body missing.obj", "missing.obj: no such file"),
-    ("drape text.txt --out out", "text.txt: "),
+    ("drape text.txt --out reports --quiet", "text.txt: "),
     ("fit missing.yaml --out out", "missing.yaml: no such file"),
     ("fit text.txt --out out", "text.txt: holds 'neither', no design: give GarmentCode's"),
     ("fit empty.yaml --out out", "empty.yaml: an outfit without upper and bottom: choose meta.upper or meta.bottom"),
@@ -145,7 +145,7 @@ def test_exit_codes_are_the_same_for_every_verb(
         ("show shards --index 2", 1, "shards: garment 2 of 2: give one from 0 to 1"),
         ("show spec.json --index 3", 1, "spec.json: garment 3 of 1: leave --index out"),
         ("show spec.json --index 3 --svg a.svg", 1, "spec.json: garment 3 of 1: leave --index out"),
-        ("show broken.json", 1, "broken.json: line 1, column 1"),
+        ("show broken.json", 1, "broken.json: empty, not a specification JSON"),
         ("show spec.json --truth none", 2, "--truth none: no specification file"),
         (f"show {'long' * 100} --html a.html", 1, "cannot be read .File name too long."),
     ],
