@@ -19,6 +19,8 @@ import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
+from gcd_dataset.cli.verb import Stopped, interrupts_after_imports
+from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign
@@ -115,21 +117,49 @@ def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: py
     assert len(GarmentDataset(tmp_path)) == 1
 
 
-def test_ctrl_c_keeps_finished_samples(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "workers", "code"), [(signal.SIGINT, "0", 130), (signal.SIGTERM, "2", 143)], ids=["ctrl-c", "timeout"]
+)
+def test_a_signal_keeps_finished_samples(number: int, workers: str, code: int, tmp_path: Path) -> None:
+    """``timeout`` sends SIGTERM to the process and to its group; Ctrl-C goes to the group."""
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores SIGINT
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*command, "--workers", workers], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     signal.signal(signal.SIGINT, before)
     wait_for_bytes(tmp_path, 200_000, process)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, number)
+    if number == signal.SIGTERM:
+        process.send_signal(number)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130, said
+    assert process.returncode == code, said
     assert "the same command continues from there" in one_line(said)
+    wait_for_end_of(process.pid)
     there = len(read_index(tmp_path))
     assert there > 1
     assert not list(tmp_path.glob("*.part"))
     assert main(["generate", str(tmp_path), "--count", str(there + 2), *FLAT]) == 0
     assert len(GarmentDataset(tmp_path)) == there + 2
+
+
+def test_a_second_sigterm_is_ignored_and_handlers_are_restored() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(Stopped) as caught, interrupts_after_imports():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+    assert caught.value.exit_code == 143
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_signal_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "ftruncate", lambda *_: os.kill(os.getpid(), signal.SIGTERM))  # the draft is new
+    with pytest.raises(Stopped), interrupts_after_imports():
+        write_whole(tmp_path / "a.json", b"{}")
+        time.sleep(60)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
 def test_ctrl_c_while_options_are_parsed_is_reported(
@@ -214,10 +244,7 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     assert len(of_session(process.pid)) >= 3
     process.kill()
     process.wait()
-    deadline = time.monotonic() + 60
-    while of_session(process.pid) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert of_session(process.pid) == []
+    wait_for_end_of(process.pid)
     assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # keeps the finished samples
 
 
@@ -231,6 +258,14 @@ def wait_for_bytes(folder: Path, size: int, process: subprocess.Popen[Any]) -> N
         for path in folder.glob("train-*.tar*"):
             with contextlib.suppress(FileNotFoundError):  # just renamed
                 there += path.stat().st_size
+
+
+def wait_for_end_of(session: int) -> None:
+    """Wait until no process of a session runs."""
+    deadline = time.monotonic() + 60
+    while of_session(session) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert of_session(session) == []
 
 
 def of_session(session: int) -> list[int]:

@@ -16,6 +16,7 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import View
 from gcd_dataset.shards import ShardWriter, read_index
+from gcd_dataset.shards.contents import warn_of_others
 from gcd_dataset.shards.layout import MEMBERS, Bytes, garments_layout
 from gcd_dataset.shards.unfinished import filling, unfinished
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
@@ -50,6 +51,36 @@ def test_info_counts_and_plots(data: Path, capsys: Capture) -> None:
     assert f"verts {share[:, column].sum() / share.sum():6.1%}".split() in [
         line.split()[:2] for line in text.splitlines()
     ]
+
+
+def test_info_names_the_stage_of_a_data_set_without_drapes(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--workers", "0", "--quiet"]) == 0
+    assert main(["info", str(tmp_path)]) == 0
+    text = said(capsys)
+    assert "train: 1 samples in 1 shards" in text and "stage pattern, without drapes" in text
+    assert "at rest" not in text
+
+
+def test_other_files_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name in (".git", "000001.tar", "notes.txt", "rejects.jsonl", "train-00000.tar.part", "x.csv", "y.csv"):
+        (tmp_path / name).touch()
+    warn_of_others(tmp_path)
+    assert "holds other files (000001.tar, notes.txt, x.csv and 1 more)" in caplog.text
+    (tmp_path / "manifest.json").touch()
+    caplog.clear()
+    warn_of_others(tmp_path)
+    warn_of_others(tmp_path / "new")
+    assert not caplog.text
+
+
+@pytest.mark.parametrize("stage", ["body", "pattern"])
+def test_every_verb_that_begins_a_data_set_warns(stage: str, tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "notes.txt").touch()
+    command = ["generate", str(tmp_path), "--count", "1", "--stage", stage, "--workers", "0", "--quiet"]
+    assert main([*command, "--log", str(tmp_path / "log.jsonl")]) == 0
+    assert "holds other files (notes.txt)" in capsys.readouterr().err
+    assert main(command) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_verify_finds_nothing_wrong(data: Path, capsys: Capture) -> None:

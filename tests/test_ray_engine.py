@@ -2,6 +2,7 @@
 
 import errno
 import itertools
+import signal
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -45,6 +46,14 @@ def test_ranges_are_made_when_asked_for() -> None:
 def test_each_slot_has_a_range_where_there_are_enough(count: int, slots: int) -> None:
     size = samples_of_range(count, 0.1, slots)
     assert -(-count // size) >= min(count, slots)
+
+
+def test_ray_does_not_keep_its_handler_of_sigterm() -> None:
+    """It would abort the process without finishing the shards."""
+    before = signal.getsignal(signal.SIGTERM)
+    with ray_engine._own_handler():
+        signal.signal(signal.SIGTERM, lambda *_: None)
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_a_long_sample_is_a_range_of_its_own() -> None:

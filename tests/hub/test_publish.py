@@ -15,7 +15,7 @@ import yaml
 from gcd_dataset.errors import ConfigError, RemoteError
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.partition import families, leaks, partition
-from gcd_dataset.hub.publish import Staged, stage, upload
+from gcd_dataset.hub.publish import Staged, _license, stage, upload
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
@@ -108,7 +108,7 @@ def test_four_designs_fill_all_splits(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def staged(both: Path, tmp_path_factory: pytest.TempPathFactory) -> Staged:
     folder = tmp_path_factory.mktemp("staged") / "up"
-    return stage(both, "org/new-set", folder, shares=SHARES, license="cc-by-4.0", endpoint="https://hub.example")
+    return stage(both, "org/new-set", folder, shares=SHARES, license="CC-BY-4.0", endpoint="https://hub.example")
 
 
 def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None:
@@ -121,6 +121,21 @@ def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None
     assert sorted(seen) == list(range(80))
     assert not leaks({name: ShardReader(staged.folder, name) for name in SHARES})
     assert staged.files.keys() == read_folder(staged.folder).keys()
+
+
+def test_spdx_names_of_licenses_become_the_hubs() -> None:
+    assert [_license(name) for name in ("ODbL-1.0", "GPL-3.0-only", "other")] == ["odbl", "gpl-3.0", "other"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("foo", "license foo: unknown to the Hub"), ("cc-by-4", "mean cc-by-4.0"), ("MIT-0", "or other")]
+)
+def test_a_license_that_the_hub_refuses_is_refused_before_anything_is_written(
+    name: str, said: str, both: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        stage(both, "org/set", tmp_path / "up", license=name)
+    assert not (tmp_path / "up").exists()
 
 
 def test_the_card_lists_every_split(staged: Staged) -> None:
