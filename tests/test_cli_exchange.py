@@ -204,8 +204,8 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
 @pytest.mark.parametrize(
     ("form", "message"),
     [
-        (["--layout", "published", "out"], "stopped at 1 of 6: the same command continues from there"),
-        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: start again"),
+        (["--layout", "published", "out"], "stopped at 1 of 6 of train, test: the same command continues from there"),
+        (["--hdf5", "out.h5"], "stopped at 0 of 4: out.h5 was not written: run it again"),
     ],
 )
 def test_ctrl_c_reports_the_progress(
