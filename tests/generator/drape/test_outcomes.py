@@ -110,7 +110,9 @@ def test_a_neckline_belongs_above_the_armpits() -> None:
     )
     job = DrapeJob(dress, far_ball(), SIZE)
     assert not off_body(job, dress.vertices)
-    assert off_body(job, dress.vertices - [0.0, 10.0, 0.0]) == "its neckline lies at 127 cm, below the armpits at 131 cm"
+    assert (
+        off_body(job, dress.vertices - [0.0, 10.0, 0.0]) == "its neckline lies at 127 cm, below the armpits at 131 cm"
+    )
     assert off_body(job, dress.vertices - [0.0, 40.0, 0.0]) == "its neckline lies at 97 cm, below the waist at 107 cm"
 
 
