@@ -54,7 +54,7 @@ def _is_heavy(design: OutfitDesign) -> bool:
 
 
 def _unfit(design: OutfitDesign, size: Measurements) -> str:
-    if garment_length(size, design) > size.height - size.head_l + FLOOR_SLACK:
+    if garment_length(size, design, frozenset()) > size.height - size.head_l + FLOOR_SLACK:
         return "too long"
     try:
         faults = check_pattern(outfit(size, design, mends=frozenset()))

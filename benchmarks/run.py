@@ -20,7 +20,7 @@ REPORTS = Path(__file__).resolve().parent / "reports"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a case. Returns the exit code: 0, or 1 if the case failed."""
+    """Run a case. Returns the exit code: 0, or 1 if the case failed or refused an input."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     name, options = _parsed(given)
     case = load_case(name)
@@ -41,7 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GcdError as error:
         print(f"benchmarks.run {name}: {error}", file=sys.stderr)
         return 1
-    return 0
+    for refused, reason in measured.refused:
+        print(f"benchmarks.run {name}: {refused}: REFUSED: {reason}", file=sys.stderr)
+    return int(bool(measured.refused))
 
 
 def report_in_tree(name: str) -> Path:

@@ -1,7 +1,11 @@
 """Files that describe a body: GarmentCode's measurement YAML and part segmentation JSON."""
 
+import codecs
+import logging
+import re
 import reprlib
 from collections.abc import Mapping
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,18 +17,23 @@ from jaxtyping import UInt8
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import read_whole, write_whole
 from gcd_dataset.jsonfile import read_json, whole
-from gcd_dataset.measurements import MEASURE, Measure
+from gcd_dataset.measurements import ANGLES, MEASURE, Measure
 from gcd_dataset.records import BodyPart, Measurements
-from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
+from gcd_dataset.yamlfile import read_yaml
 
 __all__ = [
+    "OTHER_UNITS",
     "measurements_text",
+    "obj_lines",
     "parse_measurements",
     "read_body_file",
     "read_body_parts",
     "read_measurements",
+    "require_same_body",
     "write_measurements",
 ]
+
+log = logging.getLogger(__name__)
 
 LARGEST_BODY_FILE = 512 << 20  # bytes: a mesh, or a shape space with its components
 LONGEST_NAME = 40  # characters of a name in a message
@@ -32,10 +41,27 @@ LONGEST_NUMBER = 10**15  # messages do not print larger integers
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 2
 
-LIMBS = frozenset({"left_arm", "right_arm", "left_leg", "right_leg"})
+OTHER_UNITS: Mapping[str, float] = {"inches": 2.54, "feet": 30.48, "decimetres": 10.0, "metres": 100.0}
+"""Length [cm] of units in which measures, or a mesh, may be given instead of centimetres."""
+FACTORS = [*OTHER_UNITS.items(), ("millimetres", 0.1), ("inches, converted twice", 1 / 2.54)]
+SAME_UNIT = 1.3  # factor by which a measure of another adult differs at most
+FAR, FAR_SHARE = 3.0, 0.05  # cm, and share of the measure: other clothes and tailors differ by less
+
+LIMBS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
 """Parts that a segmentation file must list: no garment can be draped without them."""
 
-SEGMENTS = {
+RELATIVE = re.compile(rb"(?<=\s)-(\d+)")  # a vertex number, not one of a texture or normal after a slash
+
+SMPL_SEGMENTS = {
+    BodyPart.LEFT_ARM: "leftShoulder leftArm leftForeArm",
+    BodyPart.RIGHT_ARM: "rightShoulder rightArm rightForeArm",
+    BodyPart.LEFT_LEG: "leftUpLeg leftLeg",
+    BodyPart.RIGHT_LEG: "rightUpLeg rightLeg",
+    BodyPart.HANDS: "leftHand leftHandIndex1 rightHand rightHandIndex1",
+    BodyPart.FEET: "leftFoot leftToeBase rightFoot rightToeBase",
+    BodyPart.INTERNAL: "leftEye rightEye eyeballs",
+}
+SEGMENTS = {name: part for part, names in SMPL_SEGMENTS.items() for name in names.split()} | {
     "body": BodyPart.TRUNK,
     "left_arm": BodyPart.LEFT_ARM,
     "right_arm": BodyPart.RIGHT_ARM,
@@ -46,13 +72,13 @@ SEGMENTS = {
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
 }
-"""Part names of a segmentation file. Vertices under other names, and unlisted vertices, count as trunk."""
+"""Part names of a segmentation file, SMPL's and SMPL-X's too. Vertices unlisted, or under other names, are trunk."""
 
 
 def read_measurements(path: Path | str) -> Measurements:
     """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
-    path = Path(path)
-    return parse_measurements(_read_yaml(path), str(path))
+    table = read_yaml(path, "measurement YAML", error=BodyError)
+    return parse_measurements(table if isinstance(table, dict) else {}, str(path))
 
 
 def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
@@ -68,6 +94,26 @@ def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
     return Measurements.from_file_values(values)
+
+
+def require_same_body(given: Measurements, ours: Measurements, source: Path | str, mesh: Path | str) -> None:
+    """Log a warning that names the measures of the file ``source`` that are over 3 cm and 5 % off those of a mesh.
+
+    Angles are not compared. Raises ``BodyError`` if most measures are the mesh's in another unit.
+    """
+    pairs = [(name, getattr(given, name), getattr(ours, name)) for name in MEASURE if name not in ANGLES]
+    ratios = np.array([other / one for _, one, other in pairs if min(one, other) > 0])  # of neither NaN
+    for unit, factor in FACTORS:
+        if np.mean(np.abs(np.log(ratios / factor)) < np.log(SAME_UNIT)) > 0.5:
+            raise BodyError(f"{source}: most measures are those of {mesh} in {unit}: give them in centimetres")
+    far = [
+        f"{name} {one:.1f} ({other:.1f})"
+        for name, one, other in pairs
+        if abs(one - other) > max(FAR, FAR_SHARE * other)
+    ]
+    if far:
+        reason = f"differs from {mesh} (its measures in brackets): {', '.join(far)} [cm]"
+        log.warning("%s: doubtful: %s: give the measures of this body", source, reason)
 
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:
@@ -93,9 +139,9 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
     lists = read_json(path, "segmentation JSON", error=BodyError)
     if not isinstance(lists, dict):
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
-    if not lists.keys() >= LIMBS:
+    if not {SEGMENTS.get(name) for name in lists}.issuperset(LIMBS):
         names = ", ".join(shown(name[:LONGEST_NAME]) for name in islice(lists, 9)) or "nothing"
-        raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg")
+        raise BodyError(f"{path}: lists the parts {names}: add left_arm, right_arm, left_leg and right_leg (or SMPL's)")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
         vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), [] if ids is None else ids)
@@ -104,9 +150,10 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
                 f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, but {mesh} has "
                 f"{n_vertices} vertices: give the segmentation of this mesh"
             )
-        if not vertices and name in LIMBS:
-            raise BodyError(f"{path}: {name} has no vertices: list the vertices of the limb")
         parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
+    for limb in LIMBS:
+        if limb.value not in parts:
+            raise BodyError(f"{path}: {limb.name.lower()} has no vertices: list the vertices of the limb")
     return parts
 
 
@@ -131,34 +178,6 @@ def _derived(size: Measurements) -> dict[str, float]:
     return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
 
 
-# --------------------------------------------------------------------------------------------------------------- files
-
-
-BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
-"""Exceptions that PyYAML leaks for malformed scalars: an impossible date, a huge integer, ``!!bool maybe``, …"""
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    content = read_whole(path, "measurement YAML", limit=LARGEST_YAML, error=BodyError)
-    try:
-        table = strict_yaml(content)
-    except yaml.MarkedYAMLError as error:
-        raise BodyError(f"{path}: not YAML ({_yaml_problem(error)}): correct that line") from error
-    except (yaml.YAMLError, *BROKEN_SCALARS) as error:
-        raise BodyError(
-            f"{path}: not YAML ({' '.join(str(error).split())[:160]}): give one 'key: number' a line"
-        ) from error
-    except RecursionError as error:
-        raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
-    return table if isinstance(table, dict) else {}
-
-
-def _yaml_problem(error: yaml.MarkedYAMLError) -> str:
-    mark = error.problem_mark or error.context_mark
-    position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-    return f"{position}{shown(str(error.problem or error.context)[:160])}"
-
-
 def _is_measure(known: Measure, value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and known.holds(value)
 
@@ -173,3 +192,21 @@ def _found(value: Any) -> str:
 def read_body_file(path: Path) -> bytes:
     """All bytes of a file. Raises ``BodyError``."""
     return read_whole(path, "file of a body", limit=LARGEST_BODY_FILE, error=BodyError)
+
+
+def obj_lines(content: bytes) -> list[bytes]:
+    """The ``v`` and ``f`` lines of an OBJ file; relative vertex numbers (-1: the latest) are made absolute."""
+    joined = re.sub(rb"\\\r?\n", b" ", content.removeprefix(codecs.BOM_UTF8))
+    lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
+    count = 0
+    for row, line in enumerate(lines):
+        if line[:1] == b"v":
+            count += 1
+        elif b"-" in line:
+            lines[row] = RELATIVE.sub(partial(_absolute, count), line)
+    return lines
+
+
+def _absolute(count: int, relative: re.Match[bytes]) -> bytes:
+    back = int(relative[1])
+    return b"%d" % (count + 1 - back) if 0 < back <= count else relative[0]

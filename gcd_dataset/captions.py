@@ -1,4 +1,4 @@
-"""The member ``caption.txt``: the captions of a garment, one level a line.
+"""The member ``caption.txt``: the captions of a garment, one level a line, after its name: ``short: A skirt.``
 
 >>> text = caption_text({"short": "A skirt.", "medium": "A long skirt.", "full": "A long skirt. It has a plain hem."})
 >>> read_captions(text)["medium"]
@@ -17,15 +17,15 @@ LEVELS = ("short", "medium", "full")
 
 def caption_text(captions: Mapping[str, str]) -> str:
     """Captions, by level, as one text."""
-    return "\n".join(captions[level] for level in LEVELS)
+    return "\n".join(f"{level}: {captions[level]}" for level in LEVELS)
 
 
 def read_captions(text: str) -> dict[str, str]:
     """Level to caption, from a text by ``caption_text``. Raises ``ShardError`` for a text of other lines."""
-    lines = text.split("\n")
-    if len(lines) != len(LEVELS):
+    lines = [line.partition(": ") for line in text.split("\n")]
+    if tuple(level for level, _, _ in lines) != LEVELS:
         raise ShardError(
-            f"a caption of {len(lines)} lines, not {len(LEVELS)}, one for each of {', '.join(LEVELS)}: this data set "
-            "was captioned by another program, so use its caption field as it is"
+            f"a caption whose lines do not begin with {', '.join(f'{level}:' for level in LEVELS)}: this data set was "
+            "captioned by another program, so use its caption field as it is"
         )
-    return dict(zip(LEVELS, lines, strict=True))
+    return {level: said for level, _, said in lines}

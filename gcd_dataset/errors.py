@@ -41,6 +41,9 @@ __all__ = [
     "shown",
 ]
 
+JOINERS = dict.fromkeys(map(ord, "\xa0\u2009\u200c\u200d\u200e\u200f\u202f\u3000"))
+"""Spaces and joiners in words of some scripts and in emoji, which ``str.isprintable`` refuses."""
+
 
 LONGEST = 4000  # characters of a message
 
@@ -51,7 +54,7 @@ def shown(text: str) -> str:
     >>> shown("train"), shown("a\\nb")
     ('train', "'a\\\\nb'")
     """
-    return text if text.isprintable() else ascii(text)
+    return text if text.translate(JOINERS).isprintable() else ascii(text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

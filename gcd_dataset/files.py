@@ -9,6 +9,7 @@ import secrets
 import stat
 import sys
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -72,7 +73,7 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
     return content
 
 
-def open_regular(path: Path | str) -> BinaryIO:
+def open_regular(path: Path | str) -> BufferedReader:
     """A file open for reading.
 
     Raises ``OSError``, also for a pipe, a socket, a device or a folder: opening a pipe would wait for its writer.

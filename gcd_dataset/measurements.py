@@ -16,11 +16,12 @@ import numpy as np
 
 from gcd_dataset.errors import BodyError
 
-__all__ = ["ANGLES", "MEASURE", "MEASURES", "Measure", "Measurements", "Tape"]
+__all__ = ["ADULT", "ANGLES", "MEASURE", "MEASURES", "Measure", "Measurements", "Tape", "is_adult_height"]
 
 ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
 SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
 LARGEST = 1e4  # cm, or degrees: larger than any body
+ADULT = (120.0, 230.0)  # cm; heights of adults
 SIDEWAYS = -0.4  # least cosine between skin normal and tape direction, GarmentCodeData
 
 Unit: TypeAlias = Literal["cm", "degrees"]
@@ -235,3 +236,8 @@ MEASURE: Mapping[str, Measure] = {entry.name: Measure(entry.name, **entry.metada
 MEASURES: tuple[str, ...] = tuple(MEASURE)
 """The keys of a measurement file: the 26 of GarmentCode, then added fields. Values in cm; inclinations in degrees."""
 ANGLES = frozenset(name for name, known in MEASURE.items() if known.unit == "degrees")
+
+
+def is_adult_height(height: float) -> bool:
+    """Whether an adult may be so tall [cm]."""
+    return ADULT[0] <= height <= ADULT[1]

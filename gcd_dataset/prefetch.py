@@ -57,6 +57,7 @@ def prefetch(
     thread.start()
     # A daemon thread that is still inside torch when the interpreter exits aborts the process.
     atexit.register(close)
+    unregister = atexit.unregister  # a name of the module is gone when a generator is closed at interpreter exit
     try:
         while True:
             item, error = ready.get()
@@ -68,7 +69,7 @@ def prefetch(
             yield item  # type: ignore[misc]
     finally:
         error = None  # break a cycle: its traceback refers to this frame and to the frames of all callers
-        atexit.unregister(close)
+        unregister(close)
         close()
 
 

@@ -348,10 +348,9 @@ class Outcome(Enum):
     THROUGH_ITSELF = "too many edges cross other cloth: panels start tangled; place them further apart"
     OVERSTRETCHED = "cloth is stretched out of shape: it is caught on the body, or cut too small for it"
     SLID_OFF = "slid off the body: narrow the waist or the neckline, or label the edge that should be held"
-    FELL = (
-        "fell below the floor: nothing held it; check its seams and where its panels hang, or label the edge to be held"
-    )
+    FELL = "fell below the floor, or reaches below it: check its seams and its length, or label the edge to be held"
     OVERFULL = "more contacts than there was room for: raise the contact capacity"
+    REFUSED = "not draped: its file cannot be read, or its pattern or mesh cannot be draped"
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
 
 
@@ -396,6 +395,8 @@ class Drape(Record):
     """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
     """Number of body edges that cross the cloth; -1 where not counted: older versions, published data."""
+    reason: str = field(default="", compare=False)
+    """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample

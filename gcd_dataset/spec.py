@@ -32,6 +32,7 @@ __all__ = [
     "is_trouser_leg",
     "panel_order",
     "pattern_from_spec",
+    "pattern_name",
     "read_pattern",
     "role_by_name",
     "spec_from_pattern",
@@ -62,7 +63,7 @@ def read_pattern(path: Path | str) -> Pattern:
     """
     path = Path(path)
     spec = read_json(path, "specification JSON")
-    return pattern_from_spec(spec, _name_of(path), source=str(path))
+    return pattern_from_spec(spec, pattern_name(path), source=str(path))
 
 
 def write_pattern(pattern: Pattern, path: Path | str) -> None:
@@ -389,7 +390,9 @@ def _runs(
     return runs
 
 
-def _name_of(path: Path) -> str:
+def pattern_name(path: Path | str) -> str:
+    """The name of the pattern in a file: the file's, or its folder's for a plain ``specification.json``."""
+    path = Path(path)
     if path.stem in NAMELESS:
         return path.resolve().parent.name
     return path.stem.removesuffix("_specification")

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from itertools import islice
-from math import dist, isclose, log
+from math import dist, hypot, isclose, log
 
 import numpy as np
 from jaxtyping import Complex
@@ -22,6 +22,9 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: shorter edges have defeated cloth simulators (a fifth of published patterns have one)
+NARROWEST_DART = 0.5  # cm: a narrower dart is lost in the thickness of its own seam
+NARROWEST_PANEL = 0.5  # cm: mean width of the narrowest binding
+SMALLEST_PANEL = 4.0  # cm²: a smaller panel has no cloth left between its seams
 LARGEST = 1000.0  # cm: a panel ten metres across is in the wrong unit
 LONGEST_OUTLINE = 10_000.0  # cm: a ruffle of 8 m has an outline of 20 m
 MOST_NAMES = 40  # most names listed in a message
@@ -30,10 +33,12 @@ MOST_EDGES = 2000  # per panel: 10 m in steps of half a centimetre; published an
 WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment are shorter than LONG
 LONG = 60.0  # cm: between the median edge of a garment and the median edge of a garment scaled by ten
 HIGH = 400.0  # cm: higher than any panel hangs
-LOW = 25.0  # cm: only shoes, or a garment scaled by a tenth, have their top so low
+LOW = 25.0  # cm: only shoes have their top so low
+FLAT = 0.01  # ratio of the depth of a garment to its greatest extent: panels in one plane were never placed
+ACROSS = 300.0  # cm: more than the second largest extent of any placed garment
 TINY = 10.0  # cm: the largest panel of a garment that is not placed, even of a belt, is larger
 USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
-USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
+USUAL_ACROSS = 60.0  # cm: the second largest extent of a typical garment, a better guess if its panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # units per metre
 CROSSWISE = 0.85  # a seam is crosswise if pairing its ends the other way shortens their distance to this share …
 APART = 2.0  # … and by this much [cm]; published and sampled seams all keep a share of 0.9 or more
@@ -62,11 +67,14 @@ class Rule(Enum):
     ARC_RADIUS = "arc radius under half its chord"
     TOO_LARGE = "panel over 10 m"
     UNLIKELY_SIZE = "size unlikely for a person"
+    UNLIKELY_HEIGHT = "hangs above or below every person"
     SELF_CROSSING = "outline crosses itself"
     NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
     SHORT_EDGE = "edge under 0.5 cm"
+    NARROW_DART = "dart under 0.5 cm"
+    SMALL_PANEL = "panel too small to sew"
     SEAM_LENGTHS = "seam lengths differ"
     SEWN_CROSSWISE = "stitch joins the far ends"
 
@@ -76,7 +84,17 @@ class Rule(Enum):
         return Severity.WARNING if self in SEWABLE else Severity.ERROR
 
 
-SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
+SEWABLE = frozenset(
+    {
+        Rule.UNLIKELY_SIZE,
+        Rule.UNLIKELY_HEIGHT,
+        Rule.SHORT_EDGE,
+        Rule.NARROW_DART,
+        Rule.SMALL_PANEL,
+        Rule.SEAM_LENGTHS,
+        Rule.SEWN_CROSSWISE,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +142,9 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
             figure = f"its outline is {outline / 100:.0f} m long: check units_in_meter, and the curvature of its edges"
             faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
             del drawn[number]
-    for number, fault in _crossings(pattern.panels, drawn, edge_lengths):
+    crossings = list(_crossings(pattern.panels, drawn, edge_lengths))
+    simple = {number: drawn[number] for number in drawn.keys() - dict(crossings).keys()}  # others have no area
+    for number, fault in (*crossings, *_small_panels(pattern.panels, simple)):
         faults[number].append(fault)
     lengths = {
         EdgeRef(pattern.panels[number].name, index): length
@@ -133,7 +153,8 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     }
     of_panels = (fault for number in sorted(faults) for fault in faults[number])
     of_all = _unlikely_size(pattern, list(drawn.values()), lengths.values(), units) if len(drawn) == len(faults) else ()
-    return (*of_all, *_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
+    of_seams = (*_narrow_darts(pattern, lengths), *_seam_faults(pattern, lengths))
+    return (*of_all, *_name_faults(pattern.panels), *of_panels, *of_seams)
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:
@@ -156,7 +177,7 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
     for number, panel in enumerate(panels):
         if not panel.name.strip():
             yield Fault(Rule.PANEL_NAME, "", None, f"panel {number} of {len(panels)} has no name: give it one")
-        elif not panel.name.isprintable():
+        elif shown(panel.name) != panel.name:
             yield Fault(Rule.PANEL_NAME, panel.name, None, "it holds an unprintable character: remove it")
     for name, count in Counter(panel.name for panel in panels if panel.name.strip()).items():
         if count > 1:
@@ -226,24 +247,22 @@ def _unlikely_size(
     highest = max(float(panel.placement.translation[1]) for panel in pattern.panels)
     if TINY <= largest <= WIDE and LOW <= highest <= HIGH:
         return
-    top = _top(pattern.panels)
-    if top is not None and top > HIGH:
-        figure = f"it hangs up to {top:.4g} cm high, its largest panel is {largest:.4g} cm"
-    elif largest > WIDE and np.median(list(lengths)) > LONG:
+    points = np.concatenate([panel.placement.apply(panel.vertices) for panel in pattern.panels])
+    extents, top = np.ptp(points, axis=0), float(points[:, 1].max())
+    placed, across = extents[2] > FLAT * extents.max(), float(np.median(extents))
+    if largest > WIDE and np.median(list(lengths)) > LONG:
         figure = f"its largest panel is {largest:.4g} cm, and half of its edges are over {LONG:.0f} cm"
-    elif largest < TINY if top is None else top < LOW:
+    elif placed and across > ACROSS:
+        figure = f"it extends over {across:.4g} cm in two directions, its largest panel is {largest:.4g} cm"
+    elif (extents.max() if placed else largest) < TINY:
         figure = f"its largest panel is {largest:.4g} cm"
     else:
+        if placed and not LOW <= top <= HIGH:
+            figure = f"its top is {top:.0f} cm above the floor: correct the translations; gcd drape moves most garments"
+            yield Fault(Rule.UNLIKELY_HEIGHT, "", None, figure)
         return
-    scale = USUAL / largest if top is None else USUAL_TOP / top if top > 0 else None
+    scale = USUAL_ACROSS / across if placed and across else USUAL / largest
     yield Fault(Rule.UNLIKELY_SIZE, "", None, f"{figure}: {_probable_unit(largest, units, scale)}")
-
-
-def _top(panels: Sequence[Panel]) -> float | None:
-    """Height of the garment's highest point [cm]; ``None`` if no panel is placed."""
-    if not any(panel.placement.translation.any() for panel in panels):
-        return None
-    return max(float(panel.placement.apply(panel.vertices)[:, 1].max()) for panel in panels)
 
 
 def _units(pattern: Pattern) -> float:
@@ -271,6 +290,21 @@ def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
     for index, length in enumerate(lengths):
         if length < SHORTEST_EDGE:
             yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
+
+
+def _small_panels(
+    panels: Sequence[Panel], hulls: Mapping[int, Complex[np.ndarray, "e 4"]]
+) -> Iterator[tuple[int, Fault]]:
+    """Panel number and fault for panels with too little cloth; each curve is taken through its middle point."""
+    for number, points in hulls.items():
+        is_arc = np.array([isinstance(edge.curve, Arc) for edge in panels[number].edges])
+        middles = np.where(is_arc, 0.5 * (points[:, 1] + points[:, 2]), points @ [0.125, 0.375, 0.375, 0.125])
+        loop = np.stack([points[:, 0], middles], axis=1).ravel()
+        area = 0.5 * abs(float((loop.conj() * np.roll(loop, -1)).imag.sum()))
+        across = float(hypot(np.ptp(loop.real), np.ptp(loop.imag)))
+        if area < max(SMALLEST_PANEL, NARROWEST_PANEL * across):
+            figure = f"{area:.3g} cm² over a length of {across:.3g} cm: join it to its neighbour"
+            yield number, Fault(Rule.SMALL_PANEL, panels[number].name, None, figure)
 
 
 def _crossings(
@@ -312,6 +346,34 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
             yield from _unlike_sides(number, seam, labels, lengths)
         if seam.left in lengths and seam.right in lengths:
             yield from _crosswise(number, seam, panels, corners)
+
+
+def _narrow_darts(pattern: Pattern, lengths: Collection[EdgeRef]) -> Iterator[Fault]:
+    """Darts with a narrow mouth: neighbouring edges of a panel, sewn together from their common corner outwards."""
+    sewn = {frozenset((seam.left, seam.right)) for seam in pattern.seams}
+    panels = {panel.name: panel for panel in pattern.panels}
+    for seam in pattern.seams:
+        if seam.left.panel != seam.right.panel or seam.left not in lengths or seam.right not in lengths:
+            continue
+        panel, count = panels[seam.left.panel], len(panels[seam.left.panel].edges)
+        steps = (seam.right.edge - seam.left.edge) % count, (seam.left.edge - seam.right.edge) % count
+        if 1 not in steps:
+            continue
+        first = seam.left.edge if steps[0] == 1 else seam.right.edge
+        last = first + 1
+        while last - first < count - 2 and _pair(panel, first - 1, last + 1) in sewn:
+            first, last = first - 1, last + 1
+        start, end = panel.edges[first % count].start, panel.edges[last % count].end
+        width = dist(*panel.vertices[[start, end]].tolist())
+        if start != end and width < NARROWEST_DART:
+            figure = (
+                f"with edge {last % count} it is {width:.3g} cm wide: leave it out, and take its width in at a seam"
+            )
+            yield Fault(Rule.NARROW_DART, panel.name, first % count, figure)
+
+
+def _pair(panel: Panel, *edges: int) -> frozenset[EdgeRef]:
+    return frozenset(EdgeRef(panel.name, edge % len(panel.edges)) for edge in edges)
 
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:

@@ -2,14 +2,17 @@
 
 import re
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from gcd_dataset.errors import GcdError, shown
+from gcd_dataset.files import read_whole
 from gcd_dataset.jsonfile import DEEPEST, is_flat
 
-__all__ = ["LARGEST_YAML", "require_shallow", "require_small", "strict_yaml"]
+__all__ = ["read_yaml", "require_shallow", "require_small", "strict_yaml"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
@@ -17,6 +20,22 @@ MOST_VALUES = 300_000  # in one level; the labels of a published garment list so
 DEEPEST_BYTES = 1000  # open brackets, or columns of indentation; libyaml's stack overflows at tens of thousands
 BLOCK_START = re.compile(rb"^[ ?:-]{64,}", re.MULTILINE)
 OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: in YAML 1.1 070 is 56, and 1:50 is 110
+BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
+"""Exceptions that PyYAML leaks for malformed scalars: an impossible date, a huge integer, ``!!bool maybe``, …"""
+
+
+def read_yaml(path: Path | str, kind: str, *, error: type[GcdError]) -> Any:
+    """The parsed YAML of a file. Raises ``error``, which asks for a ``kind``, if it is missing, broken or too large."""
+    content = read_whole(path, kind, limit=LARGEST_YAML, error=error)
+    try:
+        return strict_yaml(content)
+    except (yaml.YAMLError, *BROKEN_SCALARS) as cause:
+        mark = getattr(cause, "problem_mark", None) or getattr(cause, "context_mark", None)
+        position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        problem = " ".join(str(getattr(cause, "problem", None) or getattr(cause, "context", None) or cause).split())
+        raise error(f"{path}: not YAML ({position}{shown(problem[:160])}): correct it, or give a {kind}") from cause
+    except RecursionError as cause:
+        raise error(f"{path}: nested too deeply: give a {kind}") from cause
 
 
 def strict_yaml(content: str | bytes) -> Any:

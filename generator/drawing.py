@@ -11,9 +11,11 @@ from PIL import Image, ImageDraw, ImageFont
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import INK, PAPER, cloth_colour, seam_colour
 from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
+from gcd_dataset.names import plain_names
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
+    "captioned",
     "contact_sheet",
     "design_sheet",
     "draw_body",
@@ -29,6 +31,7 @@ SUPERSAMPLING = 3  # flat drawings are drawn at this multiple of their size, the
 BODY_SUPERSAMPLING = 2
 SKIN = (207, 196, 184)
 TINY = 1e-9  # least divisor
+LONGEST_NAME = 40  # letters; Pillow's font has those of ASCII alone
 CAPTION = 16  # height of the strip for a caption [pixels]
 
 
@@ -45,14 +48,15 @@ def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w
         x, y = (scale * (points + piece.shift) + margin).T
         return list(zip(x.tolist(), (pixels - y).tolist(), strict=True))
 
-    for piece in plan.panels:
+    names = plain_names([panel.name for panel in pattern.panels], longest=LONGEST_NAME)
+    for piece, name in zip(plan.panels, names, strict=True):
         canvas.polygon(to_pixels(piece, piece.outline), fill=cloth_colour(piece.number))
         for index, seam in enumerate(piece.seams):
             line = to_pixels(piece, piece.edge_points(index))
             canvas.line(line, fill=seam_colour(seam), width=pixels // 350, joint="curve")
         centre, room = piece.name_position()
-        font = _font(piece.panel.name, scale * room, pixels / 48)
-        canvas.text(to_pixels(piece, centre[None])[0], piece.panel.name, fill=INK, font=font, anchor="mm")
+        font = _font(name, scale * room, pixels / 48)
+        canvas.text(to_pixels(piece, centre[None])[0], name, fill=INK, font=font, anchor="mm")
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
 
 
@@ -111,9 +115,19 @@ def sample_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3
     return contact_sheet([*pictures, *views], columns=len(pictures))
 
 
+def captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture under a line of text."""
+    height, width, _ = picture.shape
+    image = Image.new("RGB", (width, height + CAPTION), PAPER)
+    image.paste(Image.fromarray(picture), (0, CAPTION))
+    font = _font(text, width, 0.8 * CAPTION)
+    ImageDraw.Draw(image).text((0.5 * width, 0.5 * CAPTION), text, fill=INK, font=font, anchor="mm")
+    return np.asarray(image)
+
+
 def design_sheet(patterns: Sequence[Pattern], *, columns: int, size: int = 256) -> UInt8[np.ndarray, "h w 3"]:
     """Flat drawings of patterns in rows of ``columns``, each under its name."""
-    return contact_sheet([_captioned(draw_pattern(p, size=size), p.name) for p in patterns], columns=columns)
+    return contact_sheet([captioned(draw_pattern(p, size=size), p.name) for p in patterns], columns=columns)
 
 
 def picture_of(encoded: bytes, size: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -133,15 +147,6 @@ def jpeg_bytes(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
-
-
-def _captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h w 3"]:
-    height, width, _ = picture.shape
-    image = Image.new("RGB", (width, height + CAPTION), PAPER)
-    image.paste(Image.fromarray(picture), (0, CAPTION))
-    font = _font(text, width, 0.8 * CAPTION)
-    ImageDraw.Draw(image).text((0.5 * width, 0.5 * CAPTION), text, fill=INK, font=font, anchor="mm")
-    return np.asarray(image)
 
 
 def _font(text: str, room: float, largest: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

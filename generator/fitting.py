@@ -5,14 +5,16 @@ import logging
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, MeshError
+from gcd_dataset.bodyfiles import write_measurements
+from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
@@ -20,15 +22,25 @@ from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
+from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, Reject, check_outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
-from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
+from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
-from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
-from gcd_dataset.spec import read_pattern
-from gcd_dataset.validate import require_valid
+from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.release.published_names import ENDINGS
+from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
+from gcd_dataset.validate import Severity, require_valid
 
-__all__ = ["Fitting", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
+__all__ = [
+    "Fitting",
+    "Refusal",
+    "drape_patterns",
+    "read_patterns",
+    "write_drawn",
+    "write_fitting",
+    "write_report",
+]
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +69,7 @@ class Fitting:
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
             "outcome": self.drape.outcome.name,
+            "reason": self.drape.reason,
             "frames": self.drape.frames,
             "self_crossings": self.drape.self_crossings,
             "body_crossings": self.drape.body_crossings,
@@ -68,32 +81,84 @@ class Fitting:
         }
 
 
-def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
-    """The valid patterns in specification files.
+@dataclass(frozen=True)
+class Refusal:
+    """A pattern that was not draped: it cannot be read, sewn, placed or meshed."""
 
-    Raises ``SpecError`` or ``PatternError`` with the file, and ``ConfigError`` for two patterns with the same name.
+    name: str
+    reason: str
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The entry of a report."""
+        return {"pattern": self.name, "outcome": Outcome.REFUSED.name, "reason": self.reason}
+
+
+def read_patterns(paths: Sequence[Path | str]) -> Iterator[Pattern | Refusal]:
+    """The patterns in specification files, or why one cannot be read or sewn, in order.
+
+    Outputs go by a pattern's name: of two files of one name the second gets a number, as in ``dress-2``.
     """
-    patterns = tuple(require_valid(read_pattern(path), source=str(path)) for path in paths)
-    for number, pattern in enumerate(patterns):
-        if pattern.name in {other.name for other in patterns[:number]}:
-            raise ConfigError(f"two patterns are called {pattern.name}: rename a file, since outputs go by this name")
-    return patterns
+    for path, name in zip(paths, _distinct([pattern_name(path) for path in paths]), strict=True):
+        try:
+            yield replace(require_valid(read_pattern(path), source=str(path)), name=name)
+        except (SpecError, PatternError) as error:
+            yield Refusal(name, str(error))
+
+
+def _distinct(names: Sequence[str]) -> Iterator[str]:
+    """The names, with a number where files of an earlier name, or of a later one as it is, would be overwritten."""
+    given, used = {_file_key(name) for name in names}, set[str]()
+    for name in names:
+        numbered = (f"{name}-{number}" for number in count(2))
+        free = (other for other in numbered if _file_key(other) not in given | used)
+        yield (distinct := name if _file_key(name) not in used else next(free))
+        used.add(_file_key(distinct))
+
+
+def _file_key(name: str) -> str:
+    return safe_name(name).casefold()  # some file systems ignore case
+
+
+def write_drawn(
+    design: OutfitDesign, size: Measurements, folder: Path, *, source: Path
+) -> tuple[Path, tuple[Reject, ...]]:
+    """Write specification, SVG and measures of a design for a wearer, named after its file ``source``.
+
+    Returns the path of the specification, and the rules that the design breaks on this wearer. Raises ``PatternError``
+    for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
+    """
+    name = safe_name(source.stem.removesuffix("_design_params"))
+    try:
+        drawn = DrawnOutfit.of(size, design, name=name)
+    except PatternError as error:
+        raise PatternError(f"{source}: {error}") from error
+    rejects = check_outfit(drawn)
+    if any(fault.severity is Severity.ERROR for fault in drawn.faults):
+        raise PatternError(f"{source}: cannot be sewn for this body: {'; '.join(map(str, rejects))}")
+    spec, svg, measures = (make_folder(folder) / f"{name}{ENDINGS[kind]}" for kind in ("spec", "svg", "measures"))
+    write_pattern(drawn.pattern, spec)
+    write_whole(svg, pattern_svg(drawn.pattern))
+    write_measurements(size, measures)
+    return spec, rejects
 
 
 def drape_patterns(
-    patterns: Iterable[Pattern],
+    patterns: Iterable[Pattern | Refusal],
     wearer: Callable[[bool], tuple[Body, Measurements]],
     *,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
-) -> Iterator[Fitting]:
+) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]. Raises ``PatternError`` for a pattern with panels that cannot be
-    placed, ``MeshError`` with the pattern and its panel or seam, and ``ConfigError`` for a missing device.
+    ``resolution`` is the length of mesh edges [cm]. A pattern that cannot be placed or meshed costs no other: it yields
+    a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an unusable body, ``ConfigError`` for a
+    missing device.
     """
     work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
     with LocalDraper(device) as draper:
@@ -101,19 +166,27 @@ def drape_patterns(
 
 
 def _work(
-    pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
-) -> Work[Fitting]:
-    """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply."""
-    dressing, (body, size) = _dress(pattern, wearer)
-    start = time.perf_counter()
-    mesh = _box_mesh(dressing.pattern, resolution)
-    seconds = time.perf_counter() - start
+    pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
+) -> Work[Fitting | Refusal]:
+    """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
+    if isinstance(pattern, Refusal):
+        return Work([], lambda _: pattern)
+    try:
+        dressing, (body, size) = _dress(pattern, wearer)
+        start = time.perf_counter()
+        mesh = build_box_mesh(dressing.pattern, spacing=resolution)
+        seconds = time.perf_counter() - start
+        job = DrapeJob(mesh, body, size, fabric)
+        job.require_drapeable()
+    except (PatternError, MeshError, DrapeError) as error:
+        refusal = Refusal(pattern.name, str(error))
+        return Work([], lambda _: refusal)
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
 
-    return Work([DrapeJob(mesh, body, size, fabric)], finish)
+    return Work([job], finish)
 
 
 def _dress(
@@ -130,33 +203,35 @@ def _dress(
     return dressing, wearer(legs_apart)
 
 
-def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
-    try:
-        return build_box_mesh(pattern, spacing=resolution)
-    except MeshError as error:
-        raise MeshError(f"pattern {pattern.name}: {error}") from error
+def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: str = "auto") -> None:
+    """Write pictures of a fitting to ``folder``, and unless it diverged OBJ with MTL, PLY, and GLB if ``glb``.
 
+    GLB includes the body; see ``gcd_dataset.exports``. Raises ``OutputError``.
+    """
+    from gcd_dataset import exports
 
-def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> None:
-    """Write OBJ, PLY, GLB and pictures of a fitting to ``folder``. Raises ``OutputError``."""
     name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
     front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
-    for ending, content in {
-        ".obj": obj_bytes(vertices, mesh),
-        ".ply": ply_bytes(vertices, mesh),
-        ".glb": glb_bytes(vertices, mesh, fitting.body),
-        "_front.png": png_bytes(front),
-        "_back.png": png_bytes(back),
-        "_pattern.png": png_bytes(draw_pattern(fitting.pattern)),
-    }.items():
-        write_whole(folder / f"{name}{ending}", content)
+    for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
+        write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
+    if np.isfinite(vertices).all():
+        exports.obj(fitting, folder / f"{name}.obj", body=False)
+        exports.ply(fitting, folder / f"{name}.ply")
+        if glb:
+            exports.glb(fitting, folder / f"{name}.glb")
 
 
 def write_report(
-    fittings: Iterable[Fitting], path: Path, *, body: str, fabric: str, resolution: float, device: str
+    done: Iterable[tuple[Path, Fitting | Refusal]],
+    path: Path,
+    *,
+    body: str,
+    fabric: str,
+    resolution: float,
+    device: str,
 ) -> None:
-    """Write a JSON report: the settings, and the result of each pattern. Raises ``OutputError``."""
+    """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``."""
     report = {
         "gcd_dataset": __version__,
         "numpy": np.__version__,
@@ -165,6 +240,6 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [{**fitting.row, "assumed": list(fitting.assumed)} for fitting in fittings],
+        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in done],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

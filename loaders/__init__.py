@@ -15,7 +15,7 @@ From data set to batch:
    transforms need *worker processes*, those of a ``DataLoader``: a worker receives indices and epoch, and sends the
    batch, or the error as a value (``batch_plan.py``, ``worker.py``).
 6. A *transform*, then an ``augment``, changes the item; both may be users' code, and run with random streams seeded by
-   seed, epoch and index (``user_code.py``, ``isolated_rng.py``). *Collate* packs or pads the items (``collate.py``).
+   seed, epoch and index (``user_code.py``). *Collate* packs or pads the items (``collate.py``).
 7. The *state* is the cursor, with seed, length and a hash of the data set, which must match on loading. Any number of
    ranks or workers and any batch size may resume from it (``states.py``).
 8. *Views* are pictures rendered from items: in the workers on a CPU, otherwise from whole batches by threads of the
@@ -32,6 +32,7 @@ from gcd_dataset.lazy import lazy_names
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
 from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.items import BodyFields, GarmentFields
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.shards import GarmentDataset
@@ -58,11 +59,13 @@ __all__ = [
     "Augmented",
     "Bodies",
     "BodyDataset",
+    "BodyFields",
     "Chain",
     "ElasticSampler",
     "FakeGarments",
     "FreshGarments",
     "GarmentDataset",
+    "GarmentFields",
     "GarmentLoader",
     "Garments",
     "GeneratedGarments",

@@ -1,10 +1,13 @@
 """Base classes of the data sets of garments, and the checks of their arguments."""
 
+import inspect
+import math
 import operator
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeAlias
+from dataclasses import fields
+from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
 import torch
@@ -20,11 +23,14 @@ from gcd_dataset.loaders.indexing import (
     resolve_index,
     unknown_key,
 )
+from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
-from gcd_dataset.shards.codec import decode_field, read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, members_of
+from gcd_dataset.records import Sample
+from gcd_dataset.shards.codec import decode_field, decode_sample, read_meta
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
 
 __all__ = [
+    "DerivedGarments",
     "GarmentItem",
     "Garments",
     "Item",
@@ -36,13 +42,16 @@ __all__ = [
     "note_items",
     "recipe_from_meta",
     "require_callable",
+    "require_garments",
     "require_integer",
+    "require_number",
+    "require_ranges",
     "tensor_of",
 ]
 
-Item: TypeAlias = dict[str, Any]
-"""A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
-Transform: TypeAlias = Callable[[Item], Any]
+Item: TypeAlias = Mapping[str, Any]
+"""An item: ``GarmentFields``, or fields with what users' transforms made of them."""
+Transform: TypeAlias = Callable[[Any], Any]
 NOTHING: Mapping[str, str] = {}
 
 
@@ -63,7 +72,7 @@ class GarmentItem(dict[str, Any]):
         return item_html(self)
 
 
-class Garments(Dataset[Item], ABC):
+class Garments(Dataset[GarmentFields], ABC):
     """Garments by index or key; ``fields`` selects the fields of an item, ``transform`` is called with each item.
 
     ======================================  ============================================================================
@@ -109,6 +118,16 @@ class Garments(Dataset[Item], ABC):
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions of garment ``index``: enough to make it again."""
 
+    def sample(self, index: int | str) -> Sample:
+        """The record of garment ``index``, with all that is stored or made of it, whatever ``fields`` are.
+
+        Raises as ``ds[i]`` does, and ``ConfigError`` where members are missing, as in a download of some fields.
+        """
+        members = self._members(self._position(index), tuple(self._member_of.values()))
+        if missing := [member for member in MEMBERS if member not in members]:
+            raise ConfigError(f"sample {index}: the data set holds no {missing[0]}: give one with all members")
+        return decode_sample(members)
+
     @abstractmethod
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` if the bytes of garment ``index`` differ from the expected ones."""
@@ -123,6 +142,12 @@ class Garments(Dataset[Item], ABC):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         """Encoded members of a garment, at least those named in ``members``."""
 
+    @overload
+    def __getitem__(self, index: slice) -> "Garments": ...
+    @overload
+    def __getitem__(self, index: SupportsIndex | str) -> GarmentFields: ...
+    @overload
+    def __getitem__(self, index: Sequence[int] | list[str]) -> list[GarmentFields]: ...
     def __getitem__(self, index: Any) -> Any:
         """The item of an index or key; a list of items for several, a data set for a slice.
 
@@ -133,7 +158,7 @@ class Garments(Dataset[Item], ABC):
         several = index_list(index)
         return self._load(self._position(index)) if several is None else self.__getitems__(several)
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[GarmentFields]:
         """All garments in order."""
         return (self[index] for index in range(len(self)))
 
@@ -146,8 +171,18 @@ class Garments(Dataset[Item], ABC):
         return (self[index] for index in indices)
 
     def select(self, indices: Iterable[int]) -> "Garments":
-        """A data set of the garments at ``indices``, in this order. Raises ``IndexError`` for an index out of range."""
-        return SelectedGarments(self, [self._position(index) for index in indices])
+        """A data set of the garments at ``indices`` or of these keys, in this order.
+
+        Raises as ``ds[i]`` does, and ``ConfigError`` for anything but several of them.
+        """
+        is_array = isinstance(indices, torch.Tensor | np.ndarray)
+        if isinstance(indices, Iterable) and not is_array and not isinstance(indices, str | bytes | Mapping):
+            indices = list(indices)
+        several = index_list(indices)
+        if several is None:
+            hint = "select by a condition with [i for i, item in enumerate(dataset) if condition(item)]"
+            raise ConfigError(f"select({indices!r:.99}): give indices or keys in a list, array or range; {hint}")
+        return SelectedGarments(self, [self._position(index) for index in several])
 
     def __repr__(self) -> str:
         description = ", ".join([*self._description(), f"{len(self)} garments"])
@@ -173,7 +208,7 @@ class Garments(Dataset[Item], ABC):
         """Decode members to an item and transform it; ``position`` is for the error message."""
         return self._transformed(decode_item(members, self.fields, self.dtype), position)
 
-    def _transformed(self, item: GarmentItem, position: int) -> Any:
+    def _transformed(self, item: Any, position: int) -> Any:
         if self.transform is None:
             return item
         with as_transform_error(self, position):
@@ -201,13 +236,44 @@ class Garments(Dataset[Item], ABC):
         return key_of(position)
 
 
-class SelectedGarments(Garments):
+class DerivedGarments(Garments):
+    """Garments of another data set, ``whole``."""
+
+    def __init__(self, whole: Garments, transform: Transform | None) -> None:
+        super().__init__(whole.fields, transform, available=whole.fields, dtype=whole.dtype)
+        self.whole, self.reads_only = whole, whole.reads_only
+
+    def _in_whole(self, position: int) -> int:
+        """The index in ``whole`` of a position."""
+        return position
+
+    def recipe(self, index: int) -> dict[str, Any]:
+        return self.whole.recipe(self._in_whole(self._position(index)))
+
+    def verify(self, index: int) -> None:
+        self.whole.verify(self._in_whole(self._position(index)))
+
+    def sample(self, index: int | str) -> Sample:
+        return self.whole.sample(self._in_whole(self._position(index)))
+
+    def tell_wait(self) -> None:
+        self.whole.tell_wait()
+
+    def _description(self) -> list[str]:
+        return [f"of {type(self.whole).__name__}", *self.whole._description()]
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(self._in_whole(position))
+
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        return self.whole._members(self._in_whole(position), members)
+
+
+class SelectedGarments(DerivedGarments):
     """Selected garments of a data set, in a given order; fields and transform are those of the data set."""
 
     def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
-        super().__init__(whole.fields, whole.transform, available=whole.fields, dtype=whole.dtype)
-        self.whole = whole
-        self.reads_only = whole.reads_only
+        super().__init__(whole, whole.transform)
         self.positions = np.asarray(positions, np.int64)
         """Index in ``whole`` of each selected garment."""
         if len(positions) and _are_whole_designs(self.positions, whole.garments_per_design):
@@ -216,41 +282,26 @@ class SelectedGarments(Garments):
     def __len__(self) -> int:
         return len(self.positions)
 
-    def recipe(self, index: int) -> dict[str, Any]:
-        return self.whole.recipe(int(self.positions[self._position(index)]))
-
-    def verify(self, index: int) -> None:
-        self.whole.verify(int(self.positions[self._position(index)]))
+    def _in_whole(self, position: int) -> int:
+        return int(self.positions[position])
 
     def _load(self, position: int) -> Any:
-        return self.whole[int(self.positions[position])]
+        return self.whole[self._in_whole(position)]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, fetched from ``whole`` in one call where it can."""
-        return load_items(self.whole, [int(self.positions[self._position(index)]) for index in indices])
+        return load_items(self.whole, [self._in_whole(self._position(index)) for index in indices])
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        return self.whole.stream(int(self.positions[self._position(index)]) for index in indices)
+        return self.whole.stream(self._in_whole(self._position(index)) for index in indices)
 
     def identity(self) -> dict[str, Any]:
         """Identity of ``whole``, and a checksum of the selected indices."""
         return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
 
-    def tell_wait(self) -> None:
-        self.whole.tell_wait()
-
-    def _description(self) -> list[str]:
-        return [f"of {type(self.whole).__name__}", *self.whole._description()]
-
     def _find_key(self, key: str) -> int | None:
         position = self.whole._find_key(key)
         return None if position is None else next(iter(np.flatnonzero(self.positions == position).tolist()), None)
-
-    def _key(self, position: int) -> str:
-        return self.whole._key(int(self.positions[position]))
-
-    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self.whole._members(int(self.positions[position]), members)
 
 
 def _are_whole_designs(positions: Int[np.ndarray, " n"], garments_per_design: int) -> bool:
@@ -320,8 +371,8 @@ def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
-def require_integer(name: str, value: int, least: int = 0) -> int:
-    """An argument as an integer. Raises ``ConfigError`` unless it is an integer of at least ``least``.
+def require_integer(name: str, value: int, least: int = 0, most: int | None = None) -> int:
+    """An argument as an integer. Raises ``ConfigError`` unless it is an integer from ``least`` to ``most``.
 
     >>> require_integer("batch_size", 8, least=1)
     8
@@ -330,16 +381,64 @@ def require_integer(name: str, value: int, least: int = 0) -> int:
         number = operator.index(value)
     except TypeError:
         number = least - 1
-    if number < least:
-        raise ConfigError(f"{name}={value!r}: give a whole number, {least} or more")
+    if number < least or isinstance(value, bool):
+        raise ConfigError(f"{name}={value!r:.99}: give a whole number, {least} or more")
+    if most is not None and number > most:
+        raise ConfigError(f"{name}={number}: give {most} or less")
     return number
 
 
-def require_callable(name: str, value: Any) -> Any:
-    """The argument. Raises ``ConfigError`` if it is not callable."""
+def require_number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf, unit: str = "") -> float:
+    """An argument as a float. Raises ``ConfigError`` unless it is a finite number from ``least`` to ``most``."""
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (is_number and least <= value <= most and math.isfinite(value)):
+        limits = f"{least:g}{unit} or more" if most == math.inf else f"{least:g} to {most:g}{unit}"
+        raise ConfigError(f"{name}={value!r:.99}: give a finite number{'' if least == -math.inf else f', {limits}'}")
+    return float(value)
+
+
+def require_garments(name: str, value: Any) -> None:
+    """Raise ``ConfigError`` for an argument that is no data set of garments."""
+    if not isinstance(value, Garments):
+        raise ConfigError(f"{name} is a {type(value).__name__}: give GarmentDataset, GeneratedGarments or the like")
+
+
+def require_callable(name: str, value: Any, takes: str = "item") -> Any:
+    """The argument. Raises ``ConfigError`` for anything but a function of ``takes``, such as ``item, rng``."""
     if not callable(value):
-        raise ConfigError(f"{name}={value!r:.99}: give a function that takes an item, or leave it out")
+        raise ConfigError(f"{name}={value!r:.99}: give a function of {takes}")
+    if not _can_take(value, takes):
+        remedy = f"a function of {takes}"
+        if takes == "item" and _can_take(value, "item, rng"):
+            remedy = "it to Augmented(dataset, augment), which passes each garment's random stream"
+        raise ConfigError(f"{name}={value!r:.99} cannot be called with ({takes}): give {remedy}")
     return value
+
+
+def _can_take(function: Callable[..., Any], arguments: str) -> bool:
+    try:
+        inspect.signature(function).bind(*arguments.split(", "))
+    except ValueError:  # a function in C, without a signature
+        return True
+    except TypeError:
+        return False
+    return True
+
+
+def require_ranges(name: str, given: Any, usual: Any) -> Any:
+    """``given``, or ``usual`` for ``None``. Raises ``ConfigError`` for another dataclass, and for invalid numbers."""
+    if given is None:
+        return usual
+    if not isinstance(given, type(usual)):
+        raise ConfigError(f"{name}={given!r:.99}: give {type(usual).__name__}(…), or leave it out")
+    for entry in fields(given):
+        value, default = getattr(given, entry.name), getattr(usual, entry.name)
+        if type(default) is float:
+            require_number(f"{entry.name} of {name}", value)
+        elif isinstance(default, tuple) and default and type(default[0]) is float:
+            for number in value if isinstance(value, tuple) else [value]:
+                require_number(f"{entry.name} of {name}", number, least=-math.inf)
+    return given
 
 
 def require_float_dtype(dtype: Any) -> torch.dtype | None:

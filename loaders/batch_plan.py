@@ -10,12 +10,11 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, load_items
-from gcd_dataset.loaders.isolated_rng import isolated_rng
 from gcd_dataset.loaders.order import ElasticSampler, RankShare
 from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
-from gcd_dataset.loaders.user_code import is_package_code, separate_user_code
-from gcd_dataset.loaders.worker import begin_worker, with_traceback
+from gcd_dataset.loaders.user_code import is_package_code, isolated_rng, separate_user_code
+from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, with_traceback
 from gcd_dataset.prefetch import prefetch
 
 if TYPE_CHECKING:
@@ -111,6 +110,7 @@ class IndexedPlan:
     def loader(self, **options: Any) -> DataLoader:
         """The ``DataLoader`` that serves all passes; its workers persist between them."""
         if self._num_workers:
+            require_semaphores(self._num_workers)
             return DataLoader(
                 self._maker,
                 batch_sampler=self,  # type: ignore[arg-type]  # declared as yielding lists
@@ -205,7 +205,7 @@ class BatchMaker(Dataset):
     def __getitems__(self, batch: BatchIndices) -> Any:
         """The batch, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
         try:
-            return self.finish(batch, self.read(batch))
+            return sent(self.finish(batch, self.read(batch)))
         except GcdError as error:
             return with_traceback(error)
 

@@ -66,25 +66,39 @@ class Varlen(NamedTuple):
 
 
 class _Batch(dict[str, Any]):
-    """A dict of tensors and lists, with its entries as attributes.
+    """A dict of tensors and lists, with its entries as attributes: the fields of ``GarmentFields``.
+
+    Ragged fields have an axis b only where they are padded.
 
     ``torch.utils._pytree.tree_map`` maps over a batch like over a dict, and returns the same class.
     """
 
     batch_size: int = _entry()
     """B, the number of garments."""
+    panels: Float[Tensor, "*b p 14"] = _entry()
+    edges: Float[Tensor, "*b e 13"] = _entry()
+    stitches: Int[Tensor, "*b s 3"] = _entry()
+    faces: Int[Tensor, "*b f 3"] = _entry()
+    panel_id: Int[Tensor, "*b f"] = _entry()
+    corners: Int[Tensor, "*b f 3"] = _entry()
+    uv: Float[Tensor, "*b c 2"] = _entry()
+    uv_vertex: Int[Tensor, "*b c"] = _entry()
+    labels: Int[Tensor, "*b l 2"] = _entry()
+    seams: Int[Tensor, "*b m 2"] = _entry()
+    box: Float[Tensor, "*b v 3"] = _entry()
+    verts: Float[Tensor, "*b v 3"] = _entry()
+    panel_corners: Int[Tensor, "*b k 2"] = _entry()
+    panel_corner_pixels: Float[Tensor, "*b k n 2"] = _entry()
+    panel_corner_visible: Bool[Tensor, "*b k n"] = _entry()
     meta: list[dict[str, Any]] = _entry()
     spec: list[dict[str, Any]] = _entry()
     design: list[dict[str, Any]] = _entry()
     measures: list[dict[str, float]] = _entry()
     body: Float[Tensor, "b k"] = _entry()
-    """Weights of the bodies' shape components [standard deviations]."""
     points: Float[Tensor, "b n 6"] = _entry()
-    """Surface points [cm] and normals."""
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()
     views: UInt8[Tensor, "b n h w 3"] = _entry()
-    """Pictures of ``Views``, or stored ones; the entries below are described there too."""
     camera_k: Float[Tensor, "b n 3 3"] = _entry()
     camera_rt: Float[Tensor, "b n 3 4"] = _entry()
     landmark_pixels: Float[Tensor, "b n l 2"] = _entry()
@@ -145,34 +159,6 @@ class PackedBatch(_Batch):
     Row numbers index the arrays of the whole batch.
     """
 
-    panels: Float[Tensor, "p 14"] = _entry()
-    """Columns of ``PanelColumn``."""
-    edges: Float[Tensor, "e 13"] = _entry()
-    """Columns of ``EdgeColumn``."""
-    stitches: Int[Tensor, "s 3"] = _entry()
-    """Columns of ``StitchColumn``."""
-    faces: Int[Tensor, "f 3"] = _entry()
-    """Rows of ``verts`` and ``box``."""
-    panel_id: Int[Tensor, " f"] = _entry()
-    """Rows of ``panels``."""
-    corners: Int[Tensor, "f 3"] = _entry()
-    """Rows of ``uv``."""
-    uv: Float[Tensor, "c 2"] = _entry()
-    """Coordinates in the panels' planes [cm]."""
-    uv_vertex: Int[Tensor, " c"] = _entry()
-    """Rows of ``verts`` and ``box``."""
-    labels: Int[Tensor, "l 2"] = _entry()
-    """(row of ``verts`` and ``box``, row of the garment's own ``edge_labels``)."""
-    seams: Int[Tensor, "n 2"] = _entry()
-    """(row of ``verts`` and ``box``, row of ``stitches``)."""
-    box: Float[Tensor, "v 3"] = _entry()
-    """Positions before sewing [cm]."""
-    verts: Float[Tensor, "v 3"] = _entry()
-    """Positions at rest [cm]."""
-    panel_corners: Int[Tensor, "k 2"] = _entry()
-    """(row of the garment's own ``panels``, corner) of each point, from ``Views``."""
-    panel_corner_pixels: Float[Tensor, "k n 2"] = _entry()
-    panel_corner_visible: Bool[Tensor, "k n"] = _entry()
     panels_ptr: Int[Tensor, " b+1"] = _entry()
     edges_ptr: Int[Tensor, " b+1"] = _entry()
     stitches_ptr: Int[Tensor, " b+1"] = _entry()
@@ -236,21 +222,6 @@ class PaddedBatch(_Batch):
     Row numbers count within the garment.
     """
 
-    panels: Float[Tensor, "b p 14"] = _entry()
-    edges: Float[Tensor, "b e 13"] = _entry()
-    stitches: Int[Tensor, "b s 3"] = _entry()
-    faces: Int[Tensor, "b f 3"] = _entry()
-    panel_id: Int[Tensor, "b f"] = _entry()
-    corners: Int[Tensor, "b f 3"] = _entry()
-    uv: Float[Tensor, "b c 2"] = _entry()
-    uv_vertex: Int[Tensor, "b c"] = _entry()
-    labels: Int[Tensor, "b l 2"] = _entry()
-    seams: Int[Tensor, "b n 2"] = _entry()
-    box: Float[Tensor, "b v 3"] = _entry()
-    verts: Float[Tensor, "b v 3"] = _entry()
-    panel_corners: Int[Tensor, "b k 2"] = _entry()
-    panel_corner_pixels: Float[Tensor, "b k n 2"] = _entry()
-    panel_corner_visible: Bool[Tensor, "b k n"] = _entry()
     panels_mask: Bool[Tensor, "b p"] = _entry()
     edges_mask: Bool[Tensor, "b e"] = _entry()
     stitches_mask: Bool[Tensor, "b s"] = _entry()

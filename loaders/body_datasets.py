@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex, overload
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import (
     GarmentItem,
-    Item,
     Transform,
     recipe_from_meta,
     require_callable,
@@ -25,6 +24,7 @@ from gcd_dataset.loaders.base import (
     wrap_item,
 )
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_index
+from gcd_dataset.loaders.items import BodyFields
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.body_folder import PublishedPeople
 from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
@@ -36,19 +36,12 @@ __all__ = ["Bodies", "BodyDataset", "PublishedBodies"]
 FIELDS = ("name", "shape", "arm_angle", "measures", *POSES)
 
 
-class Bodies(Dataset[Item], ABC):
+class Bodies(Dataset[BodyFields], ABC):
     """People by index, each in two poses; all on one mesh, so that a plain ``DataLoader`` stacks them.
 
-    =====================  =========================================================================================
-    ``name``               name of the person
-    ``shape``              f32 [k]: weights of the shape components [standard deviations]
-    ``arm_angle``          f32 []: angle by which both arms are raised from the A-pose [rad]
-    ``measures``           f32 [26], in the order of ``columns``: cm, inclinations in degrees; NaN if not measured
-    ``straight, apart``    f32 [v, 3]: vertices with straight legs, and with the legs apart [cm], soles at y = 0
-    =====================  =========================================================================================
-
-    ``fields`` selects the fields of an item, ``None`` all; ``transform`` is called with each item; ``dtype`` is the
-    floating type, ``None`` the stored one. ``people[[3, 5]]`` is a list of items, ``people[2:5]`` a data set.
+    Items are ``BodyFields``. ``fields`` selects the fields of an item, ``None`` all; ``transform`` is called with each
+    item; ``dtype`` is the floating type, ``None`` the stored one. ``people[[3, 5]]`` is a list of items,
+    ``people[2:5]`` a data set.
     """
 
     columns: tuple[str, ...] = MEASURES
@@ -91,6 +84,12 @@ class Bodies(Dataset[Item], ABC):
         """u8 [v]: ``BodyPart`` value of each vertex; ``None`` if unknown."""
         return None if self.mesh.parts is None else torch.from_numpy(np.array(self.mesh.parts))
 
+    @overload
+    def __getitem__(self, index: slice) -> Subset[BodyFields]: ...
+    @overload
+    def __getitem__(self, index: SupportsIndex | str) -> BodyFields: ...
+    @overload
+    def __getitem__(self, index: Sequence[int] | list[str]) -> list[BodyFields]: ...
     def __getitem__(self, index: Any) -> Any:
         """The item of an index or name; a list of items for several, a data set for a slice.
 
@@ -109,7 +108,7 @@ class Bodies(Dataset[Item], ABC):
 
         return bodies_html(self)
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[BodyFields]:
         return (self[index] for index in range(len(self)))
 
     def _load(self, position: int) -> Any:
@@ -146,7 +145,8 @@ class BodyDataset(Bodies):
     (torch.Size([25128, 3]), tensor(81.5200))
 
     ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
-    on opening, ``off`` nothing. Raises ``ShardError`` for a folder without such a split, or a damaged or foreign one.
+    on opening, ``off`` nothing. ``partial``: ``True`` opens a folder whose run was stopped without a warning. Raises
+    ``ShardError`` for a folder without such a split, or a damaged or foreign one.
     """
 
     def __init__(
@@ -157,10 +157,13 @@ class BodyDataset(Bodies):
         *,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        partial: bool = False,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
+        if not partial:
+            self._reader.store.warn_unfinished([split])
         self._mesh = read_set_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property

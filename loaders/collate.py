@@ -14,6 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, concatenate, fill
+from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
@@ -21,7 +22,7 @@ __all__ = ["collate_list", "collate_packed", "collate_padded"]
 
 def collate_list(items: Sequence[Any]) -> list[Any]:
     """The items in a list, unchanged."""
-    return list(items)
+    return unwrap(sent(list(items)))
 
 
 def collate_packed(items: Sequence[Item]) -> PackedBatch:
@@ -53,7 +54,7 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     for field in items[0]:
         values = [item[field] for item in items]
         batch[field] = _pack(values, rows[field], batch, field) if field in rows else _stacked(values, field)
-    return batch
+    return unwrap(sent(batch))
 
 
 def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = None) -> PaddedBatch:
@@ -81,13 +82,18 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
             batch[field], batch[f"{field}_mask"] = _pad(values, field, (rows or {}).get(field))
         else:
             batch[field] = _stacked(values, field)
-    return batch
+    return unwrap(sent(batch))
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:
     if not items:
         raise ConfigError("an empty batch: give one garment or more")
-    for item in items[1:]:
+    for item in items:
+        if not isinstance(item, Mapping):
+            raise ConfigError(
+                f"an item of the batch is a {type(item).__name__}, not a dict of fields: let the transform return a "
+                "dict, or give the loader collate_fn=collate_list or torch's default_collate"
+            )
         if item.keys() != items[0].keys():
             odd = ", ".join(sorted(item.keys() ^ items[0].keys()))
             raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields for all")
@@ -161,7 +167,8 @@ def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None
     batch = {}
     for field in items[0]:
         try:
-            batch[field] = collate([item[field] for item in items], collate_fn_map=collate_fn_map)
+            with naming_full():
+                batch[field] = collate([item[field] for item in items], collate_fn_map=collate_fn_map)
         except (RuntimeError, TypeError, KeyError, ValueError) as error:
             raise ConfigError(
                 f"{field} differs in size or kind between garments, and torch's default collate stacks equal ones: "

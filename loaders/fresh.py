@@ -21,21 +21,23 @@ from gcd_dataset.loaders.base import (
     Item,
     as_transform_error,
     require_callable,
+    require_garments,
     require_integer,
     wrap_item,
 )
+from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import copy_tensor
 from gcd_dataset.loaders.replay import Replay, ReplayRate, ReplayWindow
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 from gcd_dataset.loaders.transforms import Augment
-from gcd_dataset.loaders.worker import begin_worker, unwrap, with_traceback
+from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
 
 
-class FreshGarments(IterableDataset[Item]):
+class FreshGarments(IterableDataset[GarmentFields]):
     """A stream of garments generated during training, each used ``replay`` times.
 
     >>> from gcd_dataset.loaders import FakeGarments
@@ -84,13 +86,10 @@ class FreshGarments(IterableDataset[Item]):
         seed: int = 0,
         augment: Augment | None = None,
     ) -> None:
-        if not isinstance(garments, Garments):
-            raise ConfigError(
-                f"FreshGarments of a {type(garments).__name__}: give GeneratedGarments or another data set of garments"
-            )
+        require_garments("garments", garments)
         self.garments, self.room = garments, require_integer("room", room, least=1)
         self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
-        self.augment = None if augment is None else require_callable("augment", augment)
+        self.augment = None if augment is None else require_callable("augment", augment, "item, rng")
         self._rate = _rate(replay)
         self._next = self._position = 0  # start of the next iter(); position in the current one
         self._iterator = 0  # number of the valid iterator
@@ -112,7 +111,7 @@ class FreshGarments(IterableDataset[Item]):
 
         return fresh_html(self)
 
-    def __iter__(self) -> Iterator[Item]:
+    def __iter__(self) -> Iterator[GarmentFields]:
         """The next epoch, or the rest of the loaded state's epoch."""
         start = self._position = self._next
         self._next = (start // max(len(self), 1) + 1) * len(self)
@@ -161,7 +160,7 @@ class FreshGarments(IterableDataset[Item]):
         self._next = self._position = position
         self._iterator += 1
 
-    def _counted(self, start: int, iterator: int) -> Iterator[Item]:
+    def _counted(self, start: int, iterator: int) -> Iterator[Any]:
         for position, item in enumerate(self.begin_at(start), start + 1):
             if iterator == self._iterator:  # no later iter() or load_state_dict()
                 self._position = position
@@ -181,6 +180,8 @@ class FreshGarments(IterableDataset[Item]):
     def _made(self, order: "_MakeOrder", first: int) -> Iterator[Item]:
         """The garments in order, made by the workers in turn, one design each."""
         self.garments.tell_wait()  # before the workers start: each of them would log it
+        if self.workers:
+            require_semaphores(self.workers)
         designs = DataLoader(
             _WorkerGarments(self.garments, order, first if self.garments.endless else 0),
             batch_size=None,
@@ -247,7 +248,8 @@ class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
         # Finished garments wait in private memory: shared memory, 64 MB in a container, holds two garments per worker.
-        return self._made() if get_worker_info() is None else prefetch(self._made_or_error(), READY)
+        is_here = get_worker_info() is None
+        return self._made() if is_here else map(sent, prefetch(self._made_or_error(), READY))
 
     def _made_or_error(self) -> Iterator[list[Item] | GcdError]:
         """The designs; then the error that ended them, if any, as a value."""

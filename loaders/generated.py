@@ -5,6 +5,7 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
@@ -16,18 +17,18 @@ from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
+from gcd_dataset.generator.estimates import core_seconds
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
 from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
-from gcd_dataset.loaders.devices import devices_of_process
-from gcd_dataset.loaders.waiting import tell_wait
+from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import (
     SCHEMA,
     Bytes,
@@ -42,6 +43,8 @@ from gcd_dataset.shards.sample_cache import SampleCache
 __all__ = ["GeneratedGarments", "Stage"]
 
 logger = logging.getLogger("gcd_dataset")
+
+LOGGED_FROM = 2.0  # s for each garment
 
 
 class GeneratedGarments(Garments):
@@ -141,6 +144,11 @@ class GeneratedGarments(Garments):
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
+    def sample(self, index: int | str) -> Sample:
+        known = partial(self._cached, fields=self._member_of)
+        options = {"finished": self._encoded, "known": known, "pictured": True}
+        return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
+
     def pack(self) -> None:
         """Write the cached garments of incomplete shards into shards.
 
@@ -156,10 +164,15 @@ class GeneratedGarments(Garments):
             self._log_wait()
 
     def _log_wait(self) -> None:
-        worker = get_worker_info()
-        if not self._wait_is_logged and (worker is None or worker.id == 0):
-            self._wait_is_logged = True
-            tell_wait(self.config)
+        """Log once how long a garment takes, if that is ``LOGGED_FROM`` or longer: a drape on a CPU."""
+        worker, config = get_worker_info(), self.config
+        if self._wait_is_logged or (worker is not None and worker.id > 0):
+            return
+        self._wait_is_logged = True
+        each = core_seconds(config.resolution) if (config.stage, config.device) == ("drape", "cpu") else 0.0
+        if each >= LOGGED_FROM:
+            message = "waiting for the first garment: about %.0f s each on cpu, the first longer if it compiles kernels"
+            logger.warning(message, each)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, draped together; a ``DataLoader`` calls this."""
@@ -243,12 +256,12 @@ class GeneratedGarments(Garments):
             self._sample_cache.keep(position, members)
         return members
 
-    def _cached(self, position: int) -> Mapping[str, Bytes] | None:
-        """The members that an item needs, from the cache; ``None`` if the garment is missing or damaged."""
+    def _cached(self, position: int, fields: Iterable[str] | None = None) -> Mapping[str, Bytes] | None:
+        """The members for ``fields``, by default those of an item, from the cache; ``None`` if missing or damaged."""
         members = None
         try:
             if self._sample_cache is not None:
-                members = self._sample_cache.read(position, members_of(self.fields, self._member_of))
+                members = self._sample_cache.read(position, members_of(fields or self.fields, self._member_of))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
         if members is None:

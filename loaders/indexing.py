@@ -5,7 +5,7 @@
 >>> resolve_index(10, 10)
 Traceback (most recent call last):
 ...
-IndexError: garment 10 of 10: give -10 to 9
+gcd_dataset.loaders.indexing.IndexRangeError: garment 10 of 10: give -10 to 9
 """
 
 import operator
@@ -22,6 +22,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import key_of
 
 __all__ = [
+    "IndexRangeError",
     "InvalidIndexError",
     "UnknownKeyError",
     "index_from_key",
@@ -38,6 +39,10 @@ class InvalidIndexError(ConfigError, TypeError):
     """An index that is neither an integer nor a name."""
 
 
+class IndexRangeError(ConfigError, IndexError):
+    """An index beyond the length."""
+
+
 class UnknownKeyError(ConfigError, KeyError):
     """A key or name that no item has."""
 
@@ -51,7 +56,7 @@ def resolve_index(index: Any, length: int, what: str = "garment") -> int:
     """
     number = require_whole_number(index, what)
     if not -length <= number < length:
-        raise IndexError(
+        raise IndexRangeError(
             f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'a non-empty data set'}"
         )
     return number % length
@@ -81,7 +86,7 @@ def index_list(index: Any) -> list[Any] | None:
             form = f"{str(index.dtype).removeprefix('torch.')} of shape {list(index.shape)}"
             column = "[:, 0]" if isinstance(index, torch.Tensor) else "[0]"
             raise InvalidIndexError(
-                f"an array of {form} in brackets: give whole numbers in one row, such as mask.nonzero(){column}"
+                f"indices in an array of {form}: give whole numbers in one row, such as mask.nonzero(){column}"
             )
         numbers: list[Any] = index.tolist()
         return numbers

@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, require_integer
+from gcd_dataset.loaders.base import Garments, require_callable, require_integer
 from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
@@ -53,13 +53,15 @@ class GarmentLoader:
       a ``Subset`` or a subclass, is seeded per batch.
     - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
       the garment.
-    - On a machine with a GPU batches are in pinned memory.
+    - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
+      able to resume the order; ``select`` chooses or repeats garments; a ``DataLoader`` takes ``ElasticSampler``. No
+      ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
     - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
       is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
       ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an
       exception: the loader reads it by index.
 
-    Raises ``ConfigError`` for options that do not fit together.
+    Raises ``ConfigError`` for options that do not fit together, and for full shared memory.
     """
 
     def __init__(
@@ -79,8 +81,7 @@ class GarmentLoader:
     ) -> None:
         self.dataset, self.batch_size = dataset, require_integer("batch_size", batch_size, least=1)
         num_workers = require_integer("num_workers", num_workers)
-        if not callable(collate_fn):
-            raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
+        require_callable("collate_fn", collate_fn, "items")
         _require_views(views)
         in_workers = views if views is not None and views.device == "cpu" and num_workers else None
         self._views = None if in_workers is not None else views

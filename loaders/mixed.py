@@ -11,9 +11,10 @@ from math import gcd, lcm
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Transform, load_items, require_integer
-from gcd_dataset.loaders.indexing import UnknownKeyError, require_whole_number
+from gcd_dataset.loaders.base import Garments, Transform, load_items, require_garments, require_integer
+from gcd_dataset.loaders.indexing import IndexRangeError, UnknownKeyError, require_whole_number
 from gcd_dataset.loaders.order import cached_permutation
+from gcd_dataset.records import Sample
 from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["MixedDataset"]
@@ -54,6 +55,8 @@ class MixedDataset(Garments):
         seed: int = 0,
         transform: Transform | None = None,
     ) -> None:
+        if not isinstance(datasets, list | tuple):
+            raise ConfigError(f"datasets={datasets!r:.99}: give a list of data sets")
         self.datasets, self.weights = tuple(datasets), _integer_ratio(weights)
         _require_compatible(self.datasets, weights)
         fields = self.datasets[0].fields
@@ -106,6 +109,10 @@ class MixedDataset(Garments):
         part, part_index = self.source(index)
         self.datasets[part].verify(part_index)
 
+    def sample(self, index: int | str) -> Sample:
+        part, part_index = self.source(self._position(index))
+        return self.datasets[part].sample(part_index)
+
     def identity(self) -> dict[str, Any]:
         """Identities of the data sets, weights and seed."""
         parts = [dataset.identity() for dataset in self.datasets]
@@ -135,7 +142,7 @@ class MixedDataset(Garments):
             )
         number = require_whole_number(index)
         if number < -len(self):
-            raise IndexError(f"garment {number} of {len(self)}: give -{len(self)} or more")
+            raise IndexRangeError(f"garment {number} of {len(self)}: give -{len(self)} or more")
         return number if number >= 0 else number + len(self)
 
 
@@ -195,10 +202,10 @@ def _integer_ratio(weights: Sequence[float]) -> tuple[int, ...]:
     """The weights as the smallest integers in the same ratio. Raises ``ConfigError``."""
     try:
         exact = [Fraction(str(weight)) for weight in weights]
-    except ValueError:
+    except (TypeError, ValueError):
         exact = []
     if not exact or min(exact) <= 0:
-        raise ConfigError(f"weights={list(weights)}: give a positive number for each data set")
+        raise ConfigError(f"weights={weights!r:.99}: give a positive number for each data set")
     denominator = lcm(*(weight.denominator for weight in exact))
     integers = [int(weight * denominator) for weight in exact]
     return tuple(weight // gcd(*integers) for weight in integers)
@@ -208,10 +215,7 @@ def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) 
     if len(datasets) != len(weights):
         raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one weight for each data set")
     for number, dataset in enumerate(datasets):
-        if not isinstance(dataset, Garments):
-            raise ConfigError(
-                f"data set {number} is a {type(dataset).__name__}: give GarmentDataset, GeneratedGarments or the like"
-            )
+        require_garments(f"data set {number}", dataset)
         if not len(dataset):
             raise ConfigError(f"data set {number} has no garments: leave it out")
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):

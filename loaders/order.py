@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import lru_cache
+from os import PathLike
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -89,10 +90,14 @@ class SampleOrder:
 
     With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, otherwise it is 0, 1, 2, …. An ``endless``
     data set, such as ``MixedDataset``, has an order of its own: index = position. Raises ``ConfigError`` for an empty
-    data set.
+    data set, and for anything but a data set with a length and indices.
     """
 
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
+        is_indexed = isinstance(dataset, Sized) and hasattr(dataset, "__getitem__")
+        if not is_indexed or isinstance(dataset, str | bytes | type | Mapping):
+            path = f"{str(dataset)!r:.99}" if isinstance(dataset, str | PathLike) else "…"
+            raise ConfigError(f"dataset={dataset!r:.99} is no data set: give GarmentDataset({path}) or the like")
         self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
             raise ConfigError("an empty data set has no order: give a data set with at least one garment")

@@ -140,7 +140,7 @@ class PublishedGarmentCodeData(Garments):
         """
         encode_sample(self.sample(index))
 
-    def sample(self, index: int) -> Sample:
+    def sample(self, index: int | str) -> Sample:
         """Garment ``index`` with everything published. Raises ``ShardError``, ``IndexError``."""
         return self._sample(self._position(index), MEMBERS)
 

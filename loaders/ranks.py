@@ -1,4 +1,4 @@
-"""The rank of this process, its GPU, and libraries that split a loader's items over ranks themselves."""
+"""The rank of this process, its device, and libraries that split a loader's items over ranks themselves."""
 
 import os
 import sys
@@ -8,12 +8,15 @@ from types import FrameType
 import torch
 import torch.distributed
 
+from gcd_dataset.devicenames import devices_name, named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import require_integer
 
 __all__ = [
     "accelerate_is_active",
     "current_rank",
+    "device_of_process",
+    "devices_of_process",
     "gpu_of_rank",
     "gpus_of_rank",
     "in_process_group",
@@ -120,3 +123,22 @@ def accelerate_is_active() -> bool:
     """Whether ``accelerate`` has several ranks, in this process or the one that it was forked from."""
     state = getattr(sys.modules.get("accelerate.state"), "PartialState", None)
     return getattr(state, "_shared_state", {}).get("num_processes", 1) > 1
+
+
+def devices_of_process(device: str) -> str:
+    """The device names, with ``auto`` resolved; for a rank, its own. Raises ``ConfigError``."""
+    if not isinstance(device, str):
+        raise ConfigError(f"device={device!r:.99}: give a name, such as auto, cpu or cuda:0")
+    # device_count() only: initialising CUDA here would break workers that are forked later.
+    count = torch.cuda.device_count()
+    gpu = gpu_of_rank(count) if count and device in ("auto", "cuda") else None
+    if gpu is not None:
+        return f"cuda:{gpu}"
+    if device != "auto":
+        return devices_name(gpus_of_rank(named_devices(device)))
+    return devices_name([f"cuda:{number}" for number in range(count)] or ["cpu"])
+
+
+def device_of_process(device: str) -> str:
+    """As ``devices_of_process``, one device: the first of several. Raises ``ConfigError``."""
+    return named_devices(devices_of_process(device))[0]

@@ -1,17 +1,14 @@
 """``Scan``: partial point clouds of virtual depth cameras, measured when garments are read."""
 
-import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch.utils.data import get_worker_info
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import Item, require_integer, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
-from gcd_dataset.loaders.devices import device_of_process
-from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.loaders.scene_items import BodyOf, SceneTransform, StoredGarment, wearer_of
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Scan"]
 
 
-class Scan:
+class Scan(SceneTransform):
     """Scans each garment with ``n`` depth cameras: a transform, or an augmentation.
 
     >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
@@ -30,16 +27,8 @@ class Scan:
     >>> ds[0]["scan"].shape  # doctest: +SKIP
     torch.Size([4096, 6])
 
-    An item gets:
-
-    =====================  =============================================================================================
-    ``scan``               f32 [points, 6]: measured position [cm], true normal towards the camera; all NaN where the
-                           cameras measured nothing
-    ``scan_panel_id``      i32 [points]: panel, a row of the garment's own ``panels``; -1 on the body
-    ``scan_camera``        i32 [points]: camera of each point; -1 where nothing is measured
-    ``scan_camera_rt``     f32 [n, 3, 4]: true [R | t] of each camera, world to camera [1, cm]
-    ``scan_camera_k``      f32 [n, 3, 3]: intrinsics [pixels]
-    =====================  =============================================================================================
+    An item gets ``scan`` [points, 6], ``scan_panel_id``, ``scan_camera``, ``scan_camera_rt`` [n, 3, 4] and
+    ``scan_camera_k``, described in ``GarmentFields``.
 
     Scans are a function of ``seed``, epoch and garment, as for ``Views``; not of workers, order or batch.
     A CPU and a GPU differ in roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in
@@ -73,22 +62,13 @@ class Scan:
         from gcd_dataset.generator.render.scans import ScanRanges
 
         self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
-        self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
-        self.noise, self.cameras = KINECT if noise is None else noise, ScanRanges() if cameras is None else cameras
-        self.body, self.device = body, device_of_process(device)
-        self._body_of = bodies_by_name(bodies)
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
-        self._process = os.getpid()
+        super().__init__(size, seed, device, bodies)
+        self.body = body
+        self.noise = require_ranges("noise", noise, KINECT)
+        self.cameras = require_ranges("cameras", cameras, ScanRanges())
 
-    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
-        """The item with its scan: a transform; with ``rng``, an augmentation that draws the epoch from it."""
-        self._require_usable()
-        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
-        return GarmentItem({**item, **_entries(self._scan(item, use))})
-
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the items transformed from now on, in all worker processes."""
-        self._epoch.fill_(require_integer("epoch", epoch))
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        return [_entries(self._scan(item, use)) for item, use in zip(items, uses, strict=True)]
 
     def _scan(self, item: Item, use: int) -> "PointScan":
         from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
@@ -101,19 +81,8 @@ class Scan:
         options: dict[str, Any] = {"noise": self.noise, "body": self.body, "size": self.size, "device": self.device}
         return scan(scene, cameras, stream, points=self.points, **options)
 
-    def _require_usable(self) -> None:
-        """Raise ``ConfigError`` for a GPU in a worker process."""
-        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
-            raise ConfigError(
-                f"Scan on {self.device} in a worker process, where a GPU cannot be shared: give device='cpu'"
-            )
-
     def __repr__(self) -> str:
         return f"Scan(n={self.n}, points={self.points}, size={self.size}, seed={self.seed}, on {self.device})"
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

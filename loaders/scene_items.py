@@ -1,23 +1,28 @@
 """The geometry of a loaded garment and its wearer, for ``Views``, ``Scan`` and ``Sketch``."""
 
 import contextlib
-from collections.abc import Callable, Mapping
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import torch
+from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
 from gcd_dataset.bodies import POSES
 from gcd_dataset.errors import BodyError, ConfigError
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.base import GarmentItem, Item, require_callable, require_integer
 from gcd_dataset.loaders.body_datasets import Bodies
+from gcd_dataset.loaders.ranks import device_of_process
+from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["VIEW_FIELDS", "BodyOf", "StoredGarment", "bodies_by_name", "wearer_of"]
+__all__ = ["VIEW_FIELDS", "BodyOf", "SceneTransform", "StoredGarment", "bodies_by_name", "wearer_of"]
 
 VIEW_FIELDS: tuple[str, ...] = (
     "meta", "spec", "panels", "edges", "stitches", "body",
@@ -25,10 +30,52 @@ VIEW_FIELDS: tuple[str, ...] = (
 )  # fmt: skip
 """The fields that ``Views``, ``Scan`` and ``Sketch`` read, and those that ``collate_packed`` needs for them."""
 NEEDED = ("meta", "spec", "verts", "faces", "uv", "panel_id", "seams", "corners", "uv_vertex")
+LARGEST = 4096  # pixels in a row
 BODIES_KEPT = 256  # bodies in memory: 150 MB
 
 BodyOf = Callable[[str], Body]
 """The body of a wearer, by the name in ``meta["body"]``."""
+
+
+class SceneTransform(ABC):
+    """Base of ``Views``, ``Scan`` and ``Sketch``: adds entries to an item, drawn from seed, epoch and garment."""
+
+    on_gpu = "give device='cpu'"  # remedy for a GPU in a worker process
+
+    def __init__(self, size: int, seed: int, device: str, bodies: Bodies | BodyOf | None) -> None:
+        self.size, self.seed = require_integer("size", size, least=1, most=LARGEST), require_integer("seed", seed)
+        self.device = device_of_process(device)
+        self._body_of = bodies_by_name(bodies)
+        self._epoch, self._process = shared_number(), os.getpid()
+
+    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
+        """The item with its new entries: a transform; with ``rng``, an augmentation that draws the epoch from it."""
+        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
+        return self.add_to_items([item], [use])[0]
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch of the items transformed from now on, in all worker processes."""
+        self._epoch.fill_(require_integer("epoch", epoch))
+
+    def add_to_items(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        """The items with their new entries; ``uses``: the epoch, or number of the use, of each."""
+        added = self._added(items, uses)
+        return [GarmentItem({**item, **entries}) for item, entries in zip(items, added, strict=True)]
+
+    @abstractmethod
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        """The new entries of each item."""
+
+    def _added(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        """The new entries of each item. Raises ``ConfigError`` for a GPU in a worker process."""
+        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
+            place = f"{type(self).__name__} on {self.device} in a worker process"
+            raise ConfigError(f"{place}, where a GPU cannot be shared: {self.on_gpu}")
+        return self._draw(items, uses)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
 
 
 @dataclass(frozen=True)
@@ -138,7 +185,9 @@ def wearer_of(garment: StoredGarment, body_of: BodyOf | None) -> Body:
 
 
 def bodies_by_name(bodies: Bodies | BodyOf | None) -> BodyOf | None:
-    """The bodies of a data set of people as a function of their name; a function stays."""
+    """The bodies of a data set of people as a function of their name; a function stays. Raises ``ConfigError``."""
+    if bodies is not None and not isinstance(bodies, Bodies):
+        require_callable("bodies", bodies, "name")
     return _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
 
 

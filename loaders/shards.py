@@ -1,27 +1,31 @@
 """``GarmentDataset``: garments from shards, by index or as a stream."""
 
 import bisect
+import sys
 import tarfile
 import zlib
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
+from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
+from gcd_dataset.files import user_path
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.available import absent_when_empty
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
-from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
+from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.foreign_member import decode_member
@@ -34,6 +38,10 @@ from gcd_dataset.shards.tar import BLOCK, stream_samples
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
+RECIPE = "recipe:"
+SERVER = ("revision", "endpoint", "token", "max_cache_size", "patience")
+"""Options of remote sources."""
+LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
 EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
 """File extension to the size of an empty member [bytes], stored for a stage not made; other members are larger."""
 
@@ -54,6 +62,7 @@ class GarmentDataset(Garments):
       recipe, ``recipe:NAME`` or ``recipe:FILE.toml``, which is made on first use.
     - ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
     - ``revision``: branch, tag or commit of a repository; resolved once, see the attribute ``revision``.
+    - ``partial``: ``True`` opens a data set whose run was stopped, or is still running, without a warning.
     - ``settled_only``: only garments with a settled drape.
     - ``quality``: only garments of this grade or a better one: ``"clean"`` garments have no crossing edge and no panel
       that is too tight, ``"paper"`` garments are within the limits of GarmentCodeData; see ``generator.quality``.
@@ -110,6 +119,7 @@ class GarmentDataset(Garments):
         patience: float | None = None,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        partial: bool = False,
         settled_only: bool = False,
         quality: Quality | None = None,
         dtype: torch.dtype | None = torch.float32,
@@ -119,12 +129,14 @@ class GarmentDataset(Garments):
         remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download, patience=patience)
         splits = tuple(dict.fromkeys(part.name for part in parts))
         if isinstance(source, str) and source.startswith(RECIPE):
-            store: Store = FolderStore(recipe_folder(source, remote, root, splits))
+            store: Store = FolderStore(_recipe_folder(source, remote, root, splits))
         else:
             store = open_store(source, remote, root=root, splits=splits, fields=fields)
         readers = {
             name: ShardReader(store, name, verify=verify, settled_only=settled_only, quality=quality) for name in splits
         }
+        if not partial:
+            store.warn_unfinished(splits)
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])
@@ -162,6 +174,10 @@ class GarmentDataset(Garments):
             with note_items(self, index), reader.naming(position):
                 items.append(self._item(members, self._position(index)))
         return items
+
+    def sample(self, index: int | str) -> Sample:
+        part, position = self._locate(self._position(index))
+        return part.reader.sample(position)
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions of garment ``index``, and ``source`` if it is remote.
@@ -244,6 +260,34 @@ class GarmentDataset(Garments):
         return self._transformed(item, position)
 
 
+def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:
+    """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
+
+    The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
+    recipe or split, and for options of remote sources; ``ShardError`` for a missing data set with ``download=False``.
+    """
+    # Imported here: other sources do not need the generator.
+    from gcd_dataset.generator.recipes import find_recipe
+    from gcd_dataset.verbs.recipes import ensure_recipe
+    from gcd_dataset.verbs.seal import is_sealed
+
+    if given := [name for name in SERVER if getattr(remote, name) is not None]:
+        raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
+    recipe = find_recipe(source.removeprefix(RECIPE))
+    for split in splits:
+        if split not in recipe.splits:
+            known = list(recipe.splits)
+            raise ConfigError(
+                f"{recipe.name} has no split {split}: there are {', '.join(known)}{did_you_mean(split, known)}"
+            )
+    base = remote.folder / "recipes" if root is None else user_path(root)
+    folder = base / recipe.name
+    if not remote.allowed and not is_sealed(folder, recipe):
+        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
+    ensure_recipe(recipe, folder)
+    return folder
+
+
 class _Part(NamedTuple):
     """The samples of one part of ``split=``."""
 
@@ -316,8 +360,10 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 class StreamedGarments(GarmentDataset, IterableDataset):
     """The items in the order of the shards; each rank and worker reads one contiguous part.
 
-    Every garment comes once, and the parts differ by one garment at most. A process reads a shard in a folder from the
-    start of its part, and a shard on a server from the start of the shard.
+    Every garment comes once. The parts of ranks differ by one garment at most. The workers of a ``DataLoader`` get
+    whole batches, all but the last one: ``len(loader)`` is the number of batches on this rank, and ``drop_last`` leaves
+    out less than one batch. A process reads a shard in a folder from the start of its part, and a shard on a server
+    from the start of the shard.
     """
 
     _ranks: tuple[int, int] | None = None
@@ -329,8 +375,13 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     def __getitem__(self, index: Any) -> Any:
         raise ConfigError("a stream has no indices: leave out streaming=True")
 
+    def __len__(self) -> int:
+        # A DataLoader counts the batches of this rank; all others ask for the whole data set.
+        return len(self._rank_share()) if sys._getframe(1).f_code in LENGTHS else super().__len__()
+
     def __iter__(self) -> Iterator[Any]:
-        first, count = self._share()
+        share = self._share()
+        first, count = share.start, len(share)
         for run in self._shard_runs():
             part = run.within(first, count)
             if len(part.indices):
@@ -341,19 +392,25 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         # A spawned worker has no process group, and may lack the rank's environment variables.
         return {**self.__dict__, "_ranks": current_rank() if in_process_group() else self._ranks}
 
-    def _share(self) -> tuple[int, int]:
-        """First garment of this process, in the order of the shards, and its number of garments."""
-        worker = get_worker_info()
-        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
-        if worker is not None and ranks > 1 and accelerate_is_active():
+    def _share(self) -> range:
+        """The garments of this process, counted in the order of the shards."""
+        worker, share = get_worker_info(), self._rank_share()
+        if worker is None:
+            return share
+        if len(share) < len(self) and accelerate_is_active():
             raise ConfigError(
                 "streaming=True in workers with accelerate, which may split the garments too: give num_workers=0, or "
                 "leave out streaming=True and load with a GarmentLoader"
             )
-        number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        rank_begin, rank_end = (edge * len(self) // ranks for edge in (rank, rank + 1))
-        begin, end = (rank_begin + edge * (rank_end - rank_begin) // workers for edge in (number, number + 1))
-        return begin, end - begin
+        size = _requested_batch()
+        batches = -(-len(share) // size)
+        begin, end = (edge * batches // worker.num_workers * size for edge in (worker.id, worker.id + 1))
+        return share[begin:end]
+
+    def _rank_share(self) -> range:
+        """The garments of this rank, counted in the order of the shards."""
+        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
+        return range(*(edge * len(self) // ranks for edge in (rank, rank + 1)))
 
     def _shard_runs(self) -> Iterator["_ShardRun"]:
         """All garments, shard by shard, in the order of the files."""
@@ -393,6 +450,17 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     def _streamed_members(self) -> set[str]:
         """Members to extract; always ``meta.json``, which marks the start of a sample."""
         return {META, *self._member_names}
+
+
+def _requested_batch() -> int:
+    """Size of the batch that a ``DataLoader`` is reading from a stream in this thread; 1 for single items."""
+    # torch tells a stream neither the batch size nor drop_last.
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code is _IterableDatasetFetcher.fetch.__code__:
+            return len(frame.f_locals["possibly_batched_index"] or [None])
+        frame = frame.f_back
+    return 1
 
 
 def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int) -> Iterator[Mapping[str, Any]]:

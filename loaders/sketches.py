@@ -1,18 +1,16 @@
 """``Sketch``: line drawings of garments, drawn when they are read."""
 
-import os
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import Item, require_number, require_ranges
 from gcd_dataset.loaders.body_datasets import Bodies
-from gcd_dataset.loaders.devices import device_of_process
-from gcd_dataset.loaders.scene_items import BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.loaders.scene_items import BodyOf, SceneTransform, StoredGarment, wearer_of
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
@@ -21,10 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Sketch"]
 
-LARGEST = 4096  # pixels
 
-
-class Sketch:
+class Sketch(SceneTransform):
     """Draws each garment as lines: a transform, or an augmentation.
 
     >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
@@ -32,13 +28,8 @@ class Sketch:
     >>> ds[0]["sketch"].shape  # doctest: +SKIP
     torch.Size([2, 512, 512])
 
-    An item gets:
-
-    =================  =================================================================================================
-    ``sketch``         u8 [n, size, size]: grey, dark lines on white; a drawing for each of ``yaws``
-    ``sketch_k``       f32 [n, 3, 3]: intrinsics [pixels]
-    ``sketch_rt``      f32 [n, 3, 4]: [R | t] of each view, world to camera [1, cm]; OpenCV's conventions, as ``Views``
-    =================  =================================================================================================
+    An item gets ``sketch`` [n, size, size] for the n ``yaws``, ``sketch_k`` and ``sketch_rt``, described in
+    ``GarmentFields``.
 
     Lines drawn by hand and ``turn`` are a function of ``seed``, epoch and garment, as for ``Views``; not of workers,
     order or batch. Clean lines from a fixed side are the same in every epoch. A CPU and a GPU differ in roundings. As a
@@ -68,28 +59,15 @@ class Sketch:
     ) -> None:
         from gcd_dataset.generator.render.sketches import FLAT
 
-        self.size, self.seed = require_integer("size", size, least=1), require_integer("seed", seed)
-        if self.size > LARGEST:
-            raise ConfigError(f"size={self.size}: give {LARGEST} or less")
-        self.yaws, self.turn = tuple(map(float, yaws)), float(turn)
-        if not self.yaws or not np.isfinite(self.yaws).all():
-            raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more")
-        if not 0.0 <= self.turn <= 180.0:
-            raise ConfigError(f"turn={turn}: give 0 to 180 degrees")
-        self.style, self.device = FLAT if style is None else style, device_of_process(device)
-        self._body_of = bodies_by_name(bodies)
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
-        self._process = os.getpid()
+        super().__init__(size, seed, device, bodies)
+        if not isinstance(yaws, list | tuple | np.ndarray) or not len(yaws):
+            raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more in a tuple")
+        self.yaws = tuple(require_number("yaws", yaw, least=-math.inf) for yaw in yaws)
+        self.turn = require_number("turn", turn, most=180.0, unit=" degrees")
+        self.style = require_ranges("style", style, FLAT)
 
-    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
-        """The item with its drawings: a transform; with ``rng``, an augmentation that draws the epoch from it."""
-        self._require_usable()
-        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
-        return GarmentItem({**item, **self._entries(item, use)})
-
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the items transformed from now on, in all worker processes."""
-        self._epoch.fill_(require_integer("epoch", epoch))
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        return [self._entries(item, use) for item, use in zip(items, uses, strict=True)]
 
     def _entries(self, item: Item, use: int) -> Item:
         """The new entries of an item."""
@@ -109,17 +87,6 @@ class Sketch:
         }
         return {name: torch.from_numpy(value) for name, value in entries.items()}
 
-    def _require_usable(self) -> None:
-        """Raise ``ConfigError`` for a GPU in a worker process."""
-        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
-            raise ConfigError(
-                f"Sketch on {self.device} in a worker process, where a GPU cannot be shared: give device='cpu'"
-            )
-
     def __repr__(self) -> str:
         yaws = ", ".join(f"{yaw:g}" for yaw in self.yaws)
         return f"Sketch(size={self.size}, yaws=({yaws}), seed={self.seed}, on {self.device})"
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works

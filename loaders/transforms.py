@@ -8,6 +8,7 @@ torch.Size([64, 6])
 Draws depend on seed, garment index and epoch alone. A field that an item lacks is skipped.
 """
 
+import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,21 +20,24 @@ import torch
 from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import (
+    DerivedGarments,
     Garments,
     Item,
     as_transform_error,
     load_items,
     require_callable,
+    require_garments,
     require_integer,
+    require_number,
     wrap_item,
 )
+from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
-from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
 
-Augment: TypeAlias = Callable[[Item, np.random.Generator], Item]
+Augment: TypeAlias = Callable[[Any, np.random.Generator], Any]
 """A function of an item and a random stream that returns the changed item."""
 
 PLACED = ("box", "verts", "points", "scan")
@@ -49,7 +53,7 @@ class Chain:
     """Several augmentations, applied in order."""
 
     def __init__(self, *augments: Augment) -> None:
-        self.augments = tuple(require_callable("augment", augment) for augment in augments)
+        self.augments = tuple(require_callable("augment", augment, "item, rng") for augment in augments)
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         for augment in self.augments:
@@ -68,13 +72,16 @@ class Yaw:
     """
 
     most: float = np.pi
-    """Largest angle to either side [rad]."""
+    """Largest angle to either side [rad], 0 or more."""
+
+    def __post_init__(self) -> None:
+        require_number("most", self.most)
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         angle = rng.uniform(-self.most, self.most)
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = torch.tensor([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]], dtype=torch.float32)
-        turned: Item = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
+        turned: dict[str, Any] = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
         turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
         turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
         if "meta" in item and turned and angle:
@@ -87,7 +94,10 @@ class PointNoise:
     """Adds Gaussian noise to each surface point, like a scanner's; normals stay."""
 
     sigma: float
-    """Standard deviation along each axis [cm]."""
+    """Standard deviation along each axis [cm], 0 or more."""
+
+    def __post_init__(self) -> None:
+        require_number("sigma", self.sigma, unit=" cm")
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item:
@@ -101,7 +111,7 @@ class PointNoise:
 class PickCaption:
     """Replaces ``caption``, the captions of all levels, by one of them: a string without line breaks.
 
-    >>> PickCaption("short")({"caption": "A skirt.\\nA long skirt.\\nA long skirt. It has a plain hem."})
+    >>> PickCaption("short")({"caption": "short: A skirt.\\nmedium: A long skirt.\\nfull: A long plain skirt."})
     {'caption': 'A skirt.'}
 
     ``levels``: the level, or several, of which each use draws one; default: all. With one level it may serve as a
@@ -112,6 +122,8 @@ class PickCaption:
         if unknown := [level for level in levels if level not in LEVELS]:
             raise ConfigError(f"no caption level {unknown[0]!r:.99}: there are {', '.join(LEVELS)}")
         self.levels = levels or LEVELS
+        if len(self.levels) > 1:  # a use draws a level: no transform, which is called without a random stream
+            self.__signature__ = inspect.signature(Chain().__call__)
 
     def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
         if "caption" not in item:
@@ -137,6 +149,10 @@ class PartialView:
     reach: float = 3.0
     """log10 of the sphere's radius over the distance of the farthest point; larger values hide fewer points."""
 
+    def __post_init__(self) -> None:
+        require_number("distance", self.distance, least=1.0, unit=" cm")
+        require_number("reach", self.reach, most=12.0)  # beyond, reflected points have no digits left
+
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item or len(item["points"]) < 4:
             return item
@@ -157,19 +173,21 @@ class PartialView:
         return np.sort(hull[hull < len(rays)])
 
 
-class Augmented(Garments):
+class Augmented(DerivedGarments):
     """Garments with an augmentation that differs each epoch; ``set_epoch`` reaches running workers too.
 
-    ``augment`` is applied after the data set's own ``transform``.
+    ``augment`` is applied after the data set's own ``transform``. Raises ``ConfigError`` for anything but a data set of
+    garments and a function of an item and a random stream.
     """
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
-        super().__init__(whole.fields, None, available=whole.fields, dtype=whole.dtype)
-        self.whole, self.augment, self.seed = whole, require_callable("augment", augment), require_integer("seed", seed)
-        self.reads_only, self.garments_per_design = whole.reads_only, whole.garments_per_design
+        require_garments("whole", whole)
+        super().__init__(whole, None)
+        self.augment, self.seed = require_callable("augment", augment, "item, rng"), require_integer("seed", seed)
+        self.garments_per_design = whole.garments_per_design
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = shared_number()
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the garments loaded from now on, in all worker processes."""
@@ -178,17 +196,8 @@ class Augmented(Garments):
     def __len__(self) -> int:
         return len(self.whole)
 
-    def recipe(self, index: int) -> dict[str, Any]:
-        return self.whole.recipe(index)
-
-    def verify(self, index: int) -> None:
-        self.whole.verify(index)
-
     def identity(self) -> dict[str, Any]:
         return self.whole.identity()
-
-    def tell_wait(self) -> None:
-        self.whole.tell_wait()
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         positions = [self._position(index) for index in indices]
@@ -207,17 +216,8 @@ class Augmented(Garments):
     def _load(self, position: int) -> Any:
         return self._augmented(self.whole[position], position)
 
-    def _description(self) -> list[str]:
-        return [f"of {type(self.whole).__name__}", *self.whole._description()]
-
     def _find_key(self, key: str) -> int | None:
         return self.whole._find_key(key)
-
-    def _key(self, position: int) -> str:
-        return self.whole._key(position)
-
-    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self.whole._members(position, members)
 
     def _augmented(self, item: Item, position: int) -> Item:
         with as_transform_error(self, position):

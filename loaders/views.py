@@ -8,7 +8,6 @@ Where pictures are rendered:
 """
 
 import contextlib
-import os
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
@@ -19,16 +18,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_integer
+from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.collate import collate_packed, collate_padded
-from gcd_dataset.loaders.devices import device_of_process
 from gcd_dataset.loaders.one_thread import pin_tensor
-from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, StoredGarment, bodies_by_name, wearer_of
+from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -45,13 +42,12 @@ if TYPE_CHECKING:
 __all__ = ["Views", "garments_in", "render_ahead"]
 
 MOST_VIEWS = 4096
-LARGEST = 4096  # pixels
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 
 Tag = TypeVar("Tag")
 
 
-class Views:
+class Views(SceneTransform):
     """Renders ``n`` pictures of each garment: a transform, an augmentation, or the ``views`` of a ``GarmentLoader``.
 
     >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset, GarmentLoader
@@ -60,23 +56,10 @@ class Views:
     >>> next(iter(loader))["views"].shape  # doctest: +SKIP
     torch.Size([8, 4, 256, 256, 3])
 
-    An item gets:
-
-    ==========================  ========================================================================================
-    ``views``                   u8 [n, size, size, 3]: sRGB
-    ``camera_k``                f32 [n, 3, 3]: intrinsics [pixels]
-    ``camera_rt``               f32 [n, 3, 4]: [R | t], world to camera [1, cm]
-    ``depth_map``, …            [n, size, size] or [n, size, size, channels], for each of ``maps``; see
-                                ``generator.render.Picture``. Panels and seams are rows of the garment's own pattern.
-    ``panel_corners``           i32 [k, 2]: panel and corner of each row of the two entries below
-    ``panel_corner_pixels``     f32 [k, n, 2]: column and row in each view; NaN behind the camera
-    ``panel_corner_visible``    bool [k, n]: in the picture, and hidden by nothing
-    ``landmark_pixels``         f32 [n, l, 2]: landmarks of the body, ``landmark_names``; NaN where the body has none
-    ``landmark_visible``        bool [n, l]
-    ==========================  ========================================================================================
-
-    The conventions are OpenCV's: camera axes x right, y down, z forward; a point X [cm] is at K (R X + t); the centre
-    of the upper left pixel is (0, 0). ``front`` and ``back``, the plain pictures, stay as they are.
+    An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
+    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
+    on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
+    ``front`` and ``back``, the plain pictures, stay as they are.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
@@ -98,6 +81,8 @@ class Views:
     missing, and a wearer that is unknown.
     """
 
+    on_gpu = "give GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
+
     def __init__(
         self,
         n: int = 4,
@@ -114,24 +99,12 @@ class Views:
     ) -> None:
         from gcd_dataset.generator.render import Ranges
 
-        self.n, self.size = _within("n", n, MOST_VIEWS), _within("size", size, LARGEST)
-        self.maps, self.seed = _known_maps(maps), require_integer("seed", seed)
+        super().__init__(size, seed, device, bodies)
+        self.n = require_integer("n", n, least=1, most=MOST_VIEWS)
+        self.maps = _known_maps(maps)
         given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
-        self.ranges = Ranges(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
-        self.device = device_of_process(device)
-        """``cpu``, or a GPU such as ``cuda:0``."""
-        self._body_of = bodies_by_name(bodies)
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
-        self._process = os.getpid()
-
-    def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
-        """The item with its pictures: a transform; with ``rng``, an augmentation that draws the epoch from it."""
-        use = int(self._epoch) if rng is None else int(rng.integers(1 << 62))
-        return self.add_to_items([item], [use])[0]
-
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the items transformed from now on, in all worker processes."""
-        self._epoch.fill_(require_integer("epoch", epoch))
+        usual = Ranges()
+        self.ranges = Ranges(**{name: require_ranges(name, each, getattr(usual, name)) for name, each in given.items()})
 
     def batches(self, batches: Iterable[Any], *, epoch: int = 0) -> Iterator[Any]:
         """The batches of a ``DataLoader`` with their pictures; the next ones are rendered during the training step.
@@ -153,20 +126,11 @@ class Views:
         maps = f", maps {', '.join(self.maps)}" if self.maps else ""
         return f"Views(n={self.n}, size={self.size}, seed={self.seed}, on {self.device}{maps})"
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
-
     # ------------------------------------------------------------------------------------------------- items, batches
-
-    def add_to_items(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        """The items with their pictures; ``uses``: the epoch, or number of the use, of each."""
-        added = self._rendered(items, uses)
-        return [GarmentItem({**item, **entries}) for item, entries in zip(items, added, strict=True)]
 
     def add_to_batch(self, batch: Any, uses: Sequence[int]) -> Any:
         """A collated batch with the pictures of its garments, as if the items had had them."""
-        added = self._rendered(_items_of(batch), uses)
+        added = self._added(_items_of(batch), uses)
         if isinstance(batch, list):
             return [GarmentItem({**item, **entries}) for item, entries in zip(batch, added, strict=True)]
         joined = (collate_packed if isinstance(batch, PackedBatch) else collate_padded)(added)
@@ -174,9 +138,7 @@ class Views:
             batch[name] = pin_tensor(value) if isinstance(value, Tensor) and _is_pinned(batch) else value
         return batch
 
-    def _rendered(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        """The new entries of each item."""
-        self._require_usable()
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         at_once = max(1, PIXELS // (self.n * self.size**2))
         entries: list[Item] = []
         for first in range(0, len(items), at_once):
@@ -244,14 +206,6 @@ class Views:
             columns = [column[name] for name in picture.landmark_names]
             pixels[view, columns], visible[view, columns] = picture.landmark_pixels, picture.landmark_visible
         return {"landmark_pixels": pixels, "landmark_visible": visible}
-
-    def _require_usable(self) -> None:
-        """Raise ``ConfigError`` for a GPU in a worker process."""
-        if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
-            raise ConfigError(
-                f"Views on {self.device} in a worker process, where a GPU cannot be shared: give "
-                "GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
-            )
 
 
 # ------------------------------------------------------------------------------------------------------ in a thread
@@ -334,13 +288,6 @@ def _unpadded(batch: PaddedBatch, number: int) -> Item:
 
 def _is_pinned(batch: Mapping[str, Any]) -> bool:
     return torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
-
-
-def _within(name: str, value: int, most: int) -> int:
-    number = require_integer(name, value, least=1)
-    if number > most:
-        raise ConfigError(f"{name}={number}: give {most} or less")
-    return number
 
 
 def _known_maps(maps: Sequence["MapName"]) -> tuple["MapName", ...]:

@@ -1,20 +1,23 @@
-"""Start-up of a worker process, its errors as values, and its end with its parent process."""
+"""Worker processes: start-up, shared memory, errors as values, and the end with the parent process."""
 
+import contextlib
+import errno
 import multiprocessing
 import os
 import threading
 import time
 import traceback
+from collections.abc import Iterator, Mapping
 from multiprocessing.synchronize import Event
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import threadpoolctl
 import torch
 from torch.utils.data import get_worker_info
 
-from gcd_dataset.errors import GcdError
+from gcd_dataset.errors import ConfigError, GcdError
 
-__all__ = ["begin_worker", "unwrap", "with_traceback"]
+__all__ = ["begin_worker", "naming_full", "require_semaphores", "sent", "shared_number", "unwrap", "with_traceback"]
 
 POLL = 1.0  # s between two looks at the parent and the done event
 
@@ -37,6 +40,57 @@ def begin_worker(worker: int) -> None:
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
     threading.Thread(target=_exit_with_parent, args=(os.getppid(), _done_event()), daemon=True).start()
+
+
+@contextlib.contextmanager
+def naming_full() -> Iterator[None]:
+    """Turn the error of full shared memory into a ``ConfigError`` with the remedy."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        if getattr(error, "errno", None) != errno.ENOSPC and f"({errno.ENOSPC})" not in str(error):
+            raise
+        raise ConfigError(
+            "shared memory (/dev/shm) is full, and workers pass batches through it: give num_workers=0, or start the "
+            "container with more of it, such as docker run --shm-size=2g"
+        ) from error
+
+
+@naming_full()
+def require_semaphores(workers: int) -> None:
+    """Raise ``ConfigError`` if shared memory is too full for a ``DataLoader`` to start its workers."""
+    context = multiprocessing.get_context("fork")  # with others a process would track the semaphores
+    tuple(context.Semaphore() for _ in range(8 + 3 * workers))  # of an event and a queue, and a queue for each worker
+
+
+def sent(value: Value) -> Value | GcdError:
+    """In a worker the value with its tensors in shared memory, or the error as a value if that is full.
+
+    torch would move them in a thread, which only prints such an error, while the training waits forever.
+    """
+    try:
+        for tensor in _tensors(value) if get_worker_info() is not None else ():
+            if tensor.device.type == "cpu" and tensor.layout is torch.strided:
+                with naming_full():
+                    tensor.share_memory_()  # type: ignore[no-untyped-call]
+    except GcdError as error:
+        return with_traceback(error)
+    return value
+
+
+def _tensors(value: Any, depth: int = 2) -> Iterator[torch.Tensor]:
+    """The tensors of a batch, or of its items; not those that lie deeper, as parsed JSON does."""
+    if isinstance(value, torch.Tensor):
+        yield value
+    elif depth >= 0 and isinstance(value, Mapping | list | tuple):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from _tensors(part, depth - 1)
+
+
+@naming_full()
+def shared_number() -> torch.Tensor:
+    """An int64 in shared memory: worker processes see its changes. Raises ``ConfigError`` if that memory is full."""
+    return torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
 
 
 def with_traceback(error: GcdError) -> GcdError:

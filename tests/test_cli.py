@@ -8,19 +8,21 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
 from gcd_dataset.cli.verb import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
+from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -29,7 +31,7 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import read_index
-from gcd_dataset.spec import spec_from_pattern, write_pattern
+from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from tests.generator.drape.garments import stouter
 from tests.helpers import napkins
 from tests.test_validate import sewn_unequally
@@ -211,7 +213,7 @@ def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.
     assert main(["validate", str(bad), str(broken), str(tmp_path / "missing.json")]) == 1
     said = capsys.readouterr()
     lines = said.out.splitlines() + said.err.splitlines()
-    assert any(f"bad.json: panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
+    assert any(f"  panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
     assert any("broken.json: line 1, column 2" in line for line in lines)
     assert any("missing.json: no such file" in line for line in lines)
 
@@ -222,10 +224,17 @@ def test_validate_finds_nothing_in_a_plain_pattern(tmp_path: Path, capsys: pytes
     assert "no fault found" in capsys.readouterr().out
 
 
-def test_warnings_can_be_left_out(tmp_path: Path) -> None:
+def test_warnings_are_listed_under_their_file_and_fail_only_a_strict_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gathered = str(tmp_path / "gathered.json")
     write_pattern(sewn_unequally(), tmp_path / "gathered.json")
-    assert main(["validate", str(tmp_path / "gathered.json")]) == 1
-    assert main(["validate", "--errors", str(tmp_path / "gathered.json")]) == 0
+    assert main(["validate", gathered, gathered]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == f"{gathered}:"
+    assert main(["validate", "--strict", gathered]) == 1
+    assert capsys.readouterr().out.count("gathered.json") == 1
+    assert main(["validate", "--errors", "--strict", gathered]) == 0
+    assert "no fault found" in capsys.readouterr().out
 
 
 def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
@@ -274,10 +283,10 @@ def of_session(session: int) -> list[int]:
 
 def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ["--fabric", "denim", "--resolution", "4", "--device", "cpu", "--quiet"]
+    options = ["--fabric", "denim", "--resolution", "4", "--device", "cpu", "--quiet", "--glb"]
     assert main(["drape", str(spec), "--out", str(out), *options]) == 0
-    for ending in (".obj", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
-        assert (out / f"garment{ending}").stat().st_size > 1000
+    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
+        assert (out / f"garment{ending}").stat().st_size > 50
     report = json.loads((out / "report.json").read_text())
     assert report["fabric"] == "denim"
     [row] = report["garments"]
@@ -285,6 +294,46 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
     assert sum(line.startswith("v ") for line in lines) == row["vertices"]
     assert row["outcome"] == "SETTLED"
     assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
+
+
+def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pattern, measures, meshes and pictures lie together; broken rules are named with their figures."""
+    file, out = tmp_path / "mini_design_params.yaml", tmp_path / "out"
+    file.write_text("design:\n  meta: {bottom: {v: SkirtCircle}}\n  flare-skirt: {length: {v: 0.1}, suns: {v: 1.2}}\n")
+    options = ["--body", "female:7", "--resolution", "6", "--device", "cpu", "--quiet"]
+    assert main(["fit", str(file), "--out", str(out), *options, "--allow-unsettled"]) == 0
+    said = capsys.readouterr()
+    assert "mini: SETTLED" in said.out
+    assert "on this body, too_heavy: length 0.10 and 1.20 suns" in one_line(said.err)
+    _, size, _ = named_body("female:7")
+    drawn = read_pattern(out / "mini_specification.json")
+    assert spec_from_pattern(drawn) == spec_from_pattern(outfit(size, read_design(file)))
+    written = read_measurements(out / "mini_body_measurements.yaml")
+    assert written.to_file_values() == pytest.approx(size.to_file_values())
+    for ending in ("_pattern.svg", "_front.png", "_pattern.png"):
+        assert (out / f"mini{ending}").stat().st_size > 1000
+
+
+def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For trousers too, whose bodies of the shape space stand with their legs apart."""
+    body, _, _ = named_body("male")
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "scan.obj")
+    (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
+    reads, worn = [], []
+
+    def counted(*given: Any, **options: Any) -> Any:
+        reads.append(given)
+        return read_body(*given, **options)
+
+    def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
+        worn.extend([wearer(False), wearer(True)])
+        return iter(())
+
+    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", counted)
+    monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
+    words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
+    assert main(list(map(str, words))) == 0
+    assert len(reads) == 1 and worn[0] == worn[1]
 
 
 def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -331,15 +380,16 @@ sys.exit(code)
 
 @pytest.mark.parametrize("where", ["networkx", "frame"])
 def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
-    """Ctrl-C during trimesh's import of an optional package, and between time steps."""
+    """Ctrl-C during trimesh's import of an optional package, which writing a mesh needs, and between time steps."""
     out = tmp_path / "out"
-    command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
+    command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", *2 * [str(spec)]]
+    command += ["--out", str(out)]  # the second garment is not finished when the first is written
     options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
     assert done.returncode == 130, done.stderr
     assert "gcd drape: stopped" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
-    assert not out.exists() or not list(out.iterdir())
+    assert where == "networkx" or not out.exists() or not list(out.iterdir())
 
 
 def test_assumptions_of_a_drape_are_logged_and_reported(
@@ -362,26 +412,49 @@ def test_assumptions_of_a_drape_are_logged_and_reported(
     assert found["outcome"] == labelled["outcome"] == "SETTLED"
 
 
-def test_a_pattern_that_cannot_be_meshed_leaves_the_report_of_the_others(
+def test_a_file_that_cannot_be_draped_costs_no_other(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Two files of one name both leave a mesh."""
     strip = napkins().panels[0]
     strip = replace(strip, vertices=strip.vertices * [1.0, 0.01])
-    thin = tmp_path / "thin.json"
-    write_pattern(Pattern("thin", (strip,), ()), thin)
+    write_pattern(Pattern("thin", (strip,), ()), tmp_path / "thin.json")
+    apart = replace(napkins(), seams=())
+    write_pattern(apart, tmp_path / "apart.json")
+    (tmp_path / "empty.json").touch()
+    (tmp_path / "other").mkdir()
+    twin = tmp_path / "other" / spec.name
+    twin.write_bytes(spec.read_bytes())
+    bad = {
+        "missing": "no such file",
+        "other": "Is a directory",
+        "empty": "empty, not a specification JSON",
+        "thin": "panel one is nearly a line",
+        "apart": "no seam joins",
+    }
+    files = [tmp_path / "missing.json", spec, tmp_path / "other", twin]
+    files += [tmp_path / f"{name}.json" for name in ("empty", "thin", "apart")]
     out = tmp_path / "out"
     options = ["--out", str(out), "--resolution", "5", "--device", "cpu", "--quiet"]
-    assert main(["drape", str(spec), str(thin), *options]) == 1
-    assert "thin" in one_line(capsys.readouterr().err.splitlines()[-1])
-    assert [row["pattern"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["garment"]
+    assert main(["drape", *map(str, files), *options]) == 1
+    rows = {row["pattern"]: row for row in json.loads((out / "report.json").read_text())["garments"]}
+    assert [row["file"] for row in rows.values()] == list(map(str, files))
+    assert {name for name, row in rows.items() if row["outcome"] == "REFUSED"} == bad.keys()
+    errors = capsys.readouterr().err
+    for name, reason in bad.items():
+        assert reason in rows[name]["reason"]
+        assert f"gcd drape: {name}: REFUSED: {rows[name]['reason']}" in errors
+    for name in ("garment", "garment-2"):
+        assert rows[name]["outcome"] == "SETTLED"
+        assert (out / f"{name}.ply").exists()
+    assert main(["drape", str(files[0]), *options, "--allow-unsettled"]) == 1
+    assert [row["outcome"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_patterns_that_cannot_be_draped_are_reported_before_any_drape(
+def test_unusable_options_are_reported_before_any_drape(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ["--out", str(tmp_path / "out")]
-    assert main(["drape", str(tmp_path / "missing.json"), *out]) == 1
-    assert "missing.json: no such file" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--fabric", "denin"]) == 2
     assert "unknown fabric 'denin': choose one of default" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2
@@ -392,6 +465,8 @@ def test_patterns_that_cannot_be_draped_are_reported_before_any_drape(
     body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
     assert "body.obj" in one_line(capsys.readouterr().err)
+    assert main(["drape", str(spec), *out, "--height", "170"]) == 1
+    assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
 
 
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -54,7 +55,7 @@ def test_converted_shards_equal_the_published_files(
     for split in ("train", "test"):
         before, after = PublishedGarmentCodeData(published, split), GarmentDataset(tmp_path / "out", split)
         assert len(before) == len(after)
-        for item, stored in zip(before, after, strict=True):
+        for item, stored in zip(map(dict[str, Any], before), map(dict[str, Any], after), strict=True):
             assert stored["meta"].pop("crc32")
             # The file also has derived numbers; the 26 stored measures went through radians.
             taken = {name: item["measures"][name] for name in stored["measures"]}

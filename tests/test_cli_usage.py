@@ -26,6 +26,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(["generate", str(folder / "shards"), "--count", "2", "--stage", "pattern", "--quiet"]) == 0
     write_pattern(make(1, 0, SKIRT).pattern, folder / "spec.json")
     (folder / "text.txt").write_text("neither\n")
+    (folder / "empty.yaml").write_text("meta: {}\n")
+    (folder / "crossed.yaml").write_text(
+        "meta: {upper: FittedShirt}\ncollar: {f_collar: SquareNeckHalf, fc_depth: 2.0, width: 1.0}\n"
+    )
+    (folder / "skirt.yaml").write_text("meta: {bottom: SkirtCircle}\n")
     return folder
 
 
@@ -49,6 +54,8 @@ WRONG_USAGE = [
     ("drape spec.json --out out --body random:x", "the seed is x: give a whole number of 0 or more"),
     ("drape spec.json --out out --fabric denin", "unknown fabric 'denin': choose one of"),
     ("drape spec.json --out out --device cuda:99", "unknown device 'cuda:99': choose one of"),
+    ("fit skirt.yaml --out out --fabric denin", "unknown fabric 'denin': choose one of"),
+    ("fit skirt.yaml --out out --body neutrl", "no body named neutrl: .*did you mean neutral?"),
     ("measure --shape femael", "did you mean female?"),
     ("measure a.obj b.obj", "unexpected argument b.obj"),
     ("measure --shape neutral --landmarks x.json", "are for a mesh file"),
@@ -58,6 +65,16 @@ WRONG_USAGE = [
     ("show shards --truth shards --png a.png", "leave out --png"),
     ("show shards --port 70000", "70000 is above 65535"),
     ("show shards --html a.htm", "end the name in .html"),
+    ("show shards --sheet a.gif", "end its name in .jpg or .jpeg or .png"),
+    ("show shards --sheet a.jpg --index 1-0", "1-0 is not a whole number of 0 or more, nor a list such as"),
+    ("show shards --sheet a.jpg --where clean", "--where clean: write kind="),
+    (
+        "show shards --sheet a.jpg --where kind=toga",
+        "0 garments selected: select 1 to 400 by --index and --where: kinds ",
+    ),
+    ("show shards --sheet a.jpg --html a.html", "leave out --png"),
+    ("show shards --png a.png --index 0-1", "are for --sheet: give one index"),
+    ("show shards --body male", "are for --design: leave them out"),
     ("verify https://example.org/a", "run gcd download https://example.org/a first"),
     ("download shards", "a local folder"),
     ("download org/name --fields vertz", "no field vertz: there are .*: did you mean verts?"),
@@ -70,9 +87,17 @@ WRONG_USAGE = [
 
 BAD_INPUT = [
     ("generate text.txt --count 1 --stage pattern --quiet", "text.txt: cannot be written"),
-    ("drape missing.json --out out", "missing.json: no such file"),
+    ("drape missing.json --out reports --quiet", "missing.json: no such file"),
     ("drape spec.json --out out --body missing.obj", "missing.obj: no such file"),
-    ("drape text.txt --out out", "text.txt: "),
+    ("drape text.txt --out reports --quiet", "text.txt: "),
+    ("fit missing.yaml --out out", "missing.yaml: no such file"),
+    ("fit text.txt --out out", "text.txt: holds 'neither', no design: give GarmentCode's"),
+    ("fit empty.yaml --out out", "empty.yaml: an outfit without upper and bottom: choose meta.upper or meta.bottom"),
+    (
+        "fit crossed.yaml --out out",
+        "crossed.yaml: cannot be sewn for this body: .*narrow_strap: panel right_ftorso: 0.8 cm",
+    ),
+    ("fit skirt.yaml --out out --body missing.obj", "missing.obj: no such file"),
     ("measure missing.obj", "missing.obj: no such file"),
     ("measure text.txt", "text.txt: not a readable mesh format"),
     ("validate missing.json", "missing.json: no such file"),
@@ -80,6 +105,9 @@ BAD_INPUT = [
     ("show missing --png a.png", "missing: no such folder"),
     ("show missing.json --png a.png", "missing.json: no such file"),
     ("show shards --png a.png --index 2", "sample 2 of 2: give one from 0 to 1"),
+    ("show shards --sheet a.jpg --index 0,1-2", "garment 2 of 2: give 0 to 1"),
+    ("show --design missing.yaml", "missing.yaml: no such file"),
+    ("show --design skirt.yaml --body missing.obj", "missing.obj: no such file"),
     ("show shards --png a.png --split trian", "no samples of split trian: choose from train: did you mean train?"),
     ("info missing", "missing: no such folder"),
     ("info text.txt", "text.txt: a file, not a folder of shards"),

@@ -1,6 +1,7 @@
 """No name from a file or a server leads to a path outside its folder."""
 
 import json
+import re
 import shutil
 import tarfile
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from gcd_dataset.hub.download import download
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.names import LONGEST, require_name, safe_name
+from gcd_dataset.names import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
@@ -230,7 +231,7 @@ def test_a_tar_in_the_list_of_a_server(hub: Hub, victims: Path, name: str) -> No
     hub.publish("org/tars", {f"{name}.tar": content.getvalue()})
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": victims / "cache"}
     try:
-        assert GarmentDataset("org/tars", **options)[0]["txt"] == "words"
+        assert list(GarmentDataset("org/tars", **options)[0].values()) == ["words"]
     except GcdError as error:
         assert "/" in name or name.startswith("."), error
     assert {path.name for path in victims.iterdir()} <= {"cache"}
@@ -304,12 +305,24 @@ def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.Mon
     assert sample.box_mesh is not None
     assert sample.drape is not None
     monkeypatch.setattr(fitting, "render_garment", lambda *_, **__: 2 * (np.zeros((8, 8, 3), np.uint8),))
-    monkeypatch.setattr(fitting, "glb_bytes", lambda *_: b"")
     monkeypatch.setattr(fitting, "draw_pattern", lambda _: np.zeros((8, 8, 3), np.uint8))
     made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, 0.0, 0.0)  # type: ignore[arg-type]
     write_fitting(made, victims / "out")
     files = [path for path in (victims / "out").iterdir() if path.is_file()]
-    assert len(files) == len(list((victims / "out").rglob("*"))) == 6
+    assert len(files) == len(list((victims / "out").rglob("*"))) == 6  # OBJ, MTL, PLY, three pictures
+
+
+PIECES = ["piece_1", "piece_2", "前", "后", "", "👗", "A", "a", "á", "a_9", "a 9", "x" * 20, "x" * 21]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_plain_names_are_ascii_and_different_in_any_order(seed: int) -> None:
+    """Also where a name is the number that another one would get."""
+    names = np.random.default_rng(seed).permutation(PIECES).tolist()
+    plain = plain_names(names, longest=12)
+    assert len({re.sub("[^A-Z0-9]", "_", name.upper()) for name in plain}) == len(PIECES)
+    assert all(name.isascii() and 0 < len(name) <= 12 for name in plain)
+    assert all(plain[names.index(name)] == name for name in ("piece_1", "piece_2"))
 
 
 # -------------------------------------------------------------------------------------------------------------- links

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -48,9 +49,9 @@ def copy(made: Path, tmp_path: Path) -> Path:
 
 
 def test_a_sample_is_the_same_with_and_without_splits(made: Path, recipe: Recipe) -> None:
-    whole = GeneratedGarments(20, 3, bodies="both", stage="pattern", on_fail="keep", fields=["panels", "edges"])
+    whole: Any = GeneratedGarments(20, 3, bodies="both", stage="pattern", on_fail="keep", fields=["panels", "edges"])
     for split, count in recipe.sizes().items():
-        ds = GarmentDataset(made, split, fields=["panels", "edges"])
+        ds: Any = GarmentDataset(made, split, fields=["panels", "edges"])
         assert len(ds) == count
         for item, index in zip(ds, recipe.indices_in(split).tolist(), strict=True):
             assert all(item[name].equal(whole[index][name]) for name in item)

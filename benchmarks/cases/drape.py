@@ -25,7 +25,9 @@ the same meshes with Newton's ``SolverStyle3D``, configured as described in ``be
 import argparse
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,13 +45,13 @@ from benchmarks.draping.sewn import measure_sewn
 from benchmarks.draping.workload import Worn, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.dressing import has_legs
-from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting
+from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns, write_fitting
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.render import render_garment
@@ -103,20 +105,44 @@ def run(options: argparse.Namespace) -> Measured:
             "--ablation, --memory, --ordering, --beside and --sewn need sampled garments: give --count N alone"
         )
     bodies = {apart: _body(options, apart) for apart in (False, True)}
-    once = read_patterns(options.spec)
-    _warm_up(once[0], bodies[has_legs(once[0])], options.device)
+    read = list(read_patterns(options.spec))
     if options.peer:
-        meshes = [build_box_mesh(pattern, spacing=options.resolution) for pattern in once]
-        jobs = [DrapeJob(mesh, *bodies[has_legs(pattern)]) for pattern, mesh in zip(once, meshes, strict=True)]
-        return compare_solvers(jobs, options.batches, device=resolve_device(options.device))
-    patterns = [pattern for pattern in once for _ in range(options.repeat)]
-    fitted = drape_patterns(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device)
-    fittings = []
-    for fitting in fitted:
-        fittings.append(fitting)
-        if options.pictures:
-            write_fitting(fitting, options.pictures, device=options.device)
-    return Measured(_figures(fittings), [fitting.row for fitting in fittings])
+        return _compared(read, bodies, options)
+    _warm_up(read, bodies, options.device)
+    patterns = [pattern for pattern in read for _ in range(options.repeat if isinstance(pattern, Pattern) else 1)]
+    results = []
+    for result in drape_patterns(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device):
+        results.append(result)
+        if options.pictures and isinstance(result, Fitting):
+            write_fitting(result, options.pictures, device=options.device)
+    fittings = [result for result in results if isinstance(result, Fitting)]
+    columns = dict.fromkeys((fittings or results)[0].row, "")
+    return Measured(
+        _figures(fittings) if fittings else [],
+        [columns | result.row for result in results],
+        [(result.name, result.reason) for result in results if isinstance(result, Refusal)],
+    )
+
+
+def _compared(
+    read: Sequence[Pattern | Refusal], bodies: Mapping[bool, tuple[Body, Measurements]], options: argparse.Namespace
+) -> Measured:
+    """The patterns draped by both solvers, as their files place them."""
+    jobs, refused = [], []
+    for pattern in read:
+        if isinstance(pattern, Refusal):
+            refused.append((pattern.name, pattern.reason))
+            continue
+        try:
+            mesh = build_box_mesh(pattern, spacing=options.resolution)
+        except MeshError as error:
+            refused.append((pattern.name, str(error)))
+            continue
+        jobs.append(DrapeJob(mesh, *bodies[has_legs(pattern)]))
+    if not jobs:
+        return Measured([], refused=refused)
+    compared = compare_solvers(jobs, options.batches, device=resolve_device(options.device))
+    return replace(compared, refused=refused)
 
 
 def _body(options: argparse.Namespace, apart: bool) -> tuple[Body, Measurements]:
@@ -127,10 +153,14 @@ def _body(options: argparse.Namespace, apart: bool) -> tuple[Body, Measurements]
     return body, measurements
 
 
-def _warm_up(pattern: Pattern, wearer: tuple[Body, Measurements], device: str) -> None:
-    """Compile and load the kernels of a drape."""
-    mesh = build_box_mesh(pattern, spacing=3.0)
-    drape_batch([DrapeJob(mesh, *wearer)], DrapeConfig(max_frames=1), device=device)
+def _warm_up(read: Sequence[Pattern | Refusal], bodies: Mapping[bool, tuple[Body, Measurements]], device: str) -> None:
+    """Compile and load the kernels of a drape, with the first pattern that can be meshed."""
+    for pattern in read:
+        with suppress(MeshError):
+            if isinstance(pattern, Pattern):
+                mesh = build_box_mesh(pattern, spacing=3.0)
+                drape_batch([DrapeJob(mesh, *bodies[has_legs(pattern)])], DrapeConfig(max_frames=1), device=device)
+                return
 
 
 def _figures(fittings: list[Fitting]) -> list[Figure]:

@@ -23,6 +23,8 @@ class Measured:
     figures: Sequence[Figure]
     rows: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
     """Rows of the report's table; all have the same keys."""
+    refused: Sequence[tuple[str, str]] = ()
+    """Name and reason of each input that could not be measured; the others were."""
 
 
 class Case(Protocol):

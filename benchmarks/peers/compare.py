@@ -110,8 +110,8 @@ def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) 
     """The first outcome that applies, in the order used for our drapes."""
     failures = {
         Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
-        Outcome.FELL: fell(job, drape.vertices),
-        Outcome.SLID_OFF: slid_off(job, drape.vertices) or off_body(job, drape.vertices),
+        Outcome.FELL: bool(fell(job, drape.vertices)),
+        Outcome.SLID_OFF: bool(slid_off(job, drape.vertices) or off_body(job, drape.vertices)),
         Outcome.NOT_SETTLED: not rested,
         Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
         Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,

@@ -34,7 +34,7 @@ class Shown:
     """A running viewer; times are in seconds."""
 
     def __init__(self, address: str, started: float, process: "subprocess.Popen[str]") -> None:
-        self._port, self._process = urlsplit(address).port, process
+        self._port, self._token, self._process = urlsplit(address).port, urlsplit(address).query, process
         self._get("/")
         found = self._find(position=_start_of(self._get("/").decode()))
         self._garment(found["position"])
@@ -99,7 +99,7 @@ class Shown:
 
     def _get(self, path: str) -> bytes:
         connection = HTTPConnection("127.0.0.1", self._port, timeout=600)
-        connection.request("GET", path)
+        connection.request("GET", f"{path}{'&' if '?' in path else '?'}{self._token}")
         answer = connection.getresponse()
         content = answer.read()
         connection.close()

@@ -65,7 +65,7 @@ UNITS: Mapping[str, str] = {
 
 def members_table() -> str:
     """The members of a sample: type and shape in the shard and in an item."""
-    encoded, item = encode_sample(fake_sample(0, 0)), FakeGarments(1)[0]
+    encoded, item = encode_sample(fake_sample(0, 0)), dict(FakeGarments(1)[0])
     rows = []
     for field, member in FIELDS.items():
         stored, shape = _stored(field, member, encoded[member])

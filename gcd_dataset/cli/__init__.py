@@ -9,23 +9,27 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, doctor, exchange, merge, show
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.subject import design_in
 from gcd_dataset.cli.verb import (
     BODY_NAMES,
     Parser,
     Stopped,
+    add_body,
+    add_height,
     add_quiet,
     add_verb,
     body_name,
     interrupts_after_imports,
     natural_number,
     process_count,
+    wearer_of,
 )
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, user_path
@@ -148,40 +152,46 @@ def _require_no_store(options: argparse.Namespace, data: str) -> None:
         raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
 
-def _drape(options: argparse.Namespace) -> int:
+def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = None) -> int:
     from tqdm.auto import tqdm
 
     from gcd_dataset.files import make_folder
-    from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
-    from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import (
+        Fitting,
+        Refusal,
+        drape_patterns,
+        read_patterns,
+        write_fitting,
+        write_report,
+    )
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements, Outcome
+    from gcd_dataset.records import Outcome
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
-
-    @cache
-    def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
-        body, measurements, _ = named_body(
-            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
-        )
-        return body, measurements
-
+    wearer = wearer or wearer_of(options)
     wearer(False)  # raises before anything is written
     folder = make_folder(options.out)
-    fittings: list[Fitting] = []
-    log_drape_time(len(patterns), device, resolution)
+    fittings: list[Fitting | Refusal] = []
+    log_drape_time(len(options.spec), device, resolution)
     try:
         done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
-        for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
-            write_fitting(fitting, folder, device=device)
+        for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
+            if isinstance(fitting, Fitting):
+                write_fitting(fitting, folder, glb=options.glb, device=device)
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
         if fittings:
-            write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
+            of_files = zip(options.spec, fittings, strict=False)
+            write_report(of_files, folder / "report.json", resolution=resolution, **made_by)
+    failed = False
     for fitting in fittings:
+        if isinstance(fitting, Refusal):
+            print(f"gcd {options.verb}: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
+            failed = True
+            continue
         drape = fitting.drape
         print(
             f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
@@ -189,10 +199,25 @@ def _drape(options: argparse.Namespace) -> int:
             f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
         )
         if drape.outcome is not Outcome.SETTLED:
-            print(f"  {drape.outcome.value}")
+            print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
+            failed = failed or not options.allow_unsettled
     print(f"{folder}: meshes, pictures and report.json")
-    settled = all(fitting.drape.outcome is Outcome.SETTLED for fitting in fittings)
-    return 0 if settled or options.allow_unsettled else 1
+    return int(failed)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    """Write the pattern of a design for a body, then drape it as ``gcd drape`` does."""
+    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.fitting import write_drawn
+    from gcd_dataset.generator.recipe import check_resolution
+
+    resolve_device(options.device), check_resolution(options.resolution), fabric_named(options.fabric)
+    design, wearer = design_in(options.design), wearer_of(options)
+    spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=options.design)
+    for reject in rejects:
+        print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
+    options.spec = [spec]
+    return _drape(options, wearer)
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -201,11 +226,10 @@ def _measure(options: argparse.Namespace) -> int:
 
     if (options.mesh is None) == (options.shape is None):
         raise ConfigError(f"give a mesh file or --shape {BODY_NAMES}, one of them")
-    if options.mesh is None and (options.landmarks or options.segmentation) is not None:
-        raise ConfigError("--landmarks and --segmentation are for a mesh file: leave them out with --shape")
-    text = measured_text(
-        options.mesh if options.shape is None else options.shape, options.landmarks, options.segmentation
-    )
+    if options.mesh is None and (options.landmarks or options.segmentation or options.height) is not None:
+        raise ConfigError("--landmarks, --segmentation and --height are for a mesh file: leave them out with --shape")
+    body = options.mesh if options.shape is None else options.shape
+    text = measured_text(body, options.landmarks, options.segmentation, options.height)
     if options.out is None:
         print(text, end="")
     else:
@@ -219,21 +243,22 @@ def _validate(options: argparse.Namespace) -> int:
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import Severity, check_pattern
 
-    count = 0
-    for path in options.spec:
+    found: list[Severity] = []
+    paths = dict.fromkeys(options.spec)
+    for path in paths:
         try:
             faults = check_pattern(read_pattern(path))
         except GcdError as error:
             print(f"gcd validate: {error}", file=sys.stderr)
-            count += 1
+            found.append(Severity.ERROR)
             continue
         listed = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
-        for fault in listed:
-            print(f"{path}: {fault}")
-        count += len(listed)
-    if not count:
-        print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
-    return 1 if count else 0
+        if listed:
+            print(f"{path}:", *listed, sep="\n  ")
+        found += [fault.severity for fault in listed]
+    if not found:
+        print(f"{len(paths)} pattern{'s' if len(paths) > 1 else ''}: no fault found")
+    return 1 if found and (options.strict or Severity.ERROR in found) else 0
 
 
 # ------------------------------------------------------------------------------------------------------------- options
@@ -307,9 +332,10 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     _add_drape(verbs)
     _add_measure(verbs)
 
-    validate = add_verb(verbs, "validate", _validate, "list the faults of patterns; exit 1 if there are any")
+    validate = add_verb(verbs, "validate", _validate, "list the faults of patterns; exit 1 if one forbids sewing")
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     validate.add_argument("--errors", action="store_true", help="only faults that forbid sewing, no warnings")
+    validate.add_argument("--strict", action="store_true", help="exit 1 for warnings too")
 
     show.add_verbs(verbs)
     datasets.add_verbs(verbs)
@@ -323,27 +349,25 @@ def _add_drape(verbs: Any) -> None:
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument(
-        "--body", type=body_name, default="neutral", help=f"{BODY_NAMES} or a mesh file (default: neutral)"
-    )
-    drape.add_argument(
-        "--measurements",
-        type=Path,
-        metavar="YAML",
-        help="measures of a mesh file's body [cm, degrees] (default: measured)",
-    )
-    drape.add_argument(
-        "--segmentation",
-        type=Path,
-        metavar="JSON",
-        help="vertex ids by body part, for a mesh file (default: detected)",
-    )
+    _add_draping(drape)
+
+    fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
+    fit.add_argument("design", type=Path, metavar="DESIGN", help="GarmentCode's design_params.yaml, or ours")
+    _add_draping(fit)
+
+
+def _add_draping(drape: Parser) -> None:
+    """Add the options of ``_drape``."""
+    add_body(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument(
         "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
     )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    drape.add_argument(
+        "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
+    )
     drape.add_argument(
         "--allow-unsettled",
         action="store_true",
@@ -359,7 +383,7 @@ def _add_measure(verbs: Any) -> None:
         "mesh",
         nargs="?",
         metavar="MESH",
-        help="OBJ, PLY, STL or GLB of one body in m, cm or mm, closed or with small holes",
+        help="OBJ, PLY, STL or GLB of one body in m, cm or mm (or see --height), closed or with small holes",
     )
     measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES}, instead of a mesh")
     measure.add_argument(
@@ -368,6 +392,7 @@ def _add_measure(verbs: Any) -> None:
     measure.add_argument(
         "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
     )
+    add_height(measure)
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
 
 

@@ -17,6 +17,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd drape shirt_specification.json --out draped",
         "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2",
     ),
+    "fit": (
+        "gcd fit design_params.yaml --body scan.obj --out fitted",
+        "gcd fit design_params.yaml --body female:7 --out fitted --resolution 2 --fabric denim",
+    ),
     "measure": (
         "gcd measure scan.obj --out measures.yaml",
         "gcd measure --shape random:7",

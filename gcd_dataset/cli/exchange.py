@@ -2,12 +2,13 @@
 
 import argparse
 import sys
-from functools import partial
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
+from gcd_dataset.cli.subject import names_a_file, sample_of
 from gcd_dataset.cli.verb import (
     SOURCE_HELP,
     add_quiet,
@@ -16,7 +17,7 @@ from gcd_dataset.cli.verb import (
     natural_number,
     require_folder,
 )
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
 __all__ = ["add_verbs"]
 
@@ -40,7 +41,7 @@ def add_verbs(verbs: Any) -> None:
 
 def _add_export(verbs: Any) -> None:
     export = add_verb(verbs, "export", _export, "write a data set, a garment or a pattern in another format")
-    export.add_argument("what", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
+    export.add_argument("what", nargs="+", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
         "--layout",
@@ -95,7 +96,7 @@ OPTIONS_OF = {
     "pdf": ("index", "split", "seam_allowance", "paper", "endpoint"),
 }
 """Format to the options that it takes."""
-PATTERN_FORMATS = ("dxf", "pdf")
+PATTERN_FORMATS = ("dxf", "pdf")  # of a specification file; the others drape it
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -103,6 +104,10 @@ def _export(options: argparse.Namespace) -> int:
     if len(given) != 1:
         raise ConfigError(f"give {', '.join(f'--{form}' for form in OPTIONS_OF)}: one of them")
     [form] = given
+    options.sources, options.what = options.what, options.what[0]
+    is_data_set = form in ("hdf5", "layout") or not any(map(names_a_file, options.sources))
+    if is_data_set and len(options.sources) > 1:
+        raise ConfigError(f"{len(options.sources)} inputs: give one data set, or specification files")
     for name in sorted({name for names in OPTIONS_OF.values() for name in names} - set(OPTIONS_OF[form])):
         if getattr(options, name) not in (None, False):
             raise ConfigError(_unused(name, form))
@@ -134,21 +139,49 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
         chosen["body"] = False
     if form == "dxf":
         chosen["created"] = date.today()
-    write = getattr(exports, form)
-    if names_a_file(options.what):
+    write = partial(getattr(exports, form), **chosen)
+    if any(map(names_a_file, options.sources)):
         if used := [name for name in ("index", "split", "endpoint") if getattr(options, name) is not None]:
             raise ConfigError(f"--{used[0]} is for a data set, and {options.what} is a specification: leave it out")
-        if form not in PATTERN_FORMATS:
-            raise ConfigError(
-                f"{options.what}: a specification holds no drape, which --{form} needs: run gcd drape, which writes "
-                "GLB, OBJ and PLY, or export a sample of a data set"
-            )
-        write(pattern_of(options), file, **chosen)
-    else:
-        options.index = options.index or 0
-        write(sample_of(options), file, **chosen)
+        return _export_patterns(options.sources, form, file, write)
+    options.index = options.index or 0
+    write(sample_of(options), file)
     print(file)
     return 0
+
+
+def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[Any, Path], None]) -> int:
+    """Export specification files, several of them to the folder ``out``; a bad one costs no other."""
+    from gcd_dataset.exports.inputs import require_suffix
+    from gcd_dataset.files import make_folder
+    from gcd_dataset.generator.body import named_body
+    from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns
+    from gcd_dataset.names import safe_name
+    from gcd_dataset.records import Outcome
+
+    if len(sources) == 1:
+        require_suffix(out, *((".usd", ".usda", ".usdc") if form == "usd" else (f".{form}",)))
+    elif out.suffix:
+        raise ConfigError(f"--{form} {out}: {len(sources)} files are exported: give a folder")
+    garments: Iterable[Any] = read_patterns(sources)
+    if form not in PATTERN_FORMATS:
+        garments = drape_patterns(garments, cache(lambda legs: named_body("neutral", legs_apart=legs)[:2]))
+    failed = False
+    for garment in garments:
+        name = garment.pattern.name if isinstance(garment, Fitting) else garment.name
+        file = out if len(sources) == 1 else make_folder(out) / f"{safe_name(name)}.{form}"
+        try:
+            if isinstance(garment, Refusal):
+                raise PatternError(garment.reason)
+            write(garment, file)
+            print(file)
+            if isinstance(garment, Fitting) and garment.drape.outcome is not Outcome.SETTLED:
+                outcome, reason = garment.drape.outcome, garment.drape.reason
+                raise PatternError(": ".join(filter(None, (name, outcome.name, reason, outcome.value))))
+        except (PatternError, ShardError) as error:
+            print(f"gcd export: {error}", file=sys.stderr)
+            failed = True
+    return int(failed)
 
 
 def _export_data_set(options: argparse.Namespace, form: str) -> int:

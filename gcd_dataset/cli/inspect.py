@@ -76,7 +76,8 @@ def info_lines(store: Store) -> Iterator[str]:
 def _split_lines(reader: ShardReader) -> Iterator[str]:
     index, count = reader.index, len(reader)
     size = f"{index.length.sum() / 1e6:.1f} MB"
-    settled, record = int(index.table.settled.sum()), reader.manifest and reader.manifest.splits.get(reader.split)
+    settled = int(index.table.settled.sum())
+    record = None if reader.manifest is None else reader.manifest.splits.get(reader.split)
     stage = DRAPE if record is None else record.recipe.get("stage", DRAPE)
     at_rest = f"{settled} at rest ({settled / count:.1%})" if stage == DRAPE else f"stage {stage}, without drapes"
     drapes = f", {at_rest}" if reader.layout.kind == GARMENTS.kind else ""

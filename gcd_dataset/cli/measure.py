@@ -13,14 +13,16 @@ from gcd_dataset.generator.body.tailor import MeasureResult
 __all__ = ["measured_text"]
 
 
-def measured_text(body: str, landmarks: Path | None = None, segmentation: Path | None = None) -> str:
-    """The measures of a mesh file, or of a generated body given by name, as commented YAML. Raises ``BodyError``.
+def measured_text(
+    body: str, landmarks: Path | None = None, segmentation: Path | None = None, height: float | None = None
+) -> str:
+    """The measures of a mesh file, or of a generated body given by name, as commented YAML; errors: see ``named_body``.
 
-    Generated bodies are measured in the A-pose with the legs straight.
+    Generated bodies are measured in the A-pose with the legs straight. ``height`` [cm] gives the scale of a mesh file.
     """
     shape = shape_by_name(body, legs_apart=False)
     if shape is None:
-        taken, remarks = measure_file(body, landmarks, segmentation)
+        taken, remarks = measure_file(body, landmarks, segmentation, height=height)
     else:
         taken, remarks = (
             measure_closely(build_body(shape, name=body)),

@@ -2,18 +2,22 @@
 
 import argparse
 import contextlib
+import math
 import os
 import sys
+import threading
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gcd_dataset.cli.subject import names_a_file, pattern_of, sample_of
-from gcd_dataset.cli.verb import SOURCE_HELP, add_server, add_verb, natural_number, open_source
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.cli.subject import design_in, names_a_file, pattern_of, sample_of
+from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, open_source, wearer_of
+from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.records import Pattern
+    from gcd_dataset.shards import ShardReader
     from gcd_dataset.viewer.album import Album
     from gcd_dataset.viewer.server import Design
 
@@ -21,6 +25,8 @@ __all__ = ["add_verbs"]
 
 DEFAULT_DESIGN = "default"
 HIGHEST_PORT = 65_535
+MOST_TILES = 400  # garments on a contact sheet
+LARGEST_TILE, SHEET_WIDTH = 512, 4096  # pixels
 
 
 def add_verbs(verbs: Any) -> None:
@@ -32,13 +38,18 @@ def add_verbs(verbs: Any) -> None:
         metavar="DATASET|PUBLISHED|SPEC",
         help=f"{SOURCE_HELP}; GarmentCodeData as published; specification JSON, or a folder of it",
     )
-    show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
+    show.add_argument(
+        "--index", type=_ranges, metavar="I", help="which sample of the split (default: 0); for --sheet such as 0-63,70"
+    )
     show.add_argument("--split", default="train", help="split of the data set (default: train)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--html", type=Path, metavar="FILE", help="pattern, mesh and drape as one self-contained page")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
+    show.add_argument("--sheet", type=Path, metavar="FILE", help="pictures of several garments, as JPEG or PNG")
+    conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hooded grade=clean"
+    show.add_argument("--where", nargs="+", default=[], metavar="NAME=VALUE", help=conditions)
     show.add_argument(
-        "--truth", type=Path, metavar="DIR", help="the true patterns beside those of the folder SPEC, by file name"
+        "--truth", metavar="DATASET|SPEC", help="true patterns beside those of SPEC, by name; prints the scores"
     )
     show.add_argument(
         "--design",
@@ -47,6 +58,7 @@ def add_verbs(verbs: Any) -> None:
         metavar="YAML",
         help="design by hand, from a file of design parameters or from a dress; without DATASET",
     )
+    add_body(show, default=None)
     show.add_argument("--port", type=_port, default=0, help="port of the viewer (default: a free one)")
     add_server(show)
 
@@ -56,6 +68,16 @@ def _show(options: argparse.Namespace) -> int:
     given = {ending: path for ending, path in files.items() if path is not None}
     if (options.what is None) == (options.design is None):
         raise ConfigError("give either a DATASET or SPEC, or --design")
+    if options.design is None and any((options.body, options.measurements, options.segmentation, options.height)):
+        raise ConfigError("--body, --measurements, --segmentation, --height are for --design: leave them out")
+    if options.sheet is not None:
+        if given or options.what is None or options.truth is not None:
+            raise ConfigError("--sheet shows garments of a DATASET or SPEC: leave out --png, --svg, --html and --truth")
+        return _sheet(options)
+    [*others, last] = options.index or (range(1),)
+    if options.where or others or last.stop != last.start + 1:
+        raise ConfigError("--where, and an --index of several garments, are for --sheet: give one index")
+    options.index = last.start
     if not given:
         return _serve(options)
     if options.design is not None or options.truth is not None:
@@ -96,15 +118,67 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     return 0
 
 
+def _sheet(options: argparse.Namespace) -> int:
+    """Write a contact sheet; a garment that cannot be read is reported, and its place left white."""
+    import numpy as np
+
+    from gcd_dataset.exports.inputs import require_suffix
+    from gcd_dataset.files import write_whole
+    from gcd_dataset.generator.drawing import captioned, contact_sheet, jpeg_bytes, png_bytes
+
+    is_png = require_suffix(options.sheet, ".jpg", ".jpeg", ".png").suffix.lower() == ".png"
+    album = _album(options)
+    chosen = _chosen(options, album)
+    columns = math.ceil(math.sqrt(len(chosen)))
+    size, tiles, faults = min(LARGEST_TILE, SHEET_WIDTH // columns), [], 0
+    for position in chosen:
+        try:
+            picture = album.picture(position, size)
+        except GcdError as error:
+            print(f"gcd show: {error}", file=sys.stderr)
+            picture, faults = np.full((size, size, 3), 255, np.uint8), faults + 1
+        tiles.append(captioned(picture, album.key(position)))
+    write_whole(options.sheet, (png_bytes if is_png else jpeg_bytes)(contact_sheet(tiles, columns=columns)))
+    print(f"{options.sheet}: {len(chosen)} of {len(album)} garments")
+    return 1 if faults else 0
+
+
+def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
+    """Positions for a contact sheet. Raises ``ConfigError`` for none or too many, ``ShardError`` for unknown ones."""
+    from gcd_dataset.viewer.album import Filter
+
+    try:
+        where = Filter(**dict(condition.split("=", 1) for condition in options.where))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"--where {' '.join(options.where)}: write kind=, grade= or outcome=VALUE") from error
+    while (where.kind or where.outcome) and album.known < len(album) and not album.problem:
+        album.read_tags()
+    chosen: list[int] = album.matches(where).tolist()
+    if options.index is not None:
+        admitted, last = set(chosen), max(part.stop for part in options.index) - 1
+        if last >= len(album):
+            raise ShardError(f"{options.what}: garment {last} of {len(album)}: give 0 to {len(album) - 1}")
+        chosen = [position for part in options.index for position in part if position in admitted]
+    if not 0 < len(chosen) <= MOST_TILES:
+        known = "; ".join(f"{name} {', '.join(values)}" for name, values in asdict(album.facets()).items() if values)
+        remedy = f"select 1 to {MOST_TILES} by --index and --where"
+        raise ConfigError(f"{options.what}: {len(chosen)} garments selected: {remedy}: {known or 'no kinds'}")
+    return chosen
+
+
 def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
+    from gcd_dataset.viewer.album import SpecAlbum
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
-        site: Design | Gallery = _design(options.design)
+        site: Design | Gallery = _design(options)
     else:
         album = _album(options)
         site = Gallery(album, _position(options, len(album)))
+        if isinstance(album, SpecAlbum) and options.truth is not None:
+            lines = (print(line, flush=True) for line in album.scores())
+            threading.Thread(target=list, args=(lines,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
     if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
@@ -120,14 +194,29 @@ def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    published = None if options.truth is not None else _published(options)
+    if options.truth is not None and (folder / MANIFEST).exists():
+        raise ConfigError(f"{folder}: a data set: give predictions, specification files, and the data set as --truth")
+    if options.truth is not None:
+        return spec_album(folder, _truth(options))
+    published = _published(options)
     if published is not None:
         return PublishedAlbum(published, options.what)
     is_no_set = "://" not in options.what and folder.is_dir() and not (folder / MANIFEST).exists()
-    if options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
-        return spec_album(folder, options.truth)
+    if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
+        return spec_album(folder)
     reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
     return ShardAlbum(reader, options.what, Remote().folder)
+
+
+def _truth(options: argparse.Namespace) -> "Path | ShardReader":
+    """The source of true patterns: a specification file, a folder of them, or a data set."""
+    from gcd_dataset.shards import ShardReader
+    from gcd_dataset.shards.manifest import MANIFEST
+
+    path = Path(options.truth)
+    if names_a_file(options.truth) or (path.is_dir() and not (path / MANIFEST).exists()):
+        return path
+    return ShardReader(open_source(options.truth, options.endpoint), options.split or "train")
 
 
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
@@ -159,12 +248,22 @@ def _position(options: argparse.Namespace, count: int) -> int:
     return int(options.index)
 
 
-def _design(start: str) -> "Design":
-    from gcd_dataset.generator.garments.design_file import read_design
+def _design(options: argparse.Namespace) -> "Design":
     from gcd_dataset.viewer.design_desk import Desk
     from gcd_dataset.viewer.server import Design
 
-    return Design(Desk() if start == DEFAULT_DESIGN else Desk(read_design(start)))
+    start = None if options.design == DEFAULT_DESIGN else design_in(options.design)
+    options.body = options.body or "neutral"
+    return Design(Desk(start, wearer_of(options)))
+
+
+def _ranges(text: str) -> list[range]:
+    """Option type: whole numbers and ranges of them, such as ``0-63,70``."""
+    pairs = [part.split("-", 1) for part in text.split(",")]
+    found = [range(int(pair[0]), int(pair[-1]) + 1) for pair in pairs if all(map(str.isdecimal, pair))]
+    if len(found) < len(pairs) or not all(found):
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of 0 or more, nor a list such as 0-63,70")
+    return found
 
 
 def _port(text: str) -> int:

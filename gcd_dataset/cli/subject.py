@@ -5,17 +5,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gcd_dataset.cli.verb import open_source
-from gcd_dataset.errors import ShardError, SpecError
+from gcd_dataset.errors import ConfigError, ShardError, SpecError
 
 if TYPE_CHECKING:
+    from gcd_dataset.generator.garments import OutfitDesign
     from gcd_dataset.records import Pattern, Sample
 
-__all__ = ["names_a_file", "pattern_of", "sample_of"]
+__all__ = ["design_in", "names_a_file", "pattern_of", "sample_of"]
 
 
 def names_a_file(source: str) -> bool:
     """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
     return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).exists())
+
+
+def design_in(path: Path | str) -> "OutfitDesign":
+    """The design in a file. Raises ``SpecError``: a bad file is bad input, not wrong usage."""
+    from gcd_dataset.generator.garments import read_design
+
+    try:
+        return read_design(path)
+    except ConfigError as error:
+        raise SpecError(str(error)) from error
 
 
 def pattern_of(options: argparse.Namespace) -> "Pattern":

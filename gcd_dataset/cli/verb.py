@@ -5,7 +5,8 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -15,6 +16,7 @@ from gcd_dataset.cli.examples import EXAMPLES
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
 if TYPE_CHECKING:
+    from gcd_dataset.records import Body, Measurements
     from gcd_dataset.shards.store import Store
 
 __all__ = [
@@ -22,6 +24,8 @@ __all__ = [
     "SOURCE_HELP",
     "Parser",
     "Stopped",
+    "add_body",
+    "add_height",
     "add_quiet",
     "add_server",
     "add_verb",
@@ -31,10 +35,11 @@ __all__ = [
     "open_source",
     "process_count",
     "require_folder",
+    "wearer_of",
 ]
 
 SIGNALLED = 128  # added by shells to the number of the signal that ended a program
-USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+USUAL: Mapping[int, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 """The signals that end a verb in good order, and Python's handlers of them."""
 RETRY = 0.005  # s between checks whether a signal may be raised
 WRONG_USAGE = 2
@@ -112,6 +117,43 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
     )
     parser.set_defaults(run=run)
     return parser
+
+
+def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
+    """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
+    parser.add_argument("--body", type=body_name, default=default, help=f"{BODY_NAMES}, a mesh file (default: neutral)")
+    parser.add_argument("--measurements", type=Path, metavar="YAML", help="of a mesh file [cm] (default: measured)")
+    parser.add_argument("--segmentation", type=Path, metavar="JSON", help="of a mesh file, vertex ids (default: found)")
+    add_height(parser)
+
+
+def add_height(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--height`` to a verb that takes a mesh file."""
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="CM",
+        help="height of a mesh file's body, which is scaled to it (default: the mesh is in m, cm or mm)",
+    )
+
+
+def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
+    """The function that reads ``--body`` when called: body and measures, with legs straight or apart."""
+    from gcd_dataset.generator.body.by_name import named_body, shape_by_name
+
+    @cache
+    def wearer(legs_apart: bool) -> "tuple[Body, Measurements]":
+        if legs_apart and shape_by_name(options.body, legs_apart=True) is None:
+            return wearer(False)  # a mesh file has its own pose
+        return named_body(
+            options.body,
+            measurements=options.measurements,
+            segmentation=options.segmentation,
+            legs_apart=legs_apart,
+            height=options.height,
+        )[:2]
+
+    return wearer
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:

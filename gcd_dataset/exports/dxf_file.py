@@ -12,7 +12,6 @@ The file is DXF R12 without tables and without layouts, which the readers of pat
 import io
 import math
 import re
-import unicodedata
 from collections.abc import Iterable
 from datetime import date
 from enum import StrEnum
@@ -27,6 +26,7 @@ from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.packing import pack
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import plain_names
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = ["DxfLayer", "dxf", "dxf_bytes"]
@@ -41,6 +41,7 @@ LETTER = 0.7  # mean width of a letter, in heights
 GAP = 2.0  # cm between pieces on the sheet
 ASPECT = 1.6  # width over height of the sheet, about
 LONGEST_NAME = 31  # letters of a block's name in R12
+LONGEST_TEXT = 36  # letters: R12 limits a text to 255 bytes, and \U+XXXX takes 7
 BASE_SIZE = "BASE"
 SAME = 0.02  # mm between a point of the sew line and one of the cut line that are one
 
@@ -83,13 +84,13 @@ def dxf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, created
     size, material = _size_and_material(garment)
     document = drawing.new("R12")
     space = document.modelspace()
-    names = _block_names(pieces)
+    names = plain_names([piece.name for piece in pieces], longest=LONGEST_NAME)
     for piece, name, at in zip(pieces, names, _places(pieces), strict=True):
-        block = document.blocks.new(name)
-        _draw_piece(block, piece, pattern, [f"Size Name:{size}", *([f"Material:{material}"] if material else [])])
-        space.add_blockref(name, _mm(at), dxfattribs={"layer": DxfLayer.CUT.value})
+        block = document.blocks.new(re.sub(r"[^A-Za-z0-9-]", "_", name))
+        _draw_piece(block, piece, name, [f"Size Name:{size}", *([f"Material:{material}"] if material else [])])
+        space.add_blockref(block.name, _mm(at), dxfattribs={"layer": DxfLayer.CUT.value})
     style = [
-        f"Style Name:{ascii_text(pattern.name)}",
+        f"Style Name:{_plain(pattern.name, 'style')}",
         *([] if created is None else [f"Creation Date:{created:%d-%m-%Y}"]),
         f"Author:gcd_dataset;gcd_dataset;{__version__}",
         f"Sample Size:{size}",
@@ -100,25 +101,15 @@ def dxf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, created
     _write_lines(space, style, np.array([0.0, -GAP * MM]), SYSTEM, DxfLayer.CUT)
     stream = io.StringIO()
     exporter.export_stream(document, stream)
-    return stream.getvalue().encode("ascii", "replace")
-
-
-def ascii_text(text: str) -> str:
-    """The text in the 7-bit characters that the standard allows: letters lose their accents, others become ``_``.
-
-    >>> ascii_text("Cós 1/2")
-    'Cos 1/2'
-    """
-    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
-    return re.sub(r"[^ -~]", "_", plain)
+    return stream.getvalue().encode("ascii")
 
 
 # -------------------------------------------------------------------------------------------------------------- pieces
 
 
-def _draw_piece(block: Any, piece: CutPiece, pattern: Pattern, facts: Iterable[str]) -> None:
+def _draw_piece(block: Any, piece: CutPiece, name: str, facts: Iterable[str]) -> None:
     """Add the entities of a piece to its block, in the panel's plane [mm]."""
-    _write_texts(block, piece, facts)
+    _write_texts(block, piece, name, facts)
     for line, layer in ((piece.cut, DxfLayer.CUT), (piece.sew, DxfLayer.SEW)):
         points = [_mm(point) for point in line]
         block.add_polyline2d(points, close=True, dxfattribs={"layer": layer.value})
@@ -144,10 +135,9 @@ def _draw_piece(block: Any, piece: CutPiece, pattern: Pattern, facts: Iterable[s
         _write_lines(block, [number.text], at, height, DxfLayer.ANNOTATION)
 
 
-def _write_texts(block: Any, piece: CutPiece, facts: Iterable[str]) -> None:
-    """The name and system texts of a piece, in the middle of its room for the name."""
-    name = ascii_text(piece.name)
-    notes = [name, "cut 1"]
+def _write_texts(block: Any, piece: CutPiece, name: str, facts: Iterable[str]) -> None:
+    """The plain name and system texts of a piece, in the middle of its room for the name; below, its own name."""
+    notes = [name, "cut 1", *([piece.name[:LONGEST_TEXT]] if name != piece.name else [])]
     system = [f"Piece Name:{name}", "Quantity:1,0", *facts]
     room = MM * NAME_SHARE * piece.name_room
     heights = [
@@ -171,7 +161,7 @@ def _write_lines(space: Any, lines: Iterable[str], at: Float[np.ndarray, "2"], h
     """Lines of text, the first at ``at`` [mm]."""
     x, y = np.round(at, DECIMALS).tolist()
     for number, line in enumerate(lines):
-        text = space.add_text(line, height=round(height, DECIMALS), dxfattribs={"layer": layer.value})
+        text = space.add_text(_escaped(line), height=round(height, DECIMALS), dxfattribs={"layer": layer.value})
         text.set_placement((x, round(y - number * LINE * height, DECIMALS)))
 
 
@@ -187,15 +177,14 @@ def _places(pieces: tuple[CutPiece, ...]) -> Float[np.ndarray, "p 2"]:
     return corners - boxes[:, 0]
 
 
-def _block_names(pieces: tuple[CutPiece, ...]) -> list[str]:
-    """A different name of letters, digits, - and _ for the block of each piece."""
-    names: list[str] = []
-    for piece in pieces:
-        plain = re.sub(r"[^A-Za-z0-9_-]", "_", ascii_text(piece.name))
-        tries = (plain[: LONGEST_NAME - len(end)] + end for end in ("", *(f"_{n}" for n in range(2, len(pieces) + 2))))
-        taken = {name.upper() for name in names}
-        names.append(next(name for name in tries if name.upper() not in taken))
-    return names
+def _plain(name: str, stem: str) -> str:
+    return plain_names([name], longest=LONGEST_NAME, stem=stem)[0] if name else ""
+
+
+def _escaped(text: str) -> str:
+    r"""The text in ASCII: other letters as ``\U+XXXX``, one for each UTF-16 unit, which CAD programs display."""
+    units = np.frombuffer(text.encode("utf-16-be", "surrogatepass"), ">u2").tolist()
+    return "".join(chr(unit) if unit < 128 else f"\\U+{unit:04X}" for unit in units)
 
 
 def _size_and_material(garment: Sample | Pattern) -> tuple[str, str]:
@@ -203,7 +192,7 @@ def _size_and_material(garment: Sample | Pattern) -> tuple[str, str]:
     if not isinstance(garment, Sample):
         return BASE_SIZE, ""
     fabric = "" if garment.fabric is None else garment.fabric.name
-    return ascii_text(garment.provenance.body_name or BASE_SIZE), ascii_text(fabric)
+    return _plain(garment.provenance.body_name or BASE_SIZE, "size"), _plain(fabric, "material")
 
 
 def _mm(point: Float[np.ndarray, "2"]) -> tuple[float, float]:

@@ -3,15 +3,21 @@
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
 
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
 from gcd_dataset.records import Body, BoxMesh, Drape, Pattern, Sample
 
-__all__ = ["EXTRA", "body_of", "draped_mesh", "optional", "pattern_of", "require_suffix"]
+if TYPE_CHECKING:
+    from gcd_dataset.generator.fitting import Fitting
+
+__all__ = ["EXTRA", "Draped", "body_of", "draped_mesh", "key_of", "optional", "pattern_of", "require_suffix"]
 
 EXTRA = "export"
+Draped: TypeAlias = Union[Sample, "Fitting"]
+"""A garment with a drape: of a data set, or as ``drape_patterns`` makes it."""
 
 
 def optional(module: str) -> ModuleType:
@@ -40,24 +46,31 @@ def pattern_of(garment: Sample | Pattern) -> Pattern:
     return garment.pattern if isinstance(garment, Sample) else garment
 
 
-def draped_mesh(sample: Sample) -> tuple[BoxMesh, Drape]:
-    """Mesh and drape of a sample. Raises ``ShardError`` for a sample without a drape, or with one that diverged."""
-    if sample.box_mesh is None or sample.drape is None:
+def key_of(garment: Draped) -> str:
+    """The key of a sample; the name of another pattern."""
+    return garment.key if isinstance(garment, Sample) else garment.pattern.name
+
+
+def draped_mesh(garment: Draped) -> tuple[BoxMesh, Drape]:
+    """Mesh and drape of a garment. Raises ``ShardError`` for a sample without a drape, or for one that diverged."""
+    if garment.box_mesh is None or garment.drape is None:
         raise ShardError(
-            f"sample {sample.key} holds no drape: make the data set with --stage drape, or export its pattern as "
+            f"sample {key_of(garment)} holds no drape: make the data set with --stage drape, or export its pattern as "
             "DXF or PDF"
         )
-    if not np.isfinite(sample.drape.vertices).all():
+    if not np.isfinite(garment.drape.vertices).all():
         raise ShardError(
-            f"sample {sample.key}: its drape diverged ({sample.drape.outcome.name}): choose another sample"
+            f"{key_of(garment)}: its drape diverged ({garment.drape.outcome.name}): choose another garment"
         )
-    return sample.box_mesh, sample.drape
+    return garment.box_mesh, garment.drape
 
 
-def body_of(sample: Sample) -> Body | None:
-    """The body of a sample, built from its shape; ``None`` if the sample holds no shape, as published garments."""
-    if sample.shape is None:
+def body_of(garment: Draped) -> Body | None:
+    """The body of a garment, built from a sample's shape; ``None`` if that holds none, as published garments."""
+    if not isinstance(garment, Sample):
+        return garment.body
+    if garment.shape is None:
         return None
     from gcd_dataset.generator.body import build_body
 
-    return build_body(sample.shape, name=sample.provenance.body_name or "body")
+    return build_body(garment.shape, name=garment.provenance.body_name or "body")

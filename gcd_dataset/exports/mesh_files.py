@@ -1,15 +1,17 @@
 """Draped garments as GLB, OBJ and PLY, panel by panel: a material each, texture coordinates in one scale."""
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.cloth import SKIN, TILE, panel_colour, smooth_normals, texture_coordinates
-from gcd_dataset.exports.inputs import body_of, draped_mesh, require_suffix
+from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, require_suffix
 from gcd_dataset.files import open_whole, write_whole
-from gcd_dataset.names import safe_name
-from gcd_dataset.records import Body, BoxMesh, Sample
+from gcd_dataset.records import Body
 
 __all__ = ["BODY", "GLB_FACTS", "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
 
@@ -22,7 +24,7 @@ PANEL, BODY = "gcd_panel", "gcd_body"
 """Keys in the ``extras`` of the meshes of panels and body, with their names."""
 
 
-def glb(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as binary glTF [m].
 
     A node and a material for each panel, named after it. ``tile``: centimetres of cloth that a texture covers, in both
@@ -31,39 +33,39 @@ def glb(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
     ``OutputError``.
     """
     path = require_suffix(path, ".glb")
-    write_whole(path, glb_bytes(sample, tile=tile, body=body))
+    write_whole(path, glb_bytes(garment, tile=tile, body=body))
 
 
-def obj(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
 
     The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
     """
     path = require_suffix(path, ".obj")
     materials = path.with_suffix(".mtl")
-    text, library = obj_text(sample, materials=materials.name, tile=tile, body=body)
+    text, library = obj_text(garment, materials=materials.name, tile=tile, body=body)
     with open_whole(materials) as mtl_file, open_whole(path) as obj_file:
         mtl_file.write(library.encode())
         obj_file.write(text.encode())
 
 
-def ply(sample: Sample, path: Path | str) -> None:
+def ply(garment: Draped, path: Path | str) -> None:
     """Write the draped garment as binary PLY [cm], faces in the colours of their panels.
 
     The vertices have the order of the sample's ``verts``. Raises errors as ``glb`` does.
     """
     path = require_suffix(path, ".ply")
-    write_whole(path, ply_bytes(sample))
+    write_whole(path, ply_bytes(garment))
 
 
-def glb_bytes(sample: Sample, *, tile: float = TILE, body: bool = True) -> bytes:
+def glb_bytes(garment: Draped, *, tile: float = TILE, body: bool = True) -> bytes:
     """The content of the file that ``glb`` writes."""
     import trimesh
 
-    mesh, drape = draped_mesh(sample)
+    mesh, drape = draped_mesh(garment)
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
     scene = trimesh.Scene()
-    for number, name in enumerate(mesh.panel_names):
+    for number, (name, part) in enumerate(zip(mesh.panel_names, _part_names(mesh.panel_names), strict=True)):
         rows, corners = np.unique(mesh.corners[mesh.panel_id == number], return_inverse=True)
         if not len(rows):
             continue
@@ -76,13 +78,13 @@ def glb_bytes(sample: Sample, *, tile: float = TILE, body: bool = True) -> bytes
             metadata={PANEL: name},
             process=False,
         )
-        scene.add_geometry(panel, geom_name=name, node_name=name)
-    worn = body_of(sample) if body else None
+        scene.add_geometry(panel, geom_name=part, node_name=part)
+    worn = body_of(garment) if body else None
     if worn is not None:
         scene.add_geometry(_skin(worn), geom_name="body", node_name="body")
     scene.metadata[GLB_FACTS] = {
-        "garment": sample.key,
-        "pattern": sample.pattern.name,
+        "garment": key_of(garment),
+        "pattern": garment.pattern.name,
         "panels": list(mesh.panel_names),
         "tile_cm": tile,
         "body": worn is not None,
@@ -90,13 +92,13 @@ def glb_bytes(sample: Sample, *, tile: float = TILE, body: bool = True) -> bytes
     return scene.export(file_type="glb", include_normals=True)
 
 
-def obj_text(sample: Sample, *, materials: str, tile: float = TILE, body: bool = True) -> tuple[str, str]:
+def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool = True) -> tuple[str, str]:
     """The contents of the OBJ file and of the MTL file called ``materials``."""
-    mesh, drape = draped_mesh(sample)
-    uv, worn = texture_coordinates(mesh, tile), body_of(sample) if body else None
-    names = _material_names(mesh)
+    mesh, drape = draped_mesh(garment)
+    uv, worn = texture_coordinates(mesh, tile), body_of(garment) if body else None
+    names = _part_names(re.sub(r"[\s#\\]+", "_", panel) for panel in mesh.panel_names)
     lines = [
-        f"# gcd_dataset {sample.key}: centimetres, y up; a texture covers {tile:g} cm",
+        f"# gcd_dataset {shown(key_of(garment))}: centimetres, y up; a texture covers {tile:g} cm",
         f"mtllib {materials}",
         "o garment",
         *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in drape.vertices.tolist()),
@@ -118,17 +120,17 @@ def obj_text(sample: Sample, *, materials: str, tile: float = TILE, body: bool =
     return "\n".join(lines) + "\n", "\n".join(library) + "\n"
 
 
-def ply_bytes(sample: Sample) -> bytes:
+def ply_bytes(garment: Draped) -> bytes:
     """The content of the file that ``ply`` writes."""
     import trimesh
 
-    mesh, drape = draped_mesh(sample)
+    mesh, drape = draped_mesh(garment)
     colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
-    garment = trimesh.Trimesh(np.asarray(drape.vertices, np.float32), mesh.faces, process=False)
-    garment.visual.face_colors = np.rint(255 * np.column_stack([colours, np.ones(len(colours))])).astype(np.uint8)[
+    cloth = trimesh.Trimesh(np.asarray(drape.vertices, np.float32), mesh.faces, process=False)
+    cloth.visual.face_colors = np.rint(255 * np.column_stack([colours, np.ones(len(colours))])).astype(np.uint8)[
         mesh.panel_id
     ]
-    return garment.export(file_type="ply")
+    return cloth.export(file_type="ply")
 
 
 def _material(name: str, colour: tuple[float, float, float], *, two: bool) -> Any:
@@ -148,12 +150,11 @@ def _skin(body: Body) -> Any:
     return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
 
 
-def _material_names(mesh: BoxMesh) -> list[str]:
-    """A name without white space for the material of each panel, none of them ``body``."""
+def _part_names(panels: Iterable[str]) -> list[str]:
+    """A name for the part of each panel: none is empty, another's, that of the body, or of the root of a scene."""
     names: list[str] = []
-    for panel in mesh.panel_names:
-        name = safe_name(panel)
-        while name in names or name == "body":
+    for name in panels:
+        while name in (*names, "", "body", "world"):
             name += "_"
         names.append(name)
     return names

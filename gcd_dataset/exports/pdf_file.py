@@ -2,10 +2,13 @@
 
 Sew lines are drawn as Bézier curves; cut lines are polylines within 0.1 mm. The first page, or on large paper a block
 on the sheet, is the legend: a square of 10 cm to check the scale, the map of the pages, the pieces, the kinds of lines.
+
+No font is embedded. A name beyond Latin letters is drawn in a font that readers substitute, if one has its letters;
+a plain name stands beside it. Bookmarks hold all names.
 """
 
+import contextlib
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +18,12 @@ import shapely
 from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, arc_centre, from_frame
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.exports.tiling import MARGIN, OVERLAP, Page, Paper, Tiling, paper_named, tile
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import plain_names
 from gcd_dataset.records import Panel, Pattern, Sample
 
 __all__ = ["bezier_pieces", "pdf", "pdf_bytes"]
@@ -29,7 +34,6 @@ DASH = (0.4, 0.2)  # cm, of the sew line
 GREY, PALE = 0.45, 0.85
 ARC_STEP = np.radians(30.0)  # an arc of 30° differs from its Bézier curve by 4e-7 of the radius
 NAME, SMALL, TINY = 0.8, 0.42, 0.32  # cm, sizes of letters
-LETTER = 0.55  # mean width of a letter, in its size
 NAME_SHARE, NAME_HEIGHT = 0.8, 0.12  # size of a name, at most: share of its room, of the height of the piece
 ARROW = (0.5, 0.18)  # cm, length and half width of an arrow head
 DRILL = 0.25  # cm, radius of a drill hole's circle
@@ -38,6 +42,9 @@ TEST_SQUARE = 10.0  # cm
 LEGEND = (18.0, 25.0)  # cm, width and height
 MAP = (17.0, 8.5)  # cm, of the map of pages
 FONT, BOLD = "Helvetica", "Helvetica-Bold"
+ASIAN_FONTS = {"gbk": "STSong-Light", "euc_kr": "HYSMyeongJo-Medium"}
+"""Encoding to a font of ISO 32000-1, 9.7.5.2, with its letters; GBK includes Cyrillic."""
+LONGEST_NAME = 60  # letters of a name that is drawn
 
 
 def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 1.0, paper: str = "a4") -> None:
@@ -54,12 +61,15 @@ def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 
 def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: str = "a4") -> bytes:
     """The content of the file that ``pdf`` writes; equal patterns give equal bytes."""
     canvas_class = optional("reportlab.pdfgen.canvas").Canvas
+    metrics, fonts = (optional(f"reportlab.pdfbase.{module}") for module in ("pdfmetrics", "cidfonts"))
+    for font in ASIAN_FONTS.values():
+        metrics.registerFont(fonts.UnicodeCIDFont(font))
     size, pattern = paper_named(paper), pattern_of(garment)
     pieces = cut_pieces(pattern, seam_allowance=seam_allowance)
     sheet = _sheet(pieces, pattern, size, seam_allowance)
     file = io.BytesIO()
     canvas = canvas_class(file, pagesize=(size.width * POINTS, size.height * POINTS), invariant=1, pageCompression=1)
-    canvas.setTitle(_latin(pattern.name))
+    canvas.setTitle(shown(pattern.name))
     canvas.setCreator("gcd_dataset")
     if not size.is_large:
         _begin(canvas)
@@ -69,6 +79,8 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
         _begin(canvas)
         _draw_page(canvas, sheet, page, number)
         canvas.showPage()
+    for piece in pieces:
+        canvas.addOutlineEntry(piece.name, piece.name)
     canvas.save()
     return file.getvalue()
 
@@ -79,6 +91,8 @@ class _Sheet:
 
     name: str
     pieces: tuple[CutPiece, ...]
+    names: list[tuple[str, str]]
+    """Of the pieces: as drawn, and in Latin letters."""
     shifts: Float[np.ndarray, "p 2"]
     """From each panel's plane to the sheet, y up [cm]."""
     tiling: Tiling
@@ -99,7 +113,8 @@ def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowan
     if paper.is_large:
         x, y = tiling.corners[-1].tolist()
         legend_at = (x, y + LEGEND[1])
-    return _Sheet(pattern.name, pieces, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
+    [(name, _)], names = _names([pattern.name], "pattern"), _names([piece.name for piece in pieces], "piece")
+    return _Sheet(name, pieces, names, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
@@ -121,19 +136,20 @@ def _draw_page(canvas: Any, sheet: _Sheet, page: Page, number: int) -> None:
     canvas.clipPath(clip, stroke=0, fill=0)
     canvas.translate(MARGIN - x, MARGIN + height - y)  # the sheet, y up
     window = shapely.box(x, y - height, x + width, y)
-    for piece, shift in zip(sheet.pieces, sheet.shifts, strict=True):
+    for piece, names, shift in zip(sheet.pieces, sheet.names, sheet.shifts, strict=True):
         if shapely.Polygon(piece.cut + shift).intersects(window):
             canvas.saveState()
             canvas.translate(*shift.tolist())
-            _draw_piece(canvas, piece)
+            _draw_piece(canvas, piece, *names)
+            canvas.bookmarkPage(piece.name)
             canvas.restoreState()
     if sheet.legend_at is not None:
         _draw_legend(canvas, sheet, *sheet.legend_at)
     canvas.restoreState()
     _draw_marks(canvas, sheet, page)
     canvas.setFillGray(GREY)
-    text = f"{page.label}   page {number + 1} of {len(tiling.pages)}   {_latin(sheet.name)}"
-    _text(canvas, text, MARGIN + 0.2, 0.4 * MARGIN, TINY, centred=False)
+    text = f"{page.label}   page {number + 1} of {len(tiling.pages)}   {sheet.name}"
+    _text(canvas, text, MARGIN + 0.2, 0.4 * MARGIN, TINY, centred=False, room=paper.width - 2 * MARGIN - 2.5)
     canvas.drawRightString(paper.width - MARGIN - 0.2, 0.4 * MARGIN, "print at 100 %")
     canvas.setFillGray(0)
 
@@ -199,7 +215,7 @@ def _diamond(canvas: Any, x: float, y: float) -> None:
 # -------------------------------------------------------------------------------------------------------------- pieces
 
 
-def _draw_piece(canvas: Any, piece: CutPiece) -> None:
+def _draw_piece(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     """A piece in the panel's plane [cm]."""
     canvas.setLineWidth(CUT_WIDTH)
     _polygon(canvas, piece.cut)
@@ -220,7 +236,7 @@ def _draw_piece(canvas: Any, piece: CutPiece) -> None:
     canvas.setLineWidth(GRAIN_WIDTH)
     _arrow(canvas, piece.grain[0], piece.grain[1])
     _arrow(canvas, piece.grain[1], piece.grain[0])
-    _write_name(canvas, piece)
+    _write_name(canvas, piece, name, latin)
     canvas.setFillGray(GREY)
     for number in piece.numbers:
         size = min(SMALL, 0.3 * number.room)
@@ -229,14 +245,14 @@ def _draw_piece(canvas: Any, piece: CutPiece) -> None:
     canvas.setFillGray(0)
 
 
-def _write_name(canvas: Any, piece: CutPiece) -> None:
-    name, notes = _latin(piece.name), "cut 1, right side up"
+def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
+    notes = f"{'' if name == latin else f'{latin}: '}cut 1, right side up"
     room = NAME_SHARE * piece.name_room
     x, y = piece.name_at.tolist()
-    size = min(NAME, NAME_HEIGHT * float(np.ptp(piece.cut[:, 1])), room / (LETTER * len(name)))
-    _text(canvas, name, x, y, size, font=BOLD)
-    small = min(SMALL, 0.7 * size, room / (LETTER * len(notes)))
-    _text(canvas, notes, x, y - 1.4 * small, small)
+    largest = min(NAME, NAME_HEIGHT * float(np.ptp(piece.cut[:, 1])))
+    _text(canvas, name, x, y, largest, font=BOLD, room=room)
+    small = min(SMALL, 0.7 * largest)
+    _text(canvas, notes, x, y - 1.4 * small, small, room=room)
 
 
 def _draw_fold(canvas: Any, fold: Float[np.ndarray, "2 2"]) -> None:
@@ -330,8 +346,7 @@ def _draw_legend(canvas: Any, sheet: _Sheet, left: float, top: float) -> None:
     """Title, test square, meaning of the lines, pieces and map of the pages, below a corner [cm]."""
     canvas.saveState()
     canvas.translate(left, top)
-    title = _latin(sheet.name)
-    _text(canvas, title, 0, -0.9, min(0.9, LEGEND[0] / (0.6 * len(title))), font=BOLD, centred=False)
+    _text(canvas, sheet.name, 0, -0.9, 0.9, font=BOLD, centred=False, room=LEGEND[0])
     tiling = sheet.tiling
     pages = f"{len(tiling.pages)} page{'s' if len(tiling.pages) > 1 else ''} {tiling.paper.name.upper()}"
     facts = f"{len(sheet.pieces)} pieces on {pages}; seam allowance {sheet.allowance:g} cm, included"
@@ -342,7 +357,7 @@ def _draw_legend(canvas: Any, sheet: _Sheet, left: float, top: float) -> None:
     _text(canvas, "Measure both sides. Print at 100 %,", 5.0, -8.2, TINY)
     _text(canvas, "without “fit to page”.", 5.0, -8.7, TINY)
     _draw_key(canvas, sheet, 10.8, -2.6)
-    _list_pieces(canvas, sheet.pieces, -13.3)
+    _list_pieces(canvas, sheet, -13.3)
     _draw_map(canvas, sheet, -LEGEND[1] + MAP[1])
     canvas.restoreState()
 
@@ -398,17 +413,17 @@ def _draw_key(canvas: Any, sheet: _Sheet, x: float, y: float) -> None:
         _text(canvas, step, x, y - 5.8 - 0.5 * row, TINY, centred=False)
 
 
-def _list_pieces(canvas: Any, pieces: Sequence[CutPiece], top: float) -> None:
+def _list_pieces(canvas: Any, sheet: _Sheet, top: float) -> None:
     """The pieces with the size of their cloth, in columns."""
-    columns = 2 if len(pieces) <= 10 else 3
-    rows = -(-len(pieces) // columns)
+    columns = 2 if len(sheet.pieces) <= 10 else 3
+    rows, wide = -(-len(sheet.pieces) // columns), LEGEND[0] / columns
     step = min(0.46, 2.9 / rows)
     size = min(TINY, 0.75 * step)
-    for number, piece in enumerate(pieces):
+    for number, (piece, (name, latin)) in enumerate(zip(sheet.pieces, sheet.names, strict=True)):
         column, row = divmod(number, rows)
         width, height = (piece.box[1] - piece.box[0]).tolist()
-        line = f"{_latin(piece.name)}: {width:.1f} × {height:.1f} cm"
-        _text(canvas, line, column * LEGEND[0] / columns, top - step * row, size, centred=False)
+        line = f"{latin}{'' if name == latin else f' ({name})'}: {width:.1f} × {height:.1f} cm"
+        _text(canvas, line, column * wide, top - step * row, size, centred=False, room=wide - 0.3)
 
 
 def _draw_map(canvas: Any, sheet: _Sheet, top: float) -> None:
@@ -443,12 +458,37 @@ def _draw_map(canvas: Any, sheet: _Sheet, top: float) -> None:
 # --------------------------------------------------------------------------------------------------------------- texts
 
 
-def _text(canvas: Any, text: str, x: float, y: float, size: float, *, font: str = FONT, centred: bool = True) -> None:
-    """A line of text with its base line at ``y``; ``size`` [cm]."""
+def _text(
+    canvas: Any,
+    text: str,
+    x: float,
+    y: float,
+    size: float,
+    *,
+    font: str = FONT,
+    centred: bool = True,
+    room: float = 1e9,
+) -> None:
+    """A line of text with its base line at ``y``, at most ``room`` wide; ``size`` [cm]."""
+    font = _font_of(text, font) or font
+    size = min(size, room / max(canvas.stringWidth(text, font, 1.0), 1.0))
     canvas.setFont(font, size)
     (canvas.drawCentredString if centred else canvas.drawString)(x, y, text)
 
 
-def _latin(text: str) -> str:
-    """The text in the letters that the fonts of every PDF reader have."""
-    return text.encode("cp1252", "replace").decode("cp1252")
+def _font_of(text: str, font: str = FONT) -> str | None:
+    """``font`` for Latin letters, an Asian font for letters that it has, or ``None``."""
+    for encoding, name in {"cp1252": font, **ASIAN_FONTS}.items():
+        with contextlib.suppress(UnicodeEncodeError):
+            text.encode(encoding)
+            return name
+    return None
+
+
+def _names(names: list[str], stem: str) -> list[tuple[str, str]]:
+    """Each name as it is drawn, and in Latin letters; plain names where no font has the letters, and for long ones."""
+    found = []
+    for name, plain in zip(names, plain_names(names, longest=LONGEST_NAME, stem=stem), strict=True):
+        font = _font_of(name) if len(name) <= LONGEST_NAME else None
+        found.append((name if font else plain, name if font == FONT else plain))
+    return found

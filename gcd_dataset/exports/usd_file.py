@@ -1,11 +1,14 @@
 """Draped garments as USD: garment with a subset and a material for each panel, body, and seams as curves."""
 
+import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gcd_dataset.errors import shown
 from gcd_dataset.exports.cloth import (
     SKIN,
     TILE,
@@ -14,9 +17,10 @@ from gcd_dataset.exports.cloth import (
     smooth_normals,
     texture_coordinates,
 )
-from gcd_dataset.exports.inputs import body_of, draped_mesh, optional, require_suffix
+from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
 from gcd_dataset.files import write_whole
-from gcd_dataset.records import Body, Sample
+from gcd_dataset.names import plain_names
+from gcd_dataset.records import Body
 
 __all__ = ["usd"]
 
@@ -24,10 +28,11 @@ METRES_PER_UNIT = 0.01
 SEAM_WIDTH = 0.3  # cm
 SEAM_COLOUR = (0.15, 0.15, 0.15)
 ROUGHNESS = 0.9
+LONGEST_NAME = 60  # letters
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
-def usd(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+def usd(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as USD: text for ``.usda``, binary for ``.usd`` and ``.usdc``.
 
     Centimetres (``metersPerUnit`` 0.01), y up. ``garment`` is one mesh, its vertices in the order of the sample's
@@ -37,7 +42,7 @@ def usd(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
     without a drape, ``ConfigError`` for another suffix, ``ExtraMissing`` without usd-core, ``OutputError``.
     """
     path = require_suffix(path, *SUFFIXES)
-    stage = _stage(sample, tile, body)
+    stage = _stage(garment, tile, body)
     # USD writes by suffix, and to names that it opens itself.
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"garment{path.suffix.lower()}"
@@ -45,50 +50,51 @@ def usd(sample: Sample, path: Path | str, *, tile: float = TILE, body: bool = Tr
         write_whole(path, draft.read_bytes())
 
 
-def _stage(sample: Sample, tile: float, with_body: bool) -> Any:
-    pxr_usd, geom, tf = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom", "Tf"))
-    draped_mesh(sample)
+def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
+    pxr_usd, geom = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom"))
+    draped_mesh(garment)
     stage = pxr_usd.Stage.CreateInMemory()
     geom.SetStageUpAxis(stage, geom.Tokens.y)
     geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
-    root = geom.Xform.Define(stage, f"/{tf.MakeValidIdentifier(sample.key)}")
-    root.GetPrim().SetCustomDataByKey("pattern", sample.pattern.name)
+    root = geom.Xform.Define(stage, f"/{_identifiers([key_of(garment)], 'garment')[0]}")
+    root.GetPrim().SetCustomDataByKey("pattern", shown(garment.pattern.name))
     stage.SetDefaultPrim(root.GetPrim())
     top = str(root.GetPath())
-    _add_garment(stage, top, sample, tile)
-    _add_seams(stage, top, sample)
-    if with_body and (body := body_of(sample)) is not None:
+    _add_garment(stage, top, garment, tile)
+    _add_seams(stage, top, garment)
+    if with_body and (body := body_of(garment)) is not None:
         _add_body(stage, top, body)
     return stage
 
 
-def _add_garment(stage: Any, top: str, sample: Sample, tile: float) -> None:
-    geom, shade, sdf, tf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf", "Tf"))
-    mesh, drape = draped_mesh(sample)
-    garment = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
-    garment.CreateDoubleSidedAttr(True)
-    st = geom.PrimvarsAPI(garment).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
+def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
+    geom, shade, sdf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf"))
+    mesh, drape = draped_mesh(garment)
+    cloth = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
+    cloth.CreateDoubleSidedAttr(True)
+    st = geom.PrimvarsAPI(cloth).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
     st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
     st.SetIndices(_array("IntArray", mesh.corners.ravel()))
-    garment.GetPrim().SetCustomDataByKey("tile_cm", tile)
+    cloth.GetPrim().SetCustomDataByKey("tile_cm", tile)
     colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
-    display = garment.CreateDisplayColorPrimvar(geom.Tokens.uniform)
+    display = cloth.CreateDisplayColorPrimvar(geom.Tokens.uniform)
     display.Set(_array("Vec3fArray", colours))
     display.SetIndices(_array("IntArray", mesh.panel_id))
-    names = _identifiers(mesh.panel_names, tf)
+    names = _identifiers(mesh.panel_names, "piece")
     for number, name in enumerate(names):
         faces = _array("IntArray", np.flatnonzero(mesh.panel_id == number))
         subset = geom.Subset.CreateGeomSubset(
-            garment, name, geom.Tokens.face, faces, shade.Tokens.materialBind, geom.Tokens.partition
+            cloth, name, geom.Tokens.face, faces, shade.Tokens.materialBind, geom.Tokens.partition
         )
         subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
+        subset.GetPrim().SetDisplayName(mesh.panel_names[number])
         _bind(stage, subset, f"{top}/materials/{name}", panel_colour(number))
 
 
-def _add_seams(stage: Any, top: str, sample: Sample) -> None:
+def _add_seams(stage: Any, top: str, garment: Draped) -> None:
     geom = optional("pxr.UsdGeom")
-    mesh, drape = draped_mesh(sample)
-    lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, sample.pattern)]
+    mesh, drape = draped_mesh(garment)
+    lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, garment.pattern)]
     lines = [line if len(line) > 1 else np.repeat(line[:1], 2, axis=0) for line in lines if len(line)]
     if not lines:
         return
@@ -143,12 +149,8 @@ def _array(kind: str, values: np.ndarray) -> Any:
     return getattr(optional("pxr.Vt"), kind).FromNumpy(np.ascontiguousarray(values, dtype))
 
 
-def _identifiers(names: tuple[str, ...], tf: Any) -> list[str]:
-    """A different identifier for each panel; ``body`` is that of the skin's material."""
-    found: list[str] = []
-    for name in names:
-        identifier = tf.MakeValidIdentifier(name)
-        while identifier in found or identifier == "body":
-            identifier += "_"
-        found.append(identifier)
-    return found
+def _identifiers(names: Sequence[str], stem: str) -> list[str]:
+    """A different identifier for each name, in ASCII: USD before 24.03 refuses other letters; none is ``body``."""
+    plain = plain_names(names, longest=LONGEST_NAME, stem=stem)
+    free = [f"_{name}" if name[0].isdigit() or name == "body" else name for name in plain]
+    return [re.sub(r"\W", "_", name) for name in plain_names(free, longest=LONGEST_NAME + 1)]

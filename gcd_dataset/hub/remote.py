@@ -1,5 +1,6 @@
 """Reads a data set on a server sample by sample: only the requested members, verified and cached."""
 
+import contextlib
 import hashlib
 import io
 import re
@@ -15,8 +16,10 @@ from gcd_dataset.hub.foreign_tars import read_foreign_index
 from gcd_dataset.hub.site import Site
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
+from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest
 from gcd_dataset.shards.store import MemberLocation, Store, runs
+from gcd_dataset.shards.unfinished import note_name, unfinished_by
 
 __all__ = ["RemoteStore"]
 
@@ -71,6 +74,18 @@ class RemoteStore(Store):
             self._shards[shard] = _RemoteShard(self._key(shard, split, manifest), len(table), first, index)
             first += len(table)
         return index
+
+    def unfinished(self, split: str) -> str | None:
+        name = note_name(split)
+
+        def ask() -> bytes:
+            with contextlib.suppress(MissingError):
+                return self.site.web.get(name, LARGEST_MANIFEST)
+            return b""
+
+        with contextlib.suppress(RemoteError):  # without an answer
+            return unfinished_by(self.site.cached(name.removeprefix("."), ask), self.manifest() or Manifest(), split)
+        return None
 
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         return self.read_many([(shard, number, parts)])[0]

@@ -18,9 +18,10 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person
-from gcd_dataset.bodyfiles import read_body_file, read_body_parts, read_measurements
+from gcd_dataset.bodyfiles import read_body_file, read_body_parts, read_measurements, require_same_body
 from gcd_dataset.errors import BodyError, ShardError
 from gcd_dataset.files import user_path
+from gcd_dataset.measurements import is_adult_height
 from gcd_dataset.records import BodyShape, Measurements, Record
 from gcd_dataset.release.obj import ObjText, read_obj
 from gcd_dataset.shards.access import reading
@@ -30,7 +31,6 @@ __all__ = ["FOLDER", "KINDS", "PublishedPeople"]
 FOLDER = "5000_body_shapes_and_measures"
 METRE = 100.0  # cm
 LARGEST = 1e4  # bound of weights, and of angles in degrees
-SHORTEST, TALLEST = 30.0, 300.0  # cm: a height outside this range shows that the mesh is not in metres
 KINDS = {
     "measures": "measurements/{}.yaml",
     "meta": "meta/{}_meta.json",
@@ -66,7 +66,10 @@ class PublishedPeople:
     def person(self, name: str) -> Person:
         """One person. Raises ``BodyError`` naming an invalid file."""
         straight, apart = (self.vertices(name, pose) for pose in POSES)
-        return Person(name, self.shape(name), straight, apart, self.measurements(name))
+        size = self.measurements(name)
+        ours = Measurements(height=float(straight[:, 1].max()))
+        require_same_body(size, ours, self._path(name, "measures"), self._path(name, "straight"))
+        return Person(name, self.shape(name), straight, apart, size)
 
     def vertices(self, name: str, pose: str) -> Float32[np.ndarray, "v 3"]:
         """A person's vertex positions [cm] in one of ``POSES``, soles at y = 0. Raises ``BodyError``."""
@@ -74,7 +77,7 @@ class PublishedPeople:
         self._require_same_mesh(text)
         positions = text.positions() * METRE
         height = float(np.ptp(positions[:, 1]))
-        if not SHORTEST < height < TALLEST:
+        if not is_adult_height(height):
             raise BodyError(f"{text.path}: {height / METRE:.4g} m tall: published meshes are in metres, with y up")
         return (positions - [0.0, positions[:, 1].min(), 0.0]).astype(np.float32)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.bodyfiles import read_body_file
+from gcd_dataset.bodyfiles import obj_lines, read_body_file
 from gcd_dataset.errors import BodyError
 
 __all__ = ["ObjText", "read_obj"]
@@ -54,11 +54,11 @@ class ObjText:
 
 def read_obj(path: Path) -> ObjText:
     """The vertex and face lines of a file. Raises ``BodyError`` for a file without vertices or faces."""
-    lines = read_body_file(path).splitlines()
+    lines = obj_lines(read_body_file(path))
     text = ObjText(
         path,
-        tuple(line for line in lines if line.startswith(b"v ")),
-        tuple(line for line in lines if line.startswith(b"f ")),
+        tuple(line for line in lines if line.startswith(b"v")),
+        tuple(line for line in lines if line.startswith(b"f")),
     )
     if not (text.v and text.f):
         raise BodyError(

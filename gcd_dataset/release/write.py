@@ -38,6 +38,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.SLID_OFF: "crashes",
     Outcome.FELL: "crashes",
     Outcome.OVERFULL: "crashes",
+    Outcome.REFUSED: "crashes",
     Outcome.DIVERGED: "crashes",
 }
 """Outcome to the failure class in the properties of a batch; ``crashes`` if no class of the layout fits."""

@@ -8,19 +8,8 @@
 ``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
 ``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
                      measurement file; -1.0 for a missing measure, omitted from items
-``panels.npy``       the pattern as arrays, see ``gcd_dataset.tensors``: one row per panel,
-``edges.npy``        one row per edge,
-``stitches.npy``     one row per seam
-``body.npy``         f32 [k]: weights of the body's shape components [standard deviations]
-``faces.npy``        id [f, 3]: triangles, rows of ``verts`` and ``box``
-``uv.npy``           f32 [c, 2]: panel-plane coordinates [cm] of the seam-split vertices
-``panel_id.npy``     id [f]: the panel of each face, a row of ``panels``
-``labels.npy``       id [n, 2]: (vertex, row of ``edge_labels``), label by label
-``seams.npy``        id [s, 2]: (vertex, row of ``stitches``), as ``BoxMesh.seams``
-``corners.npy``      id [f, 3]: rows of ``uv`` at each face's corners
-``uv_vertex.npy``    id [c]: the vertex of each row of ``uv``
-``box.npy``          f32 [v, 3]: positions before sewing [cm]
-``verts.npy``        f32 [v, 3]: positions at rest [cm]
+``panels.npy`` …     arrays, one row per panel, edge, seam, vertex, …: ``gcd_dataset.loaders.GarmentFields`` describes
+``verts.npy``        them; f64 for panels and edges, f32 for other floats, ids for rows of other arrays
 ``points.npy``       i16 [n, 6]: surface points relative to their centroid, and normals; ``meta.json`` holds scale and
                      centre; -32768 for missing points of a diverged drape. Items hold f32 points in cm
 ``front.jpg``        pictures; one grey pixel if none was rendered

@@ -18,6 +18,7 @@ from gcd_dataset.shards.layout import FOREIGN, Layout, member_name, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
 from gcd_dataset.shards.store import MemberLocation, Store, runs
 from gcd_dataset.shards.tar import BLOCK
+from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["FolderStore", "OpenFiles", "read_members"]
 
@@ -50,6 +51,9 @@ class FolderStore(Store):
             raise ShardError(f"{self.folder}: no samples of split {split}: {self._missing_remedy(split)}")
         self._last |= _last_samples(index)
         return index
+
+    def unfinished(self, split: str) -> str | None:
+        return unfinished(self.folder, split)
 
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         path = self._path(shard)

@@ -78,15 +78,10 @@ class ShardReader:
         # Samples of shards filled out of order, and of foreign tars, may not be sorted by index.
         order = np.argsort(self.index.table.sample, kind="stable")
         self._row = order[self.index.table.settled[order]] if settled_only else order
-        if not len(self._row):
-            found = f"none of the {len(order)} samples of split {split} has settled"
-            raise ShardError(f"{self.store.location()}: {found}: leave out settled_only, or make garments with a drape")
+        self._require_rows(f"none of the {len(order)} samples of split {split} has settled", "settled_only")
         if quality is not None:
             self._row = self._row[self.index.table.grade[self._row] >= GRADES.index(quality)]
-        if not len(self._row):
-            found = f"none of the {len(order)} samples of split {split} has the grade {quality}"
-            remedy = "leave out quality, or make the garments again: samples of older versions have no grade"
-            raise ShardError(f"{self.store.location()}: {found}: {remedy}")
+            self._require_rows(f"none of the {len(order)} samples of split {split} has the grade {quality}", "quality")
         self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards))).tolist()
         self._columns_of: dict[tuple[str, ...], list[int]] = {}
         self._unchecked = self._all_unchecked()
@@ -131,6 +126,19 @@ class ShardReader:
         members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])
         with self.naming(position):
             return decode_sample(self.read(position, members))
+
+    def _require_rows(self, fault: str, option: str) -> None:
+        """Raise ``ShardError`` where ``option`` has left no sample, with the reason."""
+        if len(self._row):
+            return
+        table, remedy = self.index.table, f"leave out {option}, or make garments with a drape"
+        record = None if self.manifest is None else self.manifest.splits.get(self.split)
+        if not table.grade.any() and table.settled.any():
+            remedy = f"leave out {option}, or make the garments again: samples of older versions have no grade"
+        elif not table.grade.any():
+            stage = "" if record is None or "stage" not in record.recipe else f"end with stage {record.recipe['stage']}"
+            fault += f": they {stage or 'have no drapes'}, and only drapes settle and have a grade"
+        raise ShardError(f"{self.store.location()}: {fault}: {remedy}")
 
     def _named(self, row: int) -> str:
         return f"{self.store.location(self.index.shards[self.index.shard[row]])}: sample {self.index.key(row)}"

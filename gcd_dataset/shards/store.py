@@ -1,5 +1,6 @@
 """The interface between ``ShardReader`` and the storage of a data set: a folder, or a server."""
 
+import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -50,6 +51,17 @@ class Store(ABC):
 
         Raises ``ShardError`` where the split is broken, incomplete, empty, or of another layout.
         """
+
+    @abstractmethod
+    def unfinished(self, split: str) -> str | None:
+        """A message that the run that writes a split has not finished, with a remedy; ``None`` if it has."""
+
+    def warn_unfinished(self, splits: Iterable[str]) -> None:
+        """Log a warning for each split whose run has not finished."""
+        for split in splits:
+            if (fault := self.unfinished(split)) is not None:
+                message = "%s: split %s is unfinished: %s; partial=True opens it without this warning"
+                logging.getLogger("gcd_dataset").warning(message, self.location(), split, fault)
 
     @abstractmethod
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:

@@ -6,6 +6,7 @@ divided (failed drapes go into a split of their own). A finished run removes the
 
 import contextlib
 import json
+import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from gcd_dataset.shards.download_file import read_download_record
 from gcd_dataset.shards.layout import TRAIN, shard_number
 from gcd_dataset.shards.manifest import Manifest, read_manifest
 
-__all__ = ["filling", "unfinished"]
+__all__ = ["filling", "note_name", "unfinished", "unfinished_by"]
 
 
 @contextlib.contextmanager
@@ -26,7 +27,7 @@ def filling(folder: Path, count: int, *splits: str) -> Iterator[None]:
     ``count``: samples that the splits will have together. Raises ``OutputError``.
     """
     splits = splits or (TRAIN,)
-    notes = [_note(make_folder(folder), split) for split in splits]
+    notes = [make_folder(folder) / note_name(split) for split in splits]
     for note in notes:
         write_whole(note, json.dumps({"count": count, "splits": splits}).encode())
     yield
@@ -43,32 +44,55 @@ def unfinished(folder: Path, split: str) -> str | None:
     download = read_download_record(folder)
     if download is not None and split in download.unfinished:
         return "its download is incomplete: run gcd download again"
-    note = _note(folder, split)
+    note = folder / note_name(split)
     with reading(folder):
         parts = [path.name for path in folder.iterdir() if _is_part(path.name, split)]
         content = note.read_bytes() if note.exists() else None
     if content is None and not parts:
         return None
-    progress = _progress(read_manifest(folder) or Manifest(), split, content)
-    return f"{progress}: its run was stopped, or is still running: run the same command again"
+    return unfinished_by(content, read_manifest(folder) or Manifest(), split, folder)
 
 
-def _note(folder: Path, split: str) -> Path:
-    return folder / f".unfinished-{require_name(split, 'split')}.json"
+def unfinished_by(note: bytes | None, manifest: Manifest, split: str, folder: Path | None = None) -> str | None:
+    """The message for the content of a mark; ``None`` for a server's answer that is no mark."""
+    noted = _noted(note or b"")
+    if noted is None and folder is None:
+        return None
+    splits, count = noted or ([split], None)
+    made = sum(shard.count for name in splits if name in manifest.splits for shard in manifest.splits[name].shards)
+    progress = f"{made} samples in whole shards" if count is None else f"{made} of {count} samples"
+    again = f"run the same command again{_command(manifest, split, count or 0, folder)}" if folder else ""
+    return f"{progress}: its run was stopped, or is still running: {again or 'ask its publisher to finish it'}"
+
+
+def note_name(split: str) -> str:
+    """File name of the mark of a split. Raises ``ShardError`` for an unsafe split name."""
+    return f".unfinished-{require_name(split, 'split')}.json"
+
+
+def _noted(note: bytes) -> tuple[Iterable[str], int] | None:
+    """The splits and the requested number of samples in a mark; ``None`` for a damaged one."""
+    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        content = json.loads(note)
+        return [str(name) for name in content["splits"]], int(content["count"])
+    return None
+
+
+def _command(manifest: Manifest, split: str, count: int, folder: Path) -> str:
+    """``: gcd generate …`` with the options in the manifest; empty if it does not hold all of them."""
+    words = ["gcd", "generate", str(folder)]
+    record = manifest.splits.get(split)
+    if manifest.recipe is not None:
+        words += ["--recipe", manifest.recipe.name]
+    elif count and record is not None and "stage" in record.recipe and not record.recipe.get("design"):
+        words += ["--count", str(count), "--seed", str(record.seed)]
+        for name, value in record.recipe.items():
+            if name not in ("design", "mesh", "part"):  # no options
+                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    else:
+        return ""
+    return f": {shlex.join(words)}"
 
 
 def _is_part(name: str, split: str) -> bool:
     return name.endswith(".part") and shard_number(name.removesuffix(".part"), split) is not None
-
-
-def _progress(manifest: Manifest, split: str, content: bytes | None) -> str:
-    """``M of N samples`` on disk, with N from the note; without N if the note cannot be read."""
-    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        note = json.loads(content or b"{}")
-        return f"{_count(manifest, note.get('splits', [split]))} of {int(note['count'])} samples"
-    return f"{_count(manifest, [split])} samples in whole shards"
-
-
-def _count(manifest: Manifest, splits: Iterable[str]) -> int:
-    """Number of samples of these splits in finished shards."""
-    return sum(shard.count for split in splits if split in manifest.splits for shard in manifest.splits[split].shards)

@@ -125,6 +125,7 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
     if isinstance(parsed, Repo):
         options["endpoint"] = endpoint
     store = open_store(source, Remote(**options))
+    options["partial"] = True  # an unfinished run is among the findings
     folder = store.folder if isinstance(store, FolderStore) else None
     manifest = store.manifest()
     names = tuple(manifest.splits) if manifest is not None else ("train",)

@@ -1,28 +1,31 @@
 """The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 
-from gcd_dataset.errors import BodyError, ConfigError, PatternError
-from gcd_dataset.records import EdgeRef, Pattern
+from gcd_dataset.errors import BodyError, ConfigError, GcdError, PatternError, shown
+from gcd_dataset.generator.drawing import draw_pattern, picture_of
+from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.validate import require_valid
-from gcd_dataset.viewer.content import Content, content_of
+from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
 from gcd_dataset.viewer.page import page_of
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
+    from gcd_dataset.metrics import PatternScore
 
 __all__ = [
     "ANY",
@@ -37,8 +40,11 @@ __all__ = [
     "spec_album",
 ]
 
+Source = Callable[[], Pattern]
 KEPT_MATCHES = 32  # albums whose keys are kept as a mapping
-SUFFIX = "_specification"
+PREDICTED = re.compile("_(predicted|prediction)$")  # ends of names that are not part of a garment's
+FIGURES = ("iou", "panel_l2", "edge_count_acc", "stitch_f1", "topology_exact")  # of ``PatternScore``
+MOST_NAMES = 20  # names listed in a line
 REQUESTED = 256  # garments of a remote data set whose tags are requested at a time
 NO_BODY = "body mesh"  # in the table of the recipe: why there is no body
 SETTLED, UNSETTLED = "settled", "all but settled"  # no outcome has the latter name
@@ -98,6 +104,10 @@ class Album(ABC):
     @abstractmethod
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Front of a garment, stored or rendered; without a drape its pattern. Raises ``GcdError`` for damage."""
+        raise NotImplementedError
 
     def links(self, position: int) -> dict[str, Any]:
         """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
@@ -176,6 +186,9 @@ class ShardAlbum(Album):
     def page(self, position: int, side: int = 0) -> str:
         return page_of(content_of(self._reader.sample(position)))
 
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._reader.sample(position), size)
+
     def facets(self) -> Facets:
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
         settled = int(self._settled.sum())
@@ -231,11 +244,10 @@ class ShardAlbum(Album):
 
 
 class SpecAlbum(Album):
-    """Specification files; with ``truth``, each beside the file of the same name there."""
+    """Specification files; with ``truth``, each beside the true pattern of the same name."""
 
-    def __init__(self, paths: Sequence[Path], title: str, truth: Path | None = None) -> None:
-        self.title, self._paths = title, list(paths)
-        self._truth = {} if truth is None else _by_key(truth)
+    def __init__(self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None) -> None:
+        self.title, self._paths, self._truth = title, list(paths), truth or {}
         self.beside = ("",) if truth is None else ("predicted", "true")
 
     def __len__(self) -> int:
@@ -245,13 +257,15 @@ class SpecAlbum(Album):
         return _key(self._paths[position])
 
     def page(self, position: int, side: int = 0) -> str:
-        path = self._path(position, side)
-        pattern = read_pattern(path)
+        pattern = self._pattern(position, side)
         try:
             return page_of(content_of(pattern))
         except Exception:  # predictions are shown unchecked; one that cannot be drawn breaks a rule
-            require_valid(pattern, source=str(path))
+            require_valid(pattern, source=str(self._paths[position]) if not side else "")
             raise
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(require_valid(read_pattern(self._paths[position])), size)
 
     def links(self, position: int) -> dict[str, Any]:
         """Numbers of matched panels, with their intersection over union, and of right seams: predicted, then true.
@@ -260,16 +274,35 @@ class SpecAlbum(Album):
         """
         if len(self.beside) < 2:
             return super().links(position)
-        predicted, true = (read_pattern(self._path(position, side)) for side in (0, 1))
+        predicted, true = (self._pattern(position, side) for side in (0, 1))
         return _links(predicted, true)
 
-    def _path(self, position: int, side: int) -> Path:
+    def scores(self) -> Iterator[str]:
+        """Lines of text: names without a counterpart, the score of each prediction, and the means."""
+        from gcd_dataset.metrics import mean_scores, score_pattern
+
+        keys, scores = [_key(path) for path in self._paths], []
+        for missing, names, others in (("true pattern", keys, self._truth), ("prediction", self._truth, set(keys))):
+            if lacking := [shown(name) for name in names if name not in others]:
+                more = ["…"] * (len(lacking) > MOST_NAMES)
+                yield f"{len(lacking)} without a {missing}: {', '.join(lacking[:MOST_NAMES] + more)}"
+        for position, key in enumerate(keys):
+            if key in self._truth:
+                try:
+                    scores.append(score_pattern(self._pattern(position, 0), self._pattern(position, 1)))
+                    yield f"{key}: {_score_text(scores[-1])}"
+                except GcdError as error:
+                    yield f"{key}: no score: {error}"
+        if scores:
+            yield f"mean of {len(scores)}: {_score_text(mean_scores(scores))}"
+
+    def _pattern(self, position: int, side: int) -> Pattern:
         path = self._paths[position]
         if not side:
-            return path
+            return read_pattern(path)
         if _key(path) not in self._truth:
-            raise ConfigError(f"{path}: no file of this name in the folder of the truth")
-        return self._truth[_key(path)]
+            raise ConfigError(f"{path}: no true pattern of this name")
+        return self._truth[_key(path)]()
 
     def position_of(self, text: str) -> int:
         keys = _positions(tuple(map(_key, self._paths)))
@@ -293,6 +326,9 @@ class PublishedAlbum(Album):
 
     def page(self, position: int, side: int = 0) -> str:
         return page_of(published_content(self._published, position))
+
+    def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _front(self._published.sample(position), size)
 
     def facets(self) -> Facets:
         return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
@@ -330,28 +366,50 @@ def published_content(published: "PublishedGarmentCodeData", position: int) -> C
     return replace(content, tables={**content.tables, "Recipe": recipe})
 
 
-def spec_album(source: Path, truth: Path | None = None) -> SpecAlbum:
-    """A specification file, or all of a folder.
+def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlbum:
+    """A specification file, or all of a folder; ``truth``: the same, or a data set, with true patterns.
 
     Raises ``ConfigError`` for a folder without any, and ``SpecError`` for a single file that is invalid.
     """
-    paths = [source] if source.is_file() else list(_by_key(source).values())
+    paths = list(_by_key(source).values())
     if not paths:
         raise ConfigError(f"{source}: no specification file (.json): give a data set or a folder of specifications")
-    if truth is not None and not truth.is_dir():
-        raise ConfigError(f"--truth {truth}: not a folder: give the folder of the true specification files")
-    if truth is not None and not _by_key(truth):
-        raise ConfigError(f"--truth {truth}: no specification file (.json): give the folder of the true ones")
     if source.is_file():
         read_pattern(source)
-    return SpecAlbum(paths, str(source), truth)
+    if isinstance(truth, ShardReader):
+        return SpecAlbum(paths, str(source), _patterns_of(truth))
+    true = None if truth is None else {key: partial(read_pattern, path) for key, path in _by_key(truth).items()}
+    if true == {}:
+        raise ConfigError(f"--truth {truth}: no specification file (.json): give true ones, or a data set")
+    return SpecAlbum(paths, str(source), true)
+
+
+def _patterns_of(reader: ShardReader) -> dict[str, Source]:
+    """The patterns of a data set by their names, which for generated garments are the keys."""
+    keys = [reader.index.key(row) for row in reader.rows(range(len(reader))).tolist()]
+    if reader.sample(0).pattern.name != keys[0]:
+        keys = [reader.sample(position).pattern.name for position in range(len(keys))]
+    return {key: partial(lambda i: reader.sample(i).pattern, position) for position, key in enumerate(keys)}
+
+
+def _front(garment: Sample | Pattern, size: int) -> UInt8[np.ndarray, "h w 3"]:
+    if isinstance(garment, Pattern):
+        return draw_pattern(garment, size=size)
+    if garment.front:
+        return picture_of(garment.front, size)
+    mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
+    if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
+        return draw_pattern(garment.pattern, size=size)
+    from gcd_dataset.generator.render import render_garment
+
+    return render_garment(drape.vertices, mesh, body, size=size)[0]
 
 
 def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:
-    from gcd_dataset.metrics.matching import match_panels, matched_edges
+    from gcd_dataset.metrics import match_panels, matched_edges, score_pattern
 
     try:
-        pairs = match_panels(predicted, true)
+        pairs, score = match_panels(predicted, true), _score_text(score_pattern(predicted, true))
     except PatternError:  # a true panel without a closed outline: there are no scores either
         return {"panels": [], "seams": []}
     numbers = [{panel.name: i for i, panel in enumerate(pattern.panels)} for pattern in (predicted, true)]
@@ -362,19 +420,30 @@ def _links(predicted: Pattern, true: Pattern) -> dict[str, Any]:
     seam_of: dict[frozenset[EdgeRef | None], int]
     seam_of = {frozenset((seam.left, seam.right)): number for number, seam in enumerate(true.seams)}
     matched = (seam_of.get(frozenset((edges.get(seam.left), edges.get(seam.right)))) for seam in predicted.seams)
-    return {"panels": panels, "seams": [[i, j] for i, j in enumerate(matched) if j is not None]}
+    return {"panels": panels, "seams": [[i, j] for i, j in enumerate(matched) if j is not None], "score": score}
+
+
+def _score_text(score: "PatternScore") -> str:
+    return ", ".join(f"{name} {getattr(score, name):.3f}" for name in FIGURES)
 
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _by_key(folder: Path) -> dict[str, Path]:
-    return {_key(path): path for path in sorted(folder.glob("*.json"))}
+def _by_key(source: Path) -> dict[str, Path]:
+    """Name to specification file: a file, those of a folder, or if it has none those at any depth."""
+    found: dict[str, Path] = {}
+    paths = sorted(source.glob("*.json")) or sorted(source.rglob("*specification.json"))
+    for path in [source] if source.is_file() else paths:
+        if found.setdefault(_key(path), path) != path:
+            raise ConfigError(f"{path}: {found[_key(path)]} is named after the same garment: leave one of them")
+    return found
 
 
 def _key(path: Path) -> str:
-    return path.stem.removesuffix(SUFFIX) if path.suffix in (".json", "") else path.name
+    """The garment that a file, true or predicted, is named after."""
+    return PREDICTED.sub("", pattern_name(path) if path.suffix in (".json", "") else path.name)
 
 
 @lru_cache(KEPT_MATCHES)

@@ -13,7 +13,7 @@ from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
 
-__all__ = ["Content", "Rows", "content_of", "crossing_vertices"]
+__all__ = ["Content", "Rows", "body_of", "content_of", "crossing_vertices"]
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
@@ -73,7 +73,7 @@ def crossing_vertices(
 
 def _of_sample(sample: Sample, body: Body | None) -> Content:
     mesh, drape = sample.box_mesh, sample.drape
-    body = body or _body_of(sample)
+    body = body or body_of(sample)
     is_finite = drape is not None and bool(np.isfinite(drape.vertices).all())
     return Content(
         title=sample.key,
@@ -97,7 +97,8 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
     )
 
 
-def _body_of(sample: Sample) -> Body | None:
+def body_of(sample: Sample) -> Body | None:
+    """The body of the sample's shape weights; ``None`` without weights of this package's body model."""
     from gcd_dataset.generator.body import build_body
 
     try:

@@ -1,7 +1,7 @@
 """Designing by hand: parameters of a design and measures of its wearer as controls, and the resulting pattern."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from gcd_dataset.errors import BodyError, ConfigError, PatternError
 from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, check_outfit, design_from_dict
 from gcd_dataset.generator.garments.design_file import design_tree
 from gcd_dataset.generator.garments.parameter import Integer, Real, plain
-from gcd_dataset.generator.garments.space import leaves
+from gcd_dataset.generator.garments.space import DesignSpace, leaves, value_at
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 from gcd_dataset.records import Body, Pattern
 from gcd_dataset.viewer.content import Content, crossing_vertices
@@ -56,10 +56,8 @@ class Drawing:
 
 def controls(design: OutfitDesign | None = None) -> list[Control]:
     """A control for each design parameter, in the order of design files."""
-    from gcd_dataset.generator.garments import design_to_dict
-
-    values = _leaf_values(design_to_dict(design or OutfitDesign()))
-    return [_control(leaf.path, leaf.space, values) for leaf in leaves(OutfitDesign, added=True)]
+    design, space = design or OutfitDesign(), DesignSpace.declared(OutfitDesign)
+    return [_control(*leaf, plain(value_at(space, design, leaf.path))) for leaf in leaves(space, added=True)]
 
 
 def measure_controls(size: Measurements) -> list[Control]:
@@ -73,14 +71,19 @@ def measure_controls(size: Measurements) -> list[Control]:
 
 
 class Desk:
-    """Draws designs for a wearer whose measures may be changed."""
+    """Draws designs for a wearer whose measures may be changed.
 
-    def __init__(self, design: OutfitDesign | None = None) -> None:
+    ``wearer(legs_apart)`` returns body and measures, by default of the neutral body.
+    """
+
+    def __init__(
+        self, design: OutfitDesign | None = None, wearer: Callable[[bool], tuple[Body, Measurements]] | None = None
+    ) -> None:
         from gcd_dataset.generator.body import named_body
 
         self.start = design or design_from_dict(DRESS)
-        self._body, self.size, _ = named_body("neutral", legs_apart=False)
-        self._apart = named_body("neutral", legs_apart=True)[0]
+        wearer = wearer or (lambda legs_apart: named_body("neutral", legs_apart=legs_apart)[:2])
+        (self._body, self.size), (self._apart, _) = wearer(False), wearer(True)
 
     def draw(self, values: Mapping[str, Any], measures: Mapping[str, Any]) -> Drawing:
         """The pattern of the parameters and measures, by path. Raises ``ConfigError`` for values out of range."""
@@ -144,7 +147,7 @@ class Desk:
         return replace(self.size, **changed)
 
     def _wearer(self, measures: Mapping[str, Any], *, legs_apart: bool) -> Body:
-        """The body: the neutral one, or for other measures the likeliest one with these."""
+        """The body: the wearer's own, or for other measures the likeliest one with these."""
         own = measure_controls(self.size)
         if all(abs(float(measures.get(one.path, one.value)) - one.value) < 0.05 for one in own):
             return self._apart if legs_apart else self._body
@@ -157,20 +160,9 @@ class Desk:
         return build_body(replace(shape, legs_apart=legs_apart), name="designed")
 
 
-def _control(path: str, space: Any, values: Mapping[str, Any]) -> Control:
-    value = values.get(path, plain(space.default))
+def _control(path: str, space: Any, value: Any) -> Control:
     if isinstance(space, Integer | Real):
         kind = "whole" if isinstance(space, Integer) else "number"
         return Control(path, kind, value, float(space.low), float(space.high))
     options = tuple(space.range)
     return Control(path, "flag" if set(options) == {True, False} else "choice", value, options=options)
-
-
-def _leaf_values(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            found |= _leaf_values(value, f"{prefix}{name}.")
-        else:
-            found[prefix + name] = value
-    return found

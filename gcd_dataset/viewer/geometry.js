@@ -98,6 +98,22 @@ function normalsOf(positions, faces, out, vertexOf, sums) {
   }
 }
 
+/** Average normals with those of neighbours, across seams: else the triangles of coarse cloth show as saw teeth. */
+function smoothNormals(normals, faces, vertexOf, sums) {
+  sums.fill(0);
+  for (let f = 0; f < faces.length; f += 3) {
+    for (let k = 0; k < 3; k++) {
+      const sum = normals[3 * faces[f] + k] + normals[3 * faces[f + 1] + k] + normals[3 * faces[f + 2] + k];
+      for (let c = f; c < f + 3; c++) sums[3 * vertexOf[faces[c]] + k] += sum;
+    }
+  }
+  for (let i = 0; i < vertexOf.length; i++) {
+    const [x, y, z] = sums.subarray(3 * vertexOf[i], 3 * vertexOf[i] + 3);
+    const length = Math.hypot(x, y, z) || 1;
+    normals.set([x / length, y / length, z / length], 3 * i);
+  }
+}
+
 function boundsOf(positions) {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];

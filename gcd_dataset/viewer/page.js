@@ -128,6 +128,7 @@ function redraw() {
   pending = requestAnimationFrame(() => {
     pending = 0;
     picture.draw();
+    showScale($("view-scale"), picture.pixelsPerCm());
   });
 }
 
@@ -232,6 +233,7 @@ function prepareSheet(svg) {
     box = next;
     svg.setAttribute("viewBox", box.join(" "));
     svg.classList.toggle("close", svg.getScreenCTM().a > PIXELS_FOR_NUMBERS);
+    showScale($("pattern-scale"), svg.getScreenCTM().a);
   };
   const zoomAt = (event, factor) => {
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
@@ -334,8 +336,8 @@ function zoom(factor) {
 }
 
 function pan(dx, dy) {
-  const { right, up, distance, slope } = picture.camera();
-  const perPixel = (2 * slope * distance) / picture.canvas.clientHeight;
+  const { right, up } = picture.camera();
+  const perPixel = 1 / picture.pixelsPerCm();
   state.pan = add(state.pan, add(scaled(right, -dx * perPixel), scaled(up, dy * perPixel)));
   changed();
 }
@@ -444,6 +446,8 @@ function prepareScheme() {
 
 async function start() {
   document.documentElement.classList.toggle("framed", window.parent !== window);
+  $("facts").open = matchMedia("(min-width: 1200px)").matches;
+  addEventListener("beforeprint", () => ($("facts").open = true));
   preparePattern();
   $("parts").addEventListener("change", (event) => {
     const [kind, number] = event.target.value.split(":");

@@ -26,7 +26,7 @@ from gcd_dataset.viewer.markup import asset, inline_svg, picture, script_data, t
 
 __all__ = ["page_of"]
 
-SCRIPTS = ("geometry.js", "garment.js", "picture.js", "page.js")
+SCRIPTS = ("geometry.js", "scale.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
 COMPRESSION = 6  # of zlib: level 9 takes three times as long and saves 0.3 %
 KEPT_MESHES = 2  # bodies' faces, packed

@@ -25,7 +25,7 @@ const SURFACE = [
   void main() {
     vec3 toEye = normalize(eye - where);
     vec3 m = normalize(n) * (gl_FrontFacing ? 1.0 : -1.0);
-    if (dot(m, toEye) < -0.2) m = -m;
+    m -= 2.0 * min(dot(m, toEye), 0.0) * toEye; // normals of coarse cloth may point away: a jump would show its faces
     float sky = 0.5 + 0.5 * m.y;
     float light = 0.45 + 0.20 * sky + 0.44 * max(dot(m, key), 0.0) + 0.10 * max(dot(m, toEye), 0.0);
     float rim = pow(1.0 - max(dot(m, toEye), 0.0), 3.0);
@@ -209,6 +209,12 @@ class Picture {
     const view = new Float32Array(16);
     rows.forEach((row, r) => row.forEach((value, c) => (view[4 * c + r] = value)));
     return { eye, back, right, up, view, slope, aspect, distance };
+  }
+
+  /** Pixels of the page that a centimetre takes at the middle of the garment. */
+  pixelsPerCm() {
+    const { distance, slope } = this.camera();
+    return this.canvas.clientHeight / (2 * slope * distance);
   }
 
   resize() {

@@ -1,12 +1,16 @@
 """The interactive viewer: a web server on this machine whose pages turn over garments, or design one by hand.
 
 Each garment is shown by its self-contained page (``page``), in a frame below a bar to move and filter. Only this
-machine can reach the server, unless another address is given.
+machine can reach the server, unless another address is given, and only with the token in the printed address, which
+its pages send as a cookie: other users of the machine do not have it.
 """
 
+import atexit
 import contextlib
 import json
+import secrets
 import sys
+import tempfile
 import threading
 import webbrowser
 from collections import OrderedDict
@@ -17,6 +21,7 @@ from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from os import environ
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -35,6 +40,7 @@ LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
 LONGEST_WAIT = 1.0  # s that the reading of tags, and the end, wait for pages
 HOST = "127.0.0.1"
+REFUSAL = "no token: open the address that gcd show printed, and allow its cookie"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'"
@@ -227,15 +233,16 @@ def serve(
 ) -> None:
     """Serve until interrupted; ``port`` 0 takes a free one. Raises ``ConfigError`` for a port in use.
 
-    ``show``: called with the address; by default prints it, and opens a browser where there is a display. ``started``:
-    called with the server, to shut it down from another thread.
+    ``show``: called with the address, which holds the token; by default prints it, and opens a browser where there is a
+    display. ``started``: called with the server, to shut it down from another thread.
     """
+    token = secrets.token_urlsafe()
     try:
-        server = _Server((host, port), _handler(site, host))
+        server = _Server((host, port), _handler(site, host, token))
     except OSError as error:
         site.close()
         raise ConfigError(f"--port {port}: {error.strerror}: give another port, or none") from error
-    (show or _announce)(f"http://{host}:{server.server_port}/")
+    (show or _announce)(f"http://{host}:{server.server_port}/?token={token}")
     if started is not None:
         started(server)
     try:
@@ -247,8 +254,11 @@ def serve(
 
 def _announce(address: str) -> None:
     print(f"{address}  (Ctrl-C ends)", flush=True)
-    if has_display():
-        webbrowser.open(address)
+    if has_display():  # by a private file: other users see the arguments of the browser's process
+        with tempfile.NamedTemporaryFile("w", prefix="gcd_show_", suffix=".html", delete=False) as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={address}">')
+        atexit.register(Path(file.name).unlink, missing_ok=True)
+        webbrowser.open(Path(file.name).as_uri())
 
 
 def has_display() -> bool:
@@ -268,17 +278,17 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
+def _handler(site: Gallery | Design, host: str, token: str) -> type[BaseHTTPRequestHandler]:
+    name = f"gcd_{secrets.token_hex(4)}"  # its own: browsers share the cookies of all ports of a machine
+
     class Handler(BaseHTTPRequestHandler):
         """Passes requests on; errors become answers, so that a page can show them."""
 
         def do_GET(self) -> None:
-            url = urlsplit(self.path)
-            query = {name: values[-1] for name, values in parse_qs(url.query).items()}
-            self._answer(lambda: site.get(url.path, query))
+            self._answer(site.get)
 
         def do_POST(self) -> None:
-            self._answer(lambda: site.post(urlsplit(self.path).path, self._given()))
+            self._answer(lambda path, _: site.post(path, self._given()))
 
         def log_message(self, *args: Any) -> None:
             """Requests are not printed."""
@@ -299,15 +309,20 @@ def _handler(site: Gallery | Design, host: str) -> type[BaseHTTPRequestHandler]:
                 raise ConfigError("give a JSON object as application/json")
             return given
 
-        def _answer(self, made: Callable[[], Answer]) -> None:
-            if not _is_own(self.headers.get("Host", ""), host):  # a foreign page whose name resolves to this machine
-                status, kind, content = _failed(HTTPStatus.FORBIDDEN, "open the printed address")
-            else:
-                try:
-                    status, kind, content = made()
-                except Exception as error:  # noqa: BLE001  the page shows it, the server goes on
-                    status, kind, content = _failed(*_fault(error))
+        def _answer(self, made: Callable[[str, dict[str, str]], Answer]) -> None:
+            url = urlsplit(self.path)
+            query = {key: values[-1] for key, values in parse_qs(url.query).items()}
+            given = [f"{name}={query.pop('token', '')}", *self.headers.get("Cookie", "").split("; ")]
+            has_token = any(secrets.compare_digest(one.encode(), f"{name}={token}".encode()) for one in given)
+            # Else another user, or a foreign page whose name resolves to this machine.
+            is_own = has_token and _is_own(self.headers.get("Host", ""), host)
+            try:
+                status, kind, content = made(url.path, query) if is_own else _failed(HTTPStatus.FORBIDDEN, REFUSAL)
+            except Exception as error:  # noqa: BLE001 -- the page shows it, the server goes on
+                status, kind, content = _failed(*_fault(error))
             self.send_response(status)
+            if is_own:
+                self.send_header("Set-Cookie", f"{name}={token}; Path=/; HttpOnly; SameSite=Strict")
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
@@ -340,6 +355,7 @@ def _json(value: Mapping[str, Any]) -> Answer:
 
 def _html(name: str, title: str, given: Mapping[str, Any], status: HTTPStatus = HTTPStatus.OK) -> Answer:
     styled = asset(name).replace("{{policy}}", POLICY, 1).replace("{{style}}", asset("frame.css"), 1)
+    styled = styled.replace("{{scale}}", asset("scale.js"), 1)
     head, _, tail = styled.partition("{{data}}")
     return status, HTML, f"{head.replace('{{title}}', escape(title))}{script_data(given)}{tail}".encode()
 

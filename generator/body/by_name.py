@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gcd_dataset.bodyfiles import read_measurements
+from gcd_dataset.bodyfiles import read_measurements, require_same_body
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.measuring import measure
@@ -24,21 +24,25 @@ def named_body(
     measurements: Path | str | None = None,
     segmentation: Path | str | None = None,
     legs_apart: bool = False,
+    height: float | None = None,
 ) -> tuple[Body, Measurements, BodyShape | None]:
     """A body, its measures, and its shape, or ``None`` for a mesh file.
 
-    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), to which ``legs_apart`` does
-    not apply. Measures are taken with the legs straight, as in GarmentCode. Raises ``BodyError``.
+    ``name_or_path`` is a name (see ``shape_by_name``), or a mesh file (see ``read_body``), whose scale ``height`` [cm]
+    gives, and to which ``legs_apart`` does not apply. Measures are taken with the legs straight, as in GarmentCode.
+    Raises ``BodyError``, and ``ConfigError`` for a ``height`` that no adult has.
     """
     shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:
-        return *read_body(name_or_path, measurements, segmentation), None
-    if segmentation is not None:
-        raise BodyError(f"{name_or_path}: a named body has known parts: leave the segmentation out")
-    body = build_body(shape, name=str(name_or_path))
-    if measurements is not None:
-        return body, read_measurements(measurements), shape
-    return body, measure(build_body(replace(shape, legs_apart=False))), shape
+        return *read_body(name_or_path, measurements, segmentation, height=height), None
+    if segmentation is not None or height is not None:
+        raise BodyError(f"{name_or_path}: a named body has known parts and height: leave segmentation and height out")
+    body, size = build_body(shape, name=str(name_or_path)), measure(build_body(replace(shape, legs_apart=False)))
+    if measurements is None:
+        return body, size, shape
+    other = read_measurements(measurements)
+    require_same_body(other, size, measurements, name_or_path)
+    return body, other, shape
 
 
 def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:

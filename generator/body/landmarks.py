@@ -67,14 +67,14 @@ def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> d
 
 
 class _Transform(Protocol):
-    """A map from the mesh file's coordinates [cm] to the measured body's."""
+    """A map from the mesh file's coordinates to the measured body's [cm]."""
 
     def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]: ...
 
 
 @dataclass(frozen=True, eq=False)
 class GivenLandmarks(Record):
-    """Landmarks given by a user, in the mesh file's coordinates [cm]."""
+    """Landmarks given by a user, in the mesh file's coordinates."""
 
     points: Mapping[str, Float[np.ndarray, "3"]]
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
@@ -87,11 +87,8 @@ class GivenLandmarks(Record):
         return replace(found.with_points(points).with_rings(rings), confidence={**found.confidence, **certain})
 
 
-def read_landmarks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> GivenLandmarks:
-    """The landmarks in a JSON file, in cm; ``unit`` is the unit of the file and of ``vertices`` [cm].
-
-    Raises ``BodyError`` with the file and the invalid entry.
-    """
+def read_landmarks(path: Path, vertices: Float[np.ndarray, "v 3"]) -> GivenLandmarks:
+    """The landmarks in a JSON file; ``vertices``: the mesh. Raises ``BodyError`` with the file and the bad entry."""
     table = read_json(path, "map from landmarks to vertex ids or positions", error=BodyError)
     if not isinstance(table, dict):
         raise BodyError(f"{path}: a {type(table).__name__}: give a map from landmarks to vertex ids or positions")
@@ -100,8 +97,8 @@ def read_landmarks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) 
         if name not in known.points and name not in known.rings:
             names = ", ".join([*known.points, *known.rings])
             raise BodyError(f"{path}: no landmark is called {shown(name[:40])}: there are {names}")
-    points = {name: _position(path, name, at, vertices) * unit for name, at in table.items() if name in known.points}
-    rings = {name: _ring(path, name, at, vertices) * unit for name, at in table.items() if name in known.rings}
+    points = {name: _position(path, name, at, vertices) for name, at in table.items() if name in known.points}
+    rings = {name: _ring(path, name, at, vertices) for name, at in table.items() if name in known.rings}
     return GivenLandmarks(points, rings)
 
 

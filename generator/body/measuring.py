@@ -20,14 +20,16 @@ from gcd_dataset.generator.body.mesh_checks import (
     require_skin,
     underbust_uncertainty,
 )
-from gcd_dataset.generator.body.register import Registration, register, registration_at
-from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.register import Registration, registration_at
+from gcd_dataset.generator.body.scan import Scan, kept_mesh
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import MeasureResult, measure_at, model_sites, sites_of
-from gcd_dataset.generator.body.upright import StandingTransform, UprightScan, find_upright
+from gcd_dataset.generator.body.upright import UprightScan, find_upright, unit_of
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["FoundBody", "find_body", "measure", "measure_closely", "measure_model_mesh"]
+
+SAME_VERTICES = 5.0  # cm: median distance of a model mesh's vertices from those of the registered model, if the same
 
 
 def measure(body: Body) -> Measurements:
@@ -36,7 +38,7 @@ def measure(body: Body) -> Measurements:
 
 
 def measure_closely(body: Body) -> MeasureResult:
-    """The measures of a body, with the level of each girth; see ``MeasureResult``."""
+    """The measures of a body, with the level of each girth; one with the model's mesh must be upright, facing +z."""
     vertices = np.asarray(body.vertices, float)
     model_faces = body_model().faces
     if body.faces is model_faces or np.array_equal(body.faces, model_faces):
@@ -70,20 +72,16 @@ class FoundBody(Record):
     """In the coordinates of the upright mesh, soles at y = 0 [cm]."""
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` of each vertex of the input mesh; loose pieces are internal."""
-    transform: StandingTransform
-    """From the input to a body that stands upright on y = 0 and faces +z."""
+    upright: UprightScan
+    """The skin of the mesh, upright [cm]."""
     misfit: float
     """Mean distance of the registered body model from the skin, scaled to the model's height [cm]."""
     arm_turn: float
     """Rotation of the arms to the A-pose before measuring [rad]; 0 if they were near it."""
-    holes: Float[np.ndarray, " h"]
-    """Distance across each hole in the skin [cm]."""
     underbust_error: float
     """Possible error of the underbust, from the uncertainty of its level [cm]."""
-    mean_edge: float
-    """Mean length of the mesh's edges [cm]."""
-    sagitta: float
-    """Mean depth of the triangles under a smooth skin [cm]."""
+    by_vertex: bool
+    """Whether the mesh is the body model's, so that landmarks and parts are known by vertex."""
 
 
 def find_body(
@@ -93,20 +91,33 @@ def find_body(
     *,
     given: GivenLandmarks | None = None,
     parts: UInt8[np.ndarray, " v"] | None = None,
+    in_cm: bool = True,
+    height: float | None = None,
 ) -> FoundBody:
-    """Find landmarks and parts of a mesh [cm] and measure it; ``given`` landmarks and ``parts`` override found ones.
+    """Find landmarks and parts of a mesh and measure it; ``given`` landmarks and ``parts`` override found ones.
 
-    The mesh may have holes away from the tapes, and faces wound either way. Arms in another pose are moved to the
-    A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError`` if no body is found, or if a
-    measure could not be trusted.
+    The mesh may have holes away from the tapes, faces wound either way, and other objects that are not connected to the
+    body. Without ``in_cm`` its unit follows from the height, ``height`` [cm] or an adult's: see ``unit_of``. Arms in
+    another pose are moved to the A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError``
+    if no body is found, or if a measure could not be trusted.
     """
-    upright = find_upright(Scan.of(vertices, faces, name), name)
-    scan, scale, shift = upright.scan, upright.scale, upright.shift
-    registration = register(upright.surface, upright.alignment)
+    upright, registration = find_upright(Scan.of(vertices, faces, name), name)
+    if not in_cm:
+        upright = upright.in_cm(unit_of(float(np.ptp(upright.scan.vertices[:, 1])), name, height))
+    scan, scale, shift, misfit = upright.scan, upright.scale, upright.shift, registration.alignment.misfit
     require_body_alone(scan, upright.surface, registration, name)
+    skin = ~(scan.loose | scan.outside)
+    known = None if given is not None else _model_vertices(*kept_mesh(vertices, faces, skin), upright, registration)
+    if known is not None:
+        result, marks = measure_model_mesh(known), model_landmarks(known)
+        if parts is None:
+            parts = np.full(len(vertices), BodyPart.INTERNAL.value, np.uint8)
+            parts[skin] = body_model().parts
+        arm_turn = turn_off_a_pose(result.measurements.arm_pose_angle)
+        return FoundBody(result, marks, parts, upright, misfit, arm_turn, underbust_error=0.0, by_vertex=True)
     labels = find_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
-        labels[scan.source] = parts
+        labels[scan.source[skin]] = parts[skin]
     posed = _InAPose.of(upright, registration)
     try:
         marks = find_landmarks(posed.scan, posed.surface, posed.registration, scale, shift)
@@ -126,14 +137,23 @@ def find_body(
         result=posed.result_in_pose(result, marks),
         marks=posed.marks_in_pose(marks),
         parts=found_parts if parts is None else parts,
-        transform=upright.transform,
-        misfit=registration.alignment.misfit,
+        upright=upright,
+        misfit=misfit,
         arm_turn=posed.turn,
-        holes=scan.holes,
-        underbust_error=underbust_uncertainty(posed.scan, sites, result, registration.alignment.misfit),
-        mean_edge=scan.mean_edge,
-        sagitta=scan.sagitta,
+        underbust_error=underbust_uncertainty(posed.scan, sites, result, misfit),
+        by_vertex=False,
     )
+
+
+def _model_vertices(
+    vertices: np.ndarray, faces: np.ndarray, upright: UprightScan, registration: Registration
+) -> Float[np.ndarray, "m 3"] | None:
+    """The upright vertices [cm] of a body with the model's mesh; ``None`` for another mesh, or a mirrored body."""
+    if not np.array_equal(faces, body_model().faces):
+        return None
+    standing = upright.transform.apply(vertices)
+    off = np.linalg.norm(standing * upright.scale + upright.shift - registration.vertices, axis=1)
+    return standing if np.median(off) < SAME_VERTICES else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,21 @@
 """Bodies from mesh files: read, set upright, and measured unless the measures are given."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.bodyfiles import read_body_parts, read_measurements
+from gcd_dataset.bodyfiles import read_body_parts, read_measurements, require_same_body
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.arms import turn_off_a_pose
-from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.closing import ClosedSkin
 from gcd_dataset.generator.body.landmarks import read_landmarks
-from gcd_dataset.generator.body.measuring import FoundBody, find_body, measure_model_mesh
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
+from gcd_dataset.generator.body.scan import kept_mesh
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
 from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.measurements import MEASURE
@@ -25,7 +25,6 @@ __all__ = ["measure_file", "read_body"]
 
 log = logging.getLogger(__name__)
 
-ADULT = (120.0, 230.0)  # cm; outside this range of heights the unit may be wrong, such as inches
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
 SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; usually 0.99
 ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")
@@ -38,93 +37,113 @@ ANGLE_ERROR = 1.0  # degrees for each centimetre of edge length, for the slope o
 UNSURE = 0.5  # confidence below which a landmark is reported
 
 
-@dataclass(frozen=True, eq=False)
-class _MeshFile(Record):
-    """The mesh of a file in its own coordinates."""
-
-    path: Path
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    unit: float
-    """Length of the file's unit [cm]."""
-
-    @property
-    def is_upright_model_mesh(self) -> bool:
-        """Whether it is a body with the model's mesh, upright and facing +z."""
-        if not np.array_equal(self.faces, body_model().faces):
-            return False
-        at = {name: self.vertices[vertex] for name, vertex in landmark_table().points.items()}
-        tall = np.ptp(self.vertices, axis=0)[1]
-        return bool(
-            at["nape_of_neck"][1] - at["crotch_point"][1] > 0.25 * tall
-            and at["shoulder_left"][0] - at["shoulder_right"][0] > 0.1 * tall
-            and at["bust_left"][2] > at["nape_of_neck"][2]
-        )
-
-
 def read_body(
     mesh: Path | str,
     measurements: Path | str | None = None,
     segmentation: Path | str | None = None,
     given: Path | str | None = None,
+    *,
+    height: float | None = None,
 ) -> tuple[Body, Measurements]:
     """The body in a mesh file and its measures.
 
-    The mesh is in metres, centimetres or millimetres. Its vertices keep their order; the centres of closed holes (see
-    ``closing.WIDEST_HOLE``) follow. Without ``measurements`` (YAML) or ``segmentation`` (JSON: part name to vertex
-    ids), the body is found in the mesh, turned upright to face +z, and measured. ``given`` (JSON, see ``landmarks``)
-    overrides the landmarks at which measures are taken. Raises ``BodyError`` with the file and a remedy, also for
-    ``given`` beside ``measurements``.
+    The body is found in the mesh, turned upright to face +z, and measured. Its ``height`` [cm] gives the unit; without
+    it the mesh must be in metres, centimetres or millimetres. The vertices keep their order; unused ones, and other
+    objects that are not connected to the body, are left out, and the centres of closed holes (see
+    ``closing.WIDEST_HOLE``) follow. ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids)
+    override what is found; measures far from those of the mesh are reported. ``given`` (JSON, see ``landmarks``)
+    overrides the landmarks at which measures are taken.
+
+    Raises ``BodyError`` with the file and a remedy, also for ``given`` beside ``measurements``, and for a height that
+    no adult has; ``ConfigError`` for such a ``height``.
     """
     if given is not None and measurements is not None:
         raise BodyError(
             f"{given}: landmarks have no effect beside the measures of {measurements}: leave one of them out"
         )
-    file = _read_mesh(Path(mesh))
-    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(file.vertices), file.path)
-    if measurements is not None and parts is not None:
-        unit_of(float(np.ptp(file.vertices[:, 1])), f"{file.path}: along y")
-        return _closed(file, stand(file.vertices * file.unit), parts), read_measurements(measurements)
-    if given is None and file.is_upright_model_mesh:
-        vertices = stand(file.vertices * file.unit)
-        result, found_parts = measure_model_mesh(vertices), body_model().parts
+    file = _MeshFile.read(Path(mesh), segmentation)
+    size = None if measurements is None else read_measurements(measurements)
+    try:
+        found = _find_body(file, given, height)
+    except BodyError as error:
+        if size is None or file.parts is None:
+            raise
+        log.warning("%s; taken as it stands, y up and facing +z, with the given measures and parts", error)
+        body, ours = _as_it_stands(file, file.parts, height)
     else:
-        found = _find_body(file, given, parts)
         for remark in _remarks(file, found):
             log.info("%s: %s", file.path, remark)
-        vertices, result, found_parts = found.transform.apply(file.vertices * file.unit), found.result, found.parts
-    body = _closed(file, vertices, found_parts if parts is None else parts)
-    return body, result.measurements if measurements is None else read_measurements(measurements)
+        body, ours = _upright_body(file, found), _sure_measures(found)
+        if size is None:
+            return body, found.result.measurements
+    require_same_body(size, ours, str(measurements), file.path)
+    return body, size
 
 
 def measure_file(
-    mesh: Path | str, given: Path | str | None = None, segmentation: Path | str | None = None
+    mesh: Path | str,
+    given: Path | str | None = None,
+    segmentation: Path | str | None = None,
+    *,
+    height: float | None = None,
 ) -> tuple[MeasureResult, list[str]]:
     """The measures of the body in a mesh file, and remarks on how they were found and on their accuracy.
 
-    The skin may have holes: see ``measuring.find_body``. Raises ``BodyError`` with the file and a remedy.
+    The skin may have holes: see ``measuring.find_body``; arguments and errors: see ``read_body``.
     """
-    file = _read_mesh(Path(mesh))
-    if file.is_upright_model_mesh and given is None and segmentation is None:
-        vertices = stand(file.vertices * file.unit)
-        result = measure_model_mesh(vertices)
-        return result, [
-            "mesh of the body model: landmarks known by vertex",
-            *_arm_remark(turn_off_a_pose(result.measurements.arm_pose_angle)),
-        ]
-    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(file.vertices), file.path)
-    found = _find_body(file, given, parts)
+    file = _MeshFile.read(Path(mesh), segmentation)
+    found = _find_body(file, given, height)
     return found.result, _remarks(file, found)
 
 
-def _find_body(file: _MeshFile, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> FoundBody:
-    marks = None if given is None else read_landmarks(Path(given), file.vertices, file.unit)
-    return find_body(file.vertices * file.unit, file.faces, str(file.path), given=marks, parts=parts)
+@dataclass(frozen=True, eq=False)
+class _MeshFile(Record):
+    """The mesh of a file in its own coordinates and unit."""
+
+    path: Path
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    parts: UInt8[np.ndarray, " v"] | None
+    """Of the segmentation file."""
+
+    @classmethod
+    def read(cls, path: Path, segmentation: Path | str | None) -> Self:
+        vertices, faces = read_mesh(path)
+        parts = None if segmentation is None else read_body_parts(Path(segmentation), len(vertices), path)
+        return cls(path, vertices, faces, parts)
 
 
-def _closed(file: _MeshFile, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndarray, " v"]) -> Body:
+def _find_body(file: _MeshFile, given: Path | str | None, height: float | None) -> FoundBody:
+    marks = None if given is None else read_landmarks(Path(given), file.vertices)
+    return find_body(
+        file.vertices, file.faces, str(file.path), given=marks, parts=file.parts, in_cm=False, height=height
+    )
+
+
+def _upright_body(file: _MeshFile, found: FoundBody) -> Body:
+    kept = ~found.upright.scan.outside
+    vertices, faces = kept_mesh(found.upright.transform.apply(file.vertices), file.faces, kept)
+    return _closed(file, vertices, faces, found.parts[kept])
+
+
+def _sure_measures(found: FoundBody) -> Measurements:
+    """The measures without those that are uncertain because the arms were moved."""
+    unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()
+    return replace(found.result.measurements, **dict.fromkeys(unsure, np.nan))
+
+
+def _as_it_stands(file: _MeshFile, parts: UInt8[np.ndarray, " v"], height: float | None) -> tuple[Body, Measurements]:
+    """The body in a mesh in which none is found, such as a dress form, and its height. Raises ``BodyError``."""
+    tall = float(np.ptp(file.vertices[:, 1]))
+    unit = unit_of(tall, str(file.path), height)
+    return _closed(file, stand(file.vertices * unit), file.faces, parts), Measurements(height=tall * unit)
+
+
+def _closed(
+    file: _MeshFile, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]
+) -> Body:
     """The body in an upright mesh [cm], with its skin closed. Raises ``BodyError``."""
-    skin = ClosedSkin.of(vertices, file.faces, parts, str(file.path))
+    skin = ClosedSkin.of(vertices, faces, parts, str(file.path))
     if skin.flipped:
         log.info("%s: some faces pointed inwards and were flipped", file.path)
     if len(skin.hole_widths):
@@ -140,14 +159,16 @@ def _closed(file: _MeshFile, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np
 
 def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
     """Remarks for the user, a line each: assumptions about the mesh, and doubts about measures."""
-    height = found.result.measurements.height
-    unit = next(name for name, factor in UNITS.items() if factor == file.unit)
-    remarks = [f"taken to be in {unit}, {height:.1f} cm tall"]
-    if not ADULT[0] < height < ADULT[1]:
-        remarks.append(f"doubtful: {height:.1f} cm is no adult's height: a doll, a giant, or another unit")
-    if found.transform.turned:
+    height, scan, transform = found.result.measurements.height, found.upright.scan, found.upright.transform
+    unit = next((name for name, factor in UNITS.items() if factor == transform.unit), None)
+    remarks = [f"taken to be in {unit}, {height:.1f} cm tall" if unit else f"scaled to {height:.1f} cm"]
+    if transform.turned:
         remarks.append("did not stand upright facing +z and was turned")
+    if others := int(scan.outside[file.faces].any(axis=1).sum()):
+        remarks.append(f"left out: {others} triangles not connected to the body, such as a floor")
     remarks += _arm_remark(found.arm_turn)
+    if found.by_vertex:
+        return [*remarks, "mesh of the body model: landmarks known by vertex"]
     if found.arm_turn:
         unsure = [name for name in ARM_LANDMARKS if found.marks.confidence[name] < SURE_SHOULDER]
         if unsure:
@@ -155,9 +176,9 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
                 f"doubtful: {', '.join(unsure)} were found with less confidence than arms in this pose require: check "
                 f"{', '.join(ARM_MEASURES)}, or scan with the arms 45° down"
             )
-    if len(found.holes):
+    if len(scan.holes):
         remarks.append(
-            f"{len(found.holes)} holes in the skin, up to {found.holes.max():.1f} cm across, bridged where a tape "
+            f"{len(scan.holes)} holes in the skin, up to {scan.holes.max():.1f} cm across, bridged where a tape "
             "crosses less than 3 cm of them"
         )
     remarks += _coarse_mesh_remark(found)
@@ -178,25 +199,16 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
 
 def _coarse_mesh_remark(found: FoundBody) -> list[str]:
     """Error bounds for a coarse mesh, as found on decimated bodies."""
-    girth = GIRTH_ERROR * found.sagitta
+    scan = found.upright.scan
+    girth = GIRTH_ERROR * scan.sagitta
     if girth < COARSE_ERROR * found.result.measurements.height / USUAL_HEIGHT:
         return []
     return [
-        f"doubtful: a coarse mesh, its edges {found.mean_edge:.1f} cm long on average: height and girths may be up to "
-        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * found.sagitta:.1f} cm, distances between landmarks "
-        f"{found.mean_edge:.1f} cm and {ANGLE_ERROR * found.mean_edge:.0f}°: give a finer mesh"
+        f"doubtful: a coarse mesh, its edges {scan.mean_edge:.1f} cm long on average: height and girths may be up to "
+        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * scan.sagitta:.1f} cm, distances between landmarks "
+        f"{scan.mean_edge:.1f} cm and {ANGLE_ERROR * scan.mean_edge:.0f}°: give a finer mesh"
     ]
 
 
 def _arm_remark(turn: float) -> list[str]:
     return [f"arms {np.degrees(turn):.0f}° off the A-pose, moved there to be measured"] if turn else []
-
-
-# ---------------------------------------------------------------------------------------------------------------- mesh
-
-
-def _read_mesh(path: Path) -> _MeshFile:
-    vertices, faces = read_mesh(path)
-    unit, factor = unit_of(float(np.ptp(vertices, axis=0).max()), str(path))
-    log.info("%s: taken to be in %s", path, unit)
-    return _MeshFile(path, vertices, faces, factor)

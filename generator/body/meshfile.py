@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from gcd_dataset.bodyfiles import obj_lines
 from gcd_dataset.errors import BodyError
 from gcd_dataset.files import read_whole
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.gltf import require_readable
+from gcd_dataset.generator.body.scan import is_convex
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -62,11 +64,9 @@ def read_mesh(path: Path) -> _Mesh:
 
 def _read_obj(content: bytes, path: Path) -> _Mesh:
     """Reads positions and faces only: trimesh renumbers vertices by texture seams, materials and groups."""
-    joined = re.sub(rb"\\\r?\n", b" ", content)
-    lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
-    plain = re.sub(rb"/\S*", b"", b"\n".join(lines))
-    if odd := re.search(rb"^f.*\s[+-]?0+(?!\S).*$", plain, re.MULTILINE):
-        raise ValueError(f"a face names vertex 0, but OBJ counts from 1: {odd[0][:60].decode(errors='replace')}")
+    plain = re.sub(rb"/\S*", b"", b"\n".join(obj_lines(content)))
+    if odd := re.search(rb"^f.*\s(-\d+|\+?0+)(?!\S)", plain, re.MULTILINE):
+        raise ValueError(f"a face names vertex {odd[1].decode()}, but OBJ counts from 1")
     return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
 
 
@@ -100,8 +100,8 @@ def _read_glb(content: bytes, path: Path) -> _Mesh:
     require_readable(content, path)
     scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
     meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # with transforms
-    areas = [mesh.area for mesh in meshes]
-    if len(meshes) > 1 and not max(areas) > MAIN_SHARE * sum(areas):
+    areas = [mesh.area for mesh in meshes if not is_convex(np.asarray(mesh.vertices))]  # leaves out a floor
+    if len(areas) > 1 and not max(areas) > MAIN_SHARE * sum(areas):
         names = ", ".join(ascii(name)[1:-1] for name in list(scene.geometry)[:9])
         raise BodyError(f"{path}: holds {len(meshes)} meshes ({names}), none of them clearly the body: export it alone")
     return _arrays(trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh())

@@ -7,18 +7,22 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.holes import Holes
 from gcd_dataset.generator.body.surface import subdivide_long_edges
 from gcd_dataset.records import Record
 
-__all__ = ["Scan", "coincident_vertices"]
+__all__ = ["Scan", "coincident_vertices", "is_convex", "kept_mesh"]
 
 MIN_FACES = 500  # fewer give girths off by more than a centimetre: see the benchmark case `measures`
 BODY_SHARE = 0.8  # share of the area above which the largest piece is taken for the body
+OBJECT_SHARE = 0.02  # share of the area above which a convex piece, such as a floor or a box, is left out of that share
+CONVEX = 0.02  # deepest vertex under the convex hull of a convex piece, as a fraction of its size; a body has over 0.05
+HULL_POINTS = 2000  # vertices of a piece whose hull is computed
 LONGEST_EDGE = 0.02  # fraction of the mesh's size; longer edges are halved: faces must be small against tape bands
+FLAT = 1e-16  # double area of a degenerate face, as a fraction of the square of the mesh's size
 WELD = 1e-5  # grid of coinciding positions, as a fraction of the mesh's size
 
 
@@ -27,7 +31,7 @@ class Scan(Record):
     """A closed skin made from any mesh, with its patches over holes marked."""
 
     vertices: Float[np.ndarray, "v 3"]
-    """[cm]; centres of patches and midpoints of divided edges come last."""
+    """Centres of patches and midpoints of divided edges come last."""
     faces: Int[np.ndarray, "f 3"]
     patched: Bool[np.ndarray, " f"]
     """Whether each face is part of a patch."""
@@ -35,6 +39,8 @@ class Scan(Record):
     """The vertex of the skin for each vertex of the input mesh."""
     loose: Bool[np.ndarray, " u"]
     """Whether each vertex of the input mesh belongs to a dropped piece, such as an eye."""
+    outside: Bool[np.ndarray, " u"]
+    """Whether it is unused, or belongs to a dropped piece beyond the body's bounding box, such as a floor."""
     holes: Float[np.ndarray, " h"]
     """Distance across each patched hole [unit of the input]."""
     mean_edge: float
@@ -59,7 +65,8 @@ class Scan(Record):
             raise BodyError(
                 f"{name}: {len(faces)} triangles with an area, a body needs at least {MIN_FACES}: give a finer mesh"
             )
-        welded, faces, source, loose = _largest_piece(welded, faces, source)
+        welded, faces, source, loose, beyond = _largest_piece(welded, faces, source)
+        unused = ~np.isin(np.arange(len(vertices)), used)
         holes = Holes.of(welded, faces)
         patched = np.concatenate([faces, holes.patches(len(welded))])
         longest = LONGEST_EDGE * float(np.ptp(welded, axis=0).max())
@@ -69,7 +76,8 @@ class Scan(Record):
             pieces,
             owners >= len(faces),
             source,
-            loose & np.isin(np.arange(len(vertices)), used),
+            loose & ~unused,
+            beyond | unused,
             holes.widths,
             *_coarseness(welded, faces),
         )
@@ -84,6 +92,13 @@ def coincident_vertices(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray
     return same
 
 
+def kept_mesh(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], kept: Bool[np.ndarray, " v"]
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"]]:
+    """The mesh of some of the vertices, in their order."""
+    return vertices[kept], (np.cumsum(kept) - 1)[faces[kept[faces].all(axis=1)]]
+
+
 def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Used vertices without duplicates, and for each input vertex its row in them; 0 for unused vertices."""
     same = coincident_vertices(vertices, used)
@@ -95,28 +110,44 @@ def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _has_area(vertices: np.ndarray, faces: np.ndarray) -> Bool[np.ndarray, " f"]:
     a, b, c = vertices[faces].transpose(1, 0, 2)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > FLAT * np.ptp(vertices, axis=0).max() ** 2
 
 
 def _largest_piece(
     vertices: np.ndarray, faces: np.ndarray, source: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The mesh without loose pieces (eyes, scraps); all of it if no piece is clearly the body.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh without loose pieces (eyes, scraps, a floor); all of it if no piece is clearly the body.
 
-    Returns vertices, faces, ``source`` with dropped vertices mapped to their nearest remaining one, and whether each
-    input vertex was dropped.
+    Returns vertices, faces, ``source`` with dropped vertices mapped to their nearest remaining one, and for each input
+    vertex whether it was dropped, and whether its piece reaches beyond the bounding box of the rest.
     """
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices), len(vertices)))
     piece = connected_components(graph, directed=False)[1]
     a, b, c = vertices[faces].transpose(1, 0, 2)
     areas = np.bincount(piece[faces[:, 0]], np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=piece.max() + 1)
+    for large in np.flatnonzero(areas > OBJECT_SHARE * areas.sum()):
+        if is_convex(vertices[piece == large]):
+            areas[large] = 0.0
     largest = int(areas.argmax())
     kept = (piece == largest) if areas[largest] > BODY_SHARE * areas.sum() else np.isin(piece, piece[faces[:, 0]])
+    low, high = vertices[kept].min(axis=0), vertices[kept].max(axis=0)
+    beyond = np.bincount(piece, ((vertices < low) | (vertices > high)).any(axis=1))[piece] > 0
     number = np.full(len(vertices), -1)
     number[kept] = np.arange(kept.sum())
     number[~kept] = cKDTree(vertices[kept]).query(vertices[~kept])[1]
-    return vertices[kept], number[faces[kept[faces[:, 0]]]], number[source], ~kept[source]
+    return vertices[kept], number[faces[kept[faces[:, 0]]]], number[source], ~kept[source], beyond[source]
+
+
+def is_convex(points: Float[np.ndarray, "v 3"]) -> bool:
+    """Whether the vertices of a piece lie about on their convex hull: a floor, a box, an eyeball, but no body."""
+    points = points[:: 1 + len(points) // HULL_POINTS]
+    try:
+        hull = ConvexHull(points)
+    except QhullError:  # flat
+        return True
+    depth = -(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+    return bool(depth.max() < CONVEX * np.ptp(points, axis=0).max())
 
 
 def _coarseness(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:

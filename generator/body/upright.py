@@ -8,20 +8,30 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.register import Alignment, coarse_alignment, model_height, quick_alignment
+from gcd_dataset.bodyfiles import OTHER_UNITS
+from gcd_dataset.errors import BodyError, ConfigError
+from gcd_dataset.generator.body.register import (
+    Alignment,
+    Registration,
+    coarse_alignment,
+    model_height,
+    quick_alignment,
+    register,
+)
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.measurements import ADULT, is_adult_height
 from gcd_dataset.records import Record
 
-__all__ = ["StandingTransform", "UprightScan", "find_upright", "unit_of"]
+__all__ = ["UNITS", "StandingTransform", "UprightScan", "find_upright", "unit_of"]
 
-SHORTEST, TALLEST = 30.0, 300.0  # cm; heights accepted in deciding the unit
 UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
 MAX_MISFIT = 1.0  # cm; of an upright body in a coarse fit; drawn bodies have 0.2 to 0.6
 MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is larger by this factor
 SHORTLIST = 6  # orientations refined after the quick fits
-MAX_LEAN = np.radians(4.0)  # a body that leans or looks aside by less stays as it is
+COARSE_LEAN = np.radians(4.0)  # error of a coarse fit's rotation
+SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is
+POSTURE = np.radians(6.0)  # per cm of misfit, further lean forwards or backwards that stays: the posture may differ
 
 _AXES = [np.eye(3)[list(order)] for order in itertools.permutations(range(3))]
 _SIGNS = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
@@ -32,11 +42,13 @@ BACK_TO_FRONT = np.diag([-1.0, 1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class StandingTransform(Record):
-    """From a mesh's coordinates to upright ones [cm]: ``turn · point``, then down to y = 0."""
+    """From a mesh's coordinates to upright ones [cm]: ``turn · point``, down to y = 0, times ``unit``."""
 
     turn: Float[np.ndarray, "3 3"]
     floor: float
-    """Height of the lowest vertex before the shift to y = 0 [cm]."""
+    """Height of the lowest vertex before the shift to y = 0 [unit of the mesh]."""
+    unit: float = 1.0
+    """Length of the mesh's unit [cm]."""
 
     @classmethod
     def standing(cls, vertices: Float[np.ndarray, "v 3"], turn: Float[np.ndarray, "3 3"]) -> Self:
@@ -49,8 +61,8 @@ class StandingTransform(Record):
         return not np.allclose(self.turn, np.eye(3))
 
     def apply(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Transform points of the mesh [cm]."""
-        return points @ self.turn.T - [0.0, self.floor, 0.0]
+        """Transform points of the mesh."""
+        return (points @ self.turn.T - [0.0, self.floor, 0.0]) * self.unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +70,7 @@ class UprightScan(Record):
     """A scan in upright orientation, with the body model coarsely aligned to it."""
 
     scan: Scan
-    """In upright coordinates [cm]."""
+    """In upright coordinates."""
     transform: StandingTransform
     """From the input to upright coordinates."""
     surface: SkinSurface
@@ -67,38 +79,71 @@ class UprightScan(Record):
     shift: Float[np.ndarray, "3"]
     alignment: Alignment
 
+    def in_cm(self, unit: float) -> "UprightScan":
+        """The scan in centimetres; ``unit``: the length of the mesh's unit [cm]."""
+        lengths = ("vertices", "holes", "mean_edge", "sagitta")
+        scan = replace(self.scan, **{name: getattr(self.scan, name) * unit for name in lengths})
+        return replace(self, scan=scan, transform=replace(self.transform, unit=unit), scale=self.scale / unit)
 
-def unit_of(extent: float, name: str) -> tuple[str, float]:
-    """The unit in which ``extent`` is a person's height, and the unit's length [cm]. Raises ``BodyError`` for none.
 
-    >>> unit_of(1.72, "scan.obj")
-    ('metres', 100.0)
+def unit_of(tall: float, name: str, height: float | None = None) -> float:
+    """The length of the unit [cm] in which a body is ``tall``: it gives an adult's height, or ``height`` [cm] if given.
+
+    Raises ``BodyError`` if ``tall`` is no adult's height in any of ``UNITS``, ``ConfigError`` if ``height`` is none.
+
+    >>> unit_of(1.72, "scan.obj"), unit_of(0.5, "scan.obj", height=170.0)
+    (100.0, 340.0)
     """
-    for unit, factor in UNITS.items():
-        if SHORTEST < extent * factor < TALLEST:
-            return unit, factor
-    raise BodyError(f"{name}: {extent:.4g} tall, no person's height in {', '.join(UNITS)}: turn y up, scale it to cm")
+    if height is not None:
+        if not is_adult_height(height):
+            raise ConfigError(f"height {height:g}: no adult's: give it in centimetres, {ADULT[0]:g} to {ADULT[1]:g}")
+        if tall > 0:
+            return height / tall
+    for unit in UNITS.values():
+        if is_adult_height(tall * unit):
+            return unit
+    guesses = [f" ({tall * cm:.1f} cm if in {unit})" for unit, cm in OTHER_UNITS.items() if is_adult_height(tall * cm)]
+    raise BodyError(
+        f"{name}: {tall:.4g} tall, no adult's height in {', '.join(UNITS)}{''.join(guesses[:1])}: give the height of "
+        "the body with --height CM (Python: height=)"
+    )
 
 
-def find_upright(scan: Scan, name: str) -> UprightScan:
-    """The scan upright and facing +z, turned if necessary. Raises ``BodyError`` if it holds no body."""
-    turn = np.eye(3)
-    found, backward = _try(scan, turn), _try(scan, BACK_TO_FRONT)
+def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
+    """The scan upright and facing +z, turned if necessary, in its own unit; and the body model registered to it.
+
+    Raises ``BodyError`` if it holds no body.
+    """
+    found = _nearest_quarter_turn(scan)
+    if leans := np.linalg.norm(found.alignment.pose[3:6]) > COARSE_LEAN:
+        found = _try(scan, found.alignment.turn.T @ found.transform.turn)
+    if found.alignment.misfit > MAX_MISFIT:
+        raise BodyError(
+            f"{name}: no standing body is found: the nearest is {found.alignment.misfit:.1f} cm off on "
+            "average: give one whole body with bare arms and legs, standing along y and facing +z"
+        )
+    registration = register(found.surface, found.alignment)
+    if leans or not _is_upright(registration.alignment):
+        found = _try(scan, registration.alignment.turn.T @ found.transform.turn)
+        registration = register(found.surface, found.alignment)
+    return found, registration
+
+
+def _is_upright(alignment: Alignment) -> bool:
+    pitch, yaw, roll = np.abs(alignment.pose[3:6])
+    return bool(max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * alignment.misfit)
+
+
+def _nearest_quarter_turn(scan: Scan) -> UprightScan:
+    """The scan as it is, unless the model fits it clearly better after one of ``QUARTER_TURNS``."""
+    found, backward = _try(scan, np.eye(3)), _try(scan, BACK_TO_FRONT)
     if found.alignment.misfit > MAX_MISFIT or backward.alignment.misfit < found.alignment.misfit:
         quick = [_try(scan, quarter, quick_alignment).alignment.misfit for quarter in QUARTER_TURNS]
         shortlist = [QUARTER_TURNS[row] for row in np.argsort(quick, kind="stable")[:SHORTLIST]]
         candidates = [_try(scan, quarter) for quarter in shortlist]
         best = int(np.argmin([candidate.alignment.misfit for candidate in candidates]))
         if MIN_GAIN * candidates[best].alignment.misfit < found.alignment.misfit:
-            found, turn = candidates[best], shortlist[best]
-    if found.alignment.misfit > MAX_MISFIT:
-        raise BodyError(
-            f"{name}: no standing body is found: the nearest is {found.alignment.misfit:.1f} cm off on "
-            "average: give one whole body with bare arms and legs, standing along y and facing +z"
-        )
-    lean = found.alignment.turn
-    if np.arccos(np.clip((np.trace(lean) - 1) / 2, -1, 1)) > MAX_LEAN:
-        found = _try(scan, lean.T @ turn)
+            return candidates[best]
     return found
 
 

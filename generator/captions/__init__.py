@@ -33,7 +33,7 @@ def captions(
     """Level to caption, for a design drawn as ``pattern`` for a wearer.
 
     ``short``: at most twelve words; ``medium``: one or two sentences; ``full``: usually three. A longer caption states
-    all facts of a shorter one. ``seed``, ``index``: of the sample; they choose among wordings.
+    all facts of a shorter one, and more. ``seed``, ``index``: of the sample; they choose among wordings.
     """
     said = say(outfit_facts(size, design, pattern), rng(seed, index, Stage.CAPTION))
     return {level: entry.text for level, entry in said.items()}

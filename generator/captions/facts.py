@@ -103,13 +103,14 @@ def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
 
 def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     """The darts: seams between two edges of one panel."""
-    panels = [pattern.panel(seam.left.panel) for seam in pattern.seams if seam.left.panel == seam.right.panel]
-    bust = sum(panel.name == "right_ftorso" for panel in panels)
-    waist = [panel for panel in panels if part_of(panel) == "bottom"]
+    legs = [seam.left for seam in pattern.seams if seam.left.panel == seam.right.panel]
+    names = {pattern.panel(leg.panel).edges[leg.edge].name for leg in legs if leg.panel == "right_ftorso"}
+    waist = [panel for leg in legs if part_of(panel := pattern.panel(leg.panel)) == "bottom"]
+    bust, below = "side_dart.0" in names, "waist_dart.0" in names
     found = []
-    if bust:
-        words: Words = ("bust and waist darts", "darts at bust and waist") if bust > 1 else ("bust darts",)
-        found.append(Detail(Place.BODY, words))
+    if bust or below:
+        words: Words = ("bust and waist darts", "darts at bust and waist") if bust and below else ("bust darts",)
+        found.append(Detail(Place.BODY, words if bust else ("waist darts",)))
     if waist:
         in_front = any(panel.placement.translation[2] > 0 for panel in waist)
         words = ("waist darts", "darts at the waist") if in_front else ("darts at the back waist",)

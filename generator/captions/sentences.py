@@ -102,15 +102,14 @@ def _short(outfit: _Outfit) -> Said:
 
 
 def _medium(outfit: _Outfit) -> Said:
-    """The name with its parts, and the main details."""
+    """The name with its parts, and the main details; one more detail if the short caption states all these."""
     main = [detail.text for detail in outfit.details if detail.main]
+    if set(_short(outfit).facts) >= {*outfit.named, *outfit.parts, *main}:
+        main += [detail.text for detail in outfit.details if not detail.main][:1]
     facts = (*outfit.named, *outfit.parts, *main)
     if outfit.parts:
         first = f"{outfit.head()} with {joined(map(_noun_phrase, outfit.parts))}"
         return Said(_sentence(first, *([f"{outfit.it_has} {joined(main)}"] if main else [])), facts)
-    if not main:
-        secondary = tuple(detail.text for detail in outfit.details[:2])
-        return Said(_sentence(f"{outfit.head()} with {joined(secondary)}"), (*facts, *secondary))
     now, later = main[:MOST_LISTED], main[MOST_LISTED:]
     extra = [f"{outfit.it_has} {joined(later)} too"] if later else []
     return Said(_sentence(f"{outfit.head()} with {joined(now)}", *extra), facts)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, DrapeError
 from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
@@ -130,3 +130,20 @@ class DrapeJob:
                 f"DrapeJob: {len(self.start)} start positions for the {len(mesh.vertices)} vertices of {which}: give "
                 "sewing_start of that mesh, or None"
             )
+
+    def require_drapeable(self) -> None:
+        """Raise ``DrapeError`` for a mesh or body without faces, or with indices beyond its vertices."""
+        mesh, body = self.box_mesh, self.body
+        if not len(mesh.faces):
+            raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
+        if not len(body.faces) or not np.isfinite(body.vertices).all():
+            raise DrapeError(f"body {body.name} has no faces, or a vertex that is not a number: give a closed mesh")
+        for name, numbers, count in (
+            ("faces", mesh.faces, len(mesh.vertices)),
+            ("corners", mesh.corners, len(mesh.uv)),
+            ("uv_vertex", mesh.uv_vertex, len(mesh.vertices)),
+            *((f"label {label}", ids, len(mesh.vertices)) for label, ids in mesh.labels.items()),
+            ("faces of the body", body.faces, len(body.vertices)),
+        ):
+            if len(numbers) and not 0 <= numbers.min() <= numbers.max() < count:
+                raise DrapeError(f"{name}: numbers {numbers.min()} to {numbers.max()}, but there are {count} rows")

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
 import warp as wp
 
 from gcd_dataset.errors import DrapeError
@@ -12,7 +13,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import cores, resolve_device
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.queue import PreparedJob, drape_unordered
-from gcd_dataset.records import Drape
+from gcd_dataset.records import Drape, Outcome
 
 __all__ = ["batch_capacity", "drape_all", "drape_batch"]
 
@@ -30,8 +31,9 @@ def drape_batch(
 
     ``at_once``: garments in a GPU batch (default: 128, fewer if free memory is short), or threads that drape one
     garment each on a CPU (default: one for each core). A garment drapes to the same bytes alone and in any batch.
-    ``outcome`` tells whether the garment settled. Raises ``ConfigError`` for an unknown device, ``DrapeError`` for a
-    box mesh without faces.
+    ``outcome`` tells whether the garment settled. A job that cannot be draped, such as a mesh without faces, costs no
+    other: it is ``REFUSED``, with the ``reason`` and the box mesh's vertices. Raises ``ConfigError`` for an unknown
+    device.
     """
     return list(drape_all(jobs, config, device=device, at_once=at_once))
 
@@ -41,14 +43,24 @@ def drape_all(
 ) -> Iterator[Drape]:
     """``drape_batch`` for an iterable of any length: takes jobs as the batch has room, yields drapes in job order."""
     device = resolve_device(device)
-    checked = _checked(jobs, device)
-    if device == "cpu":
-        yield from _by_threads(checked, config, at_once or batch_capacity(device))
-        return
+    at_once = at_once or batch_capacity(device)
+    refused: dict[int, Drape] = {}
+    checked = _checked(jobs, device, refused)
+    drapes = _by_threads(checked, config, at_once) if device == "cpu" else _on_gpu(checked, config, device, at_once)
+    number = 0
+    for drape in drapes:
+        while number in refused:
+            yield refused.pop(number)
+            number += 1
+        yield drape
+        number += 1
+    yield from refused.values()
+
+
+def _on_gpu(jobs: Iterable[DrapeJob], config: DrapeConfig, device: str, at_once: int) -> Iterator[Drape]:
     finished: dict[int, Drape] = {}
     next_number = 0
-    at_once = at_once or batch_capacity(device)
-    for number, drape in drape_unordered(_prepared(checked, at_once), config, device=device, at_once=at_once):
+    for number, drape in drape_unordered(_prepared(jobs, at_once), config, device=device, at_once=at_once):
         finished[number] = drape
         while next_number in finished:
             yield finished.pop(next_number)
@@ -74,12 +86,19 @@ def capacity_for(free: float) -> int:
     return min(max(int(MEMORY_SHARE * free / GARMENT_BYTES), 1), AT_ONCE)
 
 
-def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
-    """The jobs, checked for faces. The first job loads the kernels in the calling thread, where Ctrl-C works."""
+def _checked(jobs: Iterable[DrapeJob], device: str, refused: dict[int, Drape]) -> Iterator[DrapeJob]:
+    """The jobs that can be draped; the drapes of the others go to ``refused``, by number.
+
+    The first job loads the kernels in the calling thread, where Ctrl-C works.
+    """
     for number, job in enumerate(jobs):
-        if len(job.box_mesh.faces) == 0:
-            raise DrapeError(f"garment {number} has no faces: build its box mesh from a pattern with panels")
-        if number == 0:
+        try:
+            job.require_drapeable()
+        except DrapeError as error:
+            vertices = np.array(job.box_mesh.vertices, np.float32)
+            refused[number] = Drape(vertices, Outcome.REFUSED, 0, 0, 0, np.nan, np.nan, reason=str(error))
+            continue
+        if number == len(refused):
             load_drape(device)
         yield job
 

@@ -25,6 +25,8 @@ SLIDING_DROP = 18.0  # cm below its hold at which an edge has slid off: about ar
 UNDER_HIPS = 4.0  # cm below the hips: the hips do not support a waistband that has slid further
 KNEES = 0.4  # share of the waist's height: a garment that started at hip height and ends here is off the body
 HIPS = 0.75  # share of the waist's height
+ASIDE = 5.0  # cm to either side of the middle: cloth that lies further out on both goes round both legs
+BURIED = 0.2  # share of the cloth below the floor
 TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
 COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
 
@@ -97,31 +99,36 @@ def find_keepers(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
     return np.zeros(0, int), 0.0
 
 
-def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether a garment, or a piece that is not sewn to the rest, has come off the body and not fallen to the floor.
+def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
+    """How a garment, or a piece that is not sewn to the rest, has come off the body without falling below the floor.
 
-    True if its neckline lies below the waist; or if a piece without a neckline and without keepers started at hip
-    height or above, as its panels are placed (``box_mesh``), and its top lies below the knees. A piece that is placed
-    lower, such as a sock, is not judged; neither is a body whose waist is unknown. Keepers: see ``find_keepers``.
+    A sentence if its neckline lies below the waist, or if the top of a piece without a neckline and without keepers
+    lies below the knees, and the piece started at hip height or above, or lies round both legs. A sock, which does
+    neither, is not judged; neither is a body whose waist is unknown. Keepers: see ``find_keepers``.
     """
     mesh, waist = job.box_mesh, job.measurements.waist_level
     if not np.isfinite(waist):
-        return False
+        return ""
     supported = find_keepers(job)[0]
     if _hangs_from_shoulders(job):
         supported = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
-        if vertices[supported, 1].mean() < waist:
-            return True
-    start, now = mesh.vertices[:, 1], vertices[:, 1]
-    if not ((start > HIPS * waist) & (now < KNEES * waist)).any():
-        return False
-    piece = _pieces(mesh)
+        armpit = job.measurements.height - job.measurements.head_l - job.measurements.armscye_depth
+        neckline = vertices[supported, 1]
+        if neckline.mean() < waist:
+            return f"its neckline lies at {neckline.mean():.0f} cm, below the waist at {waist:.0f} cm"
+        if neckline.max() < armpit:
+            return f"its neckline lies at {neckline.max():.0f} cm, below the armpits at {armpit:.0f} cm"
+    start, (x, now, _) = mesh.vertices[:, 1], vertices.T
+    if not (now < KNEES * waist).any():
+        return ""
+    piece, middle = _pieces(mesh), float(job.body.vertices[:, 0].mean())
     for number in np.setdiff1d(piece, piece[supported]):
         own = piece == number
-        top = own & (start >= np.quantile(start[own], TOP))
-        if start[own].max() > HIPS * waist and now[top].mean() < KNEES * waist:
-            return True
-    return False
+        top = now[own & (start >= np.quantile(start[own], TOP))].mean()
+        round_both = x[own].min() < middle - ASIDE and x[own].max() > middle + ASIDE
+        if top < KNEES * waist and (round_both or start[own].max() > HIPS * waist):
+            return f"its top lies at {top:.0f} cm, below the knees at {KNEES * waist:.0f} cm"
+    return ""
 
 
 def floor_height(job: DrapeJob) -> float:
@@ -129,12 +136,17 @@ def floor_height(job: DrapeJob) -> float:
     return min(0.0, float(job.body.vertices[:, 1].min()))
 
 
-def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether all vertices of the garment, or of a connected component of it, lie below the floor."""
-    low = vertices[:, 1] <= np.float32(floor_height(job))
-    if not low.any():
-        return False
-    return bool((np.bincount(_pieces(job.box_mesh), ~low) == 0).any())
+def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
+    """A sentence if all vertices of the garment or of a connected component lie below the floor, or many.
+
+    Many count if no part of the garment is as high as the hips: a train may have a third of its cloth below the floor.
+    """
+    low, top = vertices[:, 1] <= np.float32(floor_height(job)), float(vertices[:, 1].max())
+    buried = low.mean() > BURIED and top < HIPS * job.measurements.waist_level
+    if buried or (low.any() and (np.bincount(_pieces(job.box_mesh), ~low) == 0).any()):
+        lowest = float(vertices[:, 1].min())
+        return f"{low.mean():.0%} of the cloth lies below the floor; it hangs from {top:.0f} to {lowest:.0f} cm"
+    return ""
 
 
 def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:

@@ -53,30 +53,28 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             stretch_p99=float(p99),
             body_through=int(body_through[w]),
         )
-        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
-        drapes.append(replace(drape, outcome=outcome))
+        outcome, reason = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
+        drapes.append(replace(drape, outcome=outcome, reason=reason))
     return drapes
 
 
-def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
-    """The most serious failure that applies; ``SETTLED`` without any."""
+def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> tuple[Outcome, str]:
+    """The most serious failure that applies, ``SETTLED`` without any; and its ``Drape.reason``."""
     if status == DIVERGED or not np.isfinite(drape.vertices).all():
-        return Outcome.DIVERGED
+        return Outcome.DIVERGED, ""
     if overfull:
-        return Outcome.OVERFULL
-    if fell(job, drape.vertices):
-        return Outcome.FELL
-    if slid_off(job, drape.vertices) or off_body(job, drape.vertices):
-        return Outcome.SLID_OFF
-    if status != DONE:
-        return Outcome.NOT_SETTLED
-    if drape.body_crossings > config.max_body_crossings:
-        return Outcome.THROUGH_BODY
-    if drape.self_crossings > config.max_self_crossings:
-        return Outcome.THROUGH_ITSELF
-    if drape.stretch_p99 > config.max_stretch:
-        return Outcome.OVERSTRETCHED
-    return Outcome.SETTLED
+        return Outcome.OVERFULL, ""
+    if reason := fell(job, drape.vertices):
+        return Outcome.FELL, reason
+    if reason := slid_off(job, drape.vertices) or off_body(job, drape.vertices):
+        return Outcome.SLID_OFF, reason
+    failures = {
+        Outcome.NOT_SETTLED: status != DONE,
+        Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
+        Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,
+        Outcome.OVERSTRETCHED: drape.stretch_p99 > config.max_stretch,
+    }
+    return next((outcome for outcome, applies in failures.items() if applies), Outcome.SETTLED), ""
 
 
 def crosses(drape: Drape) -> bool:
@@ -110,7 +108,8 @@ def slid_worlds(solver: Solver, jobs: Mapping[int, DrapeJob]) -> set[int]:
     return {w for w in stopped if slid_off(jobs[w], x[first[w] : first[w + 1]])}
 
 
-def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether the mean height of the keepers is below the level at which the garment has slid off."""
+def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
+    """How the keepers have slid: a sentence if their mean height is below ``find_keepers``'s level; else empty."""
     ids, lowest = find_keepers(job)
-    return len(ids) > 0 and bool(vertices[ids, 1].mean() < lowest)
+    height = vertices[ids, 1].mean() if len(ids) else np.inf
+    return f"the edge that holds it lies at {height:.0f} cm, below {lowest:.0f} cm" if height < lowest else ""

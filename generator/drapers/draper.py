@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 from jaxtyping import UInt8
 
-from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.views import (
     RenderedView,
     ViewRequest,
@@ -104,6 +103,5 @@ def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedVi
 
 
 def require_faces(request: DrapeRequest) -> None:
-    """Raise ``DrapeError`` for a mesh without faces."""
-    if not len(request.job.box_mesh.faces):
-        raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
+    """Raise ``DrapeError`` for a mesh without faces, or other input that cannot be draped."""
+    request.job.require_drapeable()

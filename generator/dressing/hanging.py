@@ -17,12 +17,13 @@ from jaxtyping import Complex, Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.dressing.body_parts import describe_labels, trunk_part
-from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of, panel_outline
+from gcd_dataset.generator.dressing.frame import height_for
+from gcd_dataset.generator.dressing.openings import edge_points, middle_of, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
-from gcd_dataset.spec import is_bodice, role_by_name
+from gcd_dataset.spec import role_by_name
 
-__all__ = ["hang_from_lay_plan", "height_for"]
+__all__ = ["hang_from_lay_plan"]
 
 ON_SEAM = 9  # points of a seam, for aligning its two sides
 CLOSED = 12.0  # cm: a seam closes if the mean distance between its sides on the table is smaller
@@ -32,9 +33,6 @@ GAP = 8.0  # cm between the body and the panels before and behind it
 OVER = 0.2  # share of the smaller panel: two panels of a layer that overlap by more are hung one outside the other
 STEP = 5.0  # cm between panels hung one outside the other
 ARMHOLE = 4.0  # cm from the armpit down to the centre of an armhole, as GarmentCode hangs bodices
-UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
-PAIRED = 40  # largest number of openings compared in pairs, the longest; garments have up to ten
-UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
 SLEEVE_REACH = 0.8  # share of the trunk's half width: a sleeve's centroid lies further from the middle
 SLEEVE_DROP = 60.0  # cm, largest distance of a sleeve's centroid below the highest centroid
 
@@ -179,12 +177,12 @@ def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> 
 
     flat = placed(table)
     openings = openings_of(flat)
-    middle = _middle(openings)
+    middle = middle_of(openings)
     sleeves, armholes = _sleeves(flat, middle, wearer)
     if armholes:
         up = wearer.armpit - ARMHOLE - float(np.mean([centre[1] for centre in armholes.values()]))
     else:
-        up = height_for(openings, pattern, wearer)
+        up = height_for(flat, wearer)
     moved = {}
     for name, flat_panel in table.items():
         if name in sleeves:
@@ -196,23 +194,6 @@ def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> 
 
 def _labelled(panel: Panel, on_arm: bool, wearer: Wearer) -> Panel:
     return replace(panel, label=panel.label or (PanelRole.ARM if on_arm else trunk_part(panel, wearer)))
-
-
-def height_for(openings: Sequence[Opening], pattern: Pattern, wearer: Wearer) -> float:
-    """Vertical shift [cm] that brings the neckline to the nape, or the top edge to the armpits or the waist."""
-    if not openings:
-        heights = np.concatenate([panel.placement.apply(panel_outline(panel))[:, 1] for panel in pattern.panels])
-        return wearer.waist - float(heights.mean())
-    middle = _middle(openings)
-    if any(_is_armhole(o, openings, middle) for o in openings):
-        inner = [o for o in openings if abs(o.centre[0] - middle) < ASIDE] or list(openings)
-        return wearer.nape - UNDER_NAPE - max(float(o.high[1]) for o in inner)
-    return (wearer.armpit if _is_bodice(openings[0]) else wearer.waist) - float(openings[0].centre[1])
-
-
-def _is_bodice(top: Opening) -> bool:
-    """Whether the panels round the highest opening belong to a bodice, by name: a skirt may have the same shape."""
-    return all(is_bodice(ref.panel) for ref in top.edges)
 
 
 def _depths(table: Mapping[str, _FlatPanel]) -> dict[str, float]:
@@ -240,26 +221,6 @@ def _with_placement(flat_panel: _FlatPanel, depth: float, wearer: Wearer) -> Pan
     return replace(
         flat_panel.panel, placement=Placement(np.array([flat_panel.shift.real, flat_panel.shift.imag, z]), rotation)
     )
-
-
-def _middle(openings: Sequence[Opening]) -> float:
-    """The x [cm] of the approximate symmetry plane of the openings."""
-    if not openings:
-        return 0.0
-    if len(openings) > PAIRED:
-        openings = sorted(openings, key=lambda opening: -opening.length)[:PAIRED]
-    centres = np.array([o.centre[0] for o in openings])
-    kinds = np.array([[0.2 * o.length, 0.5 * o.centre[1]] for o in openings])
-    unlike = np.abs(kinds[:, None] - kinds).sum(axis=2)
-    tried = sorted({0.5 * (a + b) for a in centres.tolist() for b in centres.tolist()})
-    uneven = [(np.abs(centres[:, None] + centres - 2 * x) + unlike).min(axis=1, initial=UNPAIRED).sum() for x in tried]
-    return float(tried[int(np.argmin(uneven))])
-
-
-def _is_armhole(opening: Opening, openings: Sequence[Opening], middle: float) -> bool:
-    """Whether an arm goes through an opening: its centre is off the middle, and another opening lies below it."""
-    below = [o for o in openings if o.centre[1] < opening.centre[1] - ASIDE]
-    return abs(opening.centre[0] - middle) > ASIDE and bool(below)
 
 
 def _sleeves(flat: Pattern, middle: float, wearer: Wearer) -> tuple[dict[str, float], dict[float, np.ndarray]]:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of, panel_outline
+from gcd_dataset.generator.dressing.frame import placed_outline
+from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -94,7 +95,7 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
         line = edge_points(pattern.panel(ref.panel), ref.edge)
         if pattern.panel(ref.panel).label != PanelRole.BODY or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue
-        side = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
+        side = _side(line[:, 0]) or _side(placed_outline(pattern.panel(ref.panel))[:, 0])
         if side:
             found[ref] = COLLARS[int(side > 0)]
     return found
@@ -108,11 +109,7 @@ def _side(x: Float[np.ndarray, " n"]) -> float:
 
 def _is_over_neck(panel: Panel, wearer: Wearer) -> bool:
     """Whether a panel is a hood or a collar: most of it lies above the nape."""
-    return bool(np.median(_points(panel)[:, 1]) > wearer.nape)
-
-
-def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
-    return panel.placement.apply(panel_outline(panel))
+    return bool(np.median(placed_outline(panel)[:, 1]) > wearer.nape)
 
 
 def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:

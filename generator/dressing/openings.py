@@ -1,6 +1,6 @@
 """Openings of the sewn garment: closed chains of edges without a seam."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +9,12 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["ASIDE", "Opening", "edge_points", "openings_of", "panel_outline"]
+__all__ = ["ASIDE", "Opening", "edge_points", "middle_of", "openings_of", "panel_outline"]
 
 ASIDE = 8.0  # cm from the middle to the centre of an opening: openings further out belong to an arm or a leg
 POINTS = 9  # sample points of an edge
+PAIRED = 40  # largest number of openings compared in pairs, the longest; garments have up to ten
+UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,20 @@ def openings_of(pattern: Pattern) -> tuple[Opening, ...]:
     """All openings, the highest first."""
     found = [_opening(pattern, chain) for chain in _chains(pattern)]
     return tuple(sorted(found, key=lambda opening: (-opening.centre[1], opening.edges[0].panel, opening.edges[0].edge)))
+
+
+def middle_of(openings: Sequence[Opening]) -> float:
+    """The x [cm] of the approximate symmetry plane of the openings."""
+    if not openings:
+        return 0.0
+    if len(openings) > PAIRED:
+        openings = sorted(openings, key=lambda opening: -opening.length)[:PAIRED]
+    centres = np.array([o.centre[0] for o in openings])
+    kinds = np.array([[0.2 * o.length, 0.5 * o.centre[1]] for o in openings])
+    unlike = np.abs(kinds[:, None] - kinds).sum(axis=2)
+    tried = sorted({0.5 * (a + b) for a in centres.tolist() for b in centres.tolist()})
+    uneven = [(np.abs(centres[:, None] + centres - 2 * x) + unlike).min(axis=1, initial=UNPAIRED).sum() for x in tried]
+    return float(tried[int(np.argmin(uneven))])
 
 
 def edge_points(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarray, "n 3"]:

@@ -7,10 +7,11 @@ import shapely
 from jaxtyping import Float
 
 from gcd_dataset.generator.body.inside import InsideTest
-from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan, height_for
-from gcd_dataset.generator.dressing.openings import openings_of, panel_outline
+from gcd_dataset.generator.dressing.frame import in_body_frame, moved, placed_outline
+from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
+from gcd_dataset.generator.dressing.openings import panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
-from gcd_dataset.records import BodyPart, Panel, Pattern, Placement
+from gcd_dataset.records import BodyPart, Panel, Pattern
 
 __all__ = ["place_panels"]
 
@@ -31,31 +32,17 @@ def place_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
     if len(pattern.panels) > 1 and _lie_in_one_plane(pattern):
         pattern, assumed = hang_from_lay_plan(pattern, wearer)
     else:
-        pattern, assumed = _at_body_height(pattern, wearer)
-    pattern, moved = _out_of_body(pattern, wearer)
-    return pattern, assumed + moved
+        pattern, assumed = in_body_frame(pattern, wearer)
+    pattern, out = _out_of_body(pattern, wearer)
+    return pattern, assumed + out
 
 
 def _lie_in_one_plane(pattern: Pattern) -> bool:
     """Whether all panels lie in one plane, as on a lay plan, rather than round a body."""
-    points = np.concatenate([_placed_outline(panel) for panel in pattern.panels])
+    points = np.concatenate([placed_outline(panel) for panel in pattern.panels])
     centred = points - points.mean(axis=0)
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
     return bool(np.abs(centred @ normal).max() < LEVEL)
-
-
-def _at_body_height(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
-    """The garment moved down if it hangs over the head, up if it hangs under the floor."""
-    heights = np.concatenate([_placed_outline(panel) for panel in pattern.panels])[:, 1]
-    top, low = float(wearer.body.vertices[:, 1].max()), float(heights.min())
-    if low < top and heights.max() > 0:
-        return pattern, ()
-    by = height_for(openings_of(pattern), pattern, wearer)
-    side = "over the head" if low >= top else "under the floor"
-    moved = tuple(_moved(panel, np.array([0.0, by, 0.0])) for panel in pattern.panels)
-    return replace(pattern, panels=moved), (
-        f"the garment hung {side}: moved {abs(by):.0f} cm {'down' if by < 0 else 'up'}, by its openings",
-    )
 
 
 def _out_of_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -69,7 +56,7 @@ def _out_of_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
             steps = np.arange(1.0, FURTHEST)
             by = next((s for s in steps if not inside(points + s * outward).any()), FURTHEST) + FURTHER
             sentences.append(f"panel {panel.name} hung {share:.0%} inside the body: moved out by {by:.0f} cm")
-        panels.append(_moved(panel, by * outward) if by else panel)
+        panels.append(moved(panel, by * outward) if by else panel)
     return replace(pattern, panels=tuple(panels)), tuple(sentences)
 
 
@@ -79,13 +66,9 @@ def _outward(panel: Panel, wearer: Wearer) -> Float[np.ndarray, "3"]:
     sign = 1.0 if shapely.LinearRing(flat).is_ccw else -1.0
     outward = sign * panel.placement.matrix[:, 2] * [1.0, 0.0, 1.0]
     if np.linalg.norm(outward) < 0.5:
-        outward = (_placed_outline(panel).mean(axis=0) - wearer.limbs[BodyPart.TRUNK].origin) * [1.0, 0.0, 1.0]
+        outward = (placed_outline(panel).mean(axis=0) - wearer.limbs[BodyPart.TRUNK].origin) * [1.0, 0.0, 1.0]
     length = float(np.linalg.norm(outward))
     return outward / length if length > 0 else np.array([0.0, 0.0, 1.0])
-
-
-def _placed_outline(panel: Panel) -> Float[np.ndarray, "n 3"]:
-    return panel.placement.apply(panel_outline(panel))
 
 
 def _sample_points(panel: Panel) -> Float[np.ndarray, "n 3"]:
@@ -96,7 +79,3 @@ def _sample_points(panel: Panel) -> Float[np.ndarray, "n 3"]:
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     within = shapely.contains_xy(shapely.Polygon(flat), grid[:, 0], grid[:, 1])
     return panel.placement.apply(np.concatenate([flat, grid[within]]))
-
-
-def _moved(panel: Panel, by: Float[np.ndarray, "3"]) -> Panel:
-    return replace(panel, placement=Placement(panel.placement.translation + by, panel.placement.rotation))

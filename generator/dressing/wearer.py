@@ -16,6 +16,7 @@ class Wearer:
     nape: float
     armpit: float
     waist: float
+    hips: float
     crotch: float
     limbs: Mapping[BodyPart, Limb]
     body: Body
@@ -29,6 +30,7 @@ def wearer_of(body: Body, size: Measurements) -> Wearer:
         nape=nape,
         armpit=nape - size.armscye_depth,
         waist=size.waist_level,
+        hips=size.waist_level - size.hips_line,
         crotch=size.waist_level - size.hips_line - size.crotch_hip_diff,
         limbs=limbs_of(body),
         body=body,

@@ -15,14 +15,13 @@ that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks 
 """
 
 from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design_file import design_from_dict, design_to_dict, read_design
 from gcd_dataset.generator.garments.kind import Kind
 from gcd_dataset.generator.garments.outfit import outfit
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
 from gcd_dataset.generator.garments.sampling import (
     attempted_design,
-    design_from_dict,
-    design_to_dict,
     drafted_design,
     sample_design,
     sample_draft,
@@ -46,6 +45,7 @@ __all__ = [
     "drafted_design",
     "outfit",
     "outfit_tags",
+    "read_design",
     "sample_design",
     "sample_draft",
     "sample_kind",

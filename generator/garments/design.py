@@ -78,10 +78,11 @@ class OutfitDesign(Design):
 
     def mends(self) -> frozenset[Mend]:
         """The mends that may change the pattern of the outfit."""
+        own = {Mend.EXPORT_PIVOT} | ({Mend.WORN_LENGTH} if self.meta.wb and self.meta.bottom else set())
         worn: list[Garment[Any]] = [] if self.meta.upper is None else [self.meta.upper.garment]
         if self.meta.bottom is not None:
             worn += [self.meta.bottom.garment, *self.meta.bottom.garment.parts(self)]
-        return frozenset({Mend.EXPORT_PIVOT}.union(*(garment.mends for garment in worn)))
+        return frozenset(own.union(*(garment.mends for garment in worn)))
 
     def includes(self, name: str) -> bool:
         return name in self.sections_used()

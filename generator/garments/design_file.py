@@ -1,7 +1,10 @@
-"""Designs as GarmentCode's ``design_params.yaml``: a tree whose leaves hold a value ``v`` beside range and type."""
+"""Designs as nested values and as files: plain, or as GarmentCode's ``design_params.yaml``, whose leaves hold ``v``."""
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from pathlib import Path
+from reprlib import repr as short
 from typing import Any
 
 import yaml
@@ -10,28 +13,50 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Space, plain
-from gcd_dataset.generator.garments.space import DesignSpace, from_dict, to_dict
-from gcd_dataset.yamlfile import strict_yaml
+from gcd_dataset.generator.garments.space import DesignSpace, read_values, require_no_fault, to_dict, unknown_parameters
+from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.yamlfile import read_yaml
 
-__all__ = ["design_tree", "read_design", "write_design"]
+__all__ = ["design_from_dict", "design_to_dict", "design_tree", "read_design", "write_design"]
+
+log = logging.getLogger(__name__)
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-REMEDY = "give GarmentCode's design_params.yaml"
+MOST_UNKNOWN = 100  # names that are looked at: aliases of YAML can stand for more than any memory holds
+DEEPEST = 4  # points in the path of a parameter
+LISTED = 12  # ignored parameters in a message
 
 
 def read_design(path: Path | str) -> OutfitDesign:
-    """The design in a ``design_params.yaml``; parameters that the file omits keep their defaults.
-
-    Raises ``ConfigError`` with file and parameter path for a missing or broken file, an unknown parameter, or a value
-    outside its range.
-    """
-    content = _parsed(Path(path))
-    if not isinstance(content, Mapping) or not isinstance(content.get("design"), Mapping):
-        raise ConfigError(f"{path}: has no tree named design: {REMEDY}")
+    """The design in a YAML, JSON or TOML file: a tree as ``design_from_dict`` takes it. Raises ``ConfigError``."""
+    is_toml = Path(path).suffix.lower() == ".toml"
+    content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
+    sections = {entry.key for entry in DesignSpace.declared(OutfitDesign).entries}
+    if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
+        names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
+        raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
     try:
-        return from_dict(OutfitDesign, _values(DesignSpace.declared(OutfitDesign), content["design"], ""))
+        return _design(content, f"{path}: ")
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
+
+
+def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
+    """The design from nested plain values or from GarmentCode's tree, below ``design`` or not; others are defaults.
+
+    Logs and ignores parameters of another version of GarmentCode (the tree states their range or type) that change
+    nothing: false, zero, null, or of a section that the outfit does not use. Raises ``ConfigError`` with the paths of
+    all other unknown parameters and of all values outside their ranges.
+
+    >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
+    <Bottom.CIRCLE: 'SkirtCircle'>
+    """
+    return _design(values, "")
+
+
+def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
+    """The design as nested plain values, under GarmentCode's names."""
+    return to_dict(design)
 
 
 def write_design(design: OutfitDesign, path: Path | str) -> None:
@@ -44,37 +69,37 @@ def design_tree(design: OutfitDesign) -> dict[str, Any]:
     return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
 
 
-def _parsed(path: Path) -> Any:
-    try:
-        return strict_yaml(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): {REMEDY}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not valid UTF-8: {REMEDY}") from error
-    except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deep: {REMEDY}") from error
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise ConfigError(f"{path}: {position}{error.problem or error.context}: correct the YAML") from error
-    except (yaml.YAMLError, ValueError) as error:  # a character that YAML forbids; an impossible date
-        raise ConfigError(f"{path}: {' '.join(str(error).split())}: correct the YAML") from error
+def _design(values: Mapping[str, Any], source: str) -> OutfitDesign:
+    tree, space = values.get("design", values), DesignSpace.declared(OutfitDesign)
+    if not isinstance(tree, Mapping):
+        raise ConfigError(f"design is {short(tree)}, not a table of parameters")
+    design, faults = read_values(space, tree)
+    used = {entry.key for entry in space.entries if entry.name in design.sections_used()}
+    refused, ignored = [], []
+    unknown = list(islice(unknown_parameters(space, tree), MOST_UNKNOWN))
+    for one in unknown:
+        found = list(islice(_changes(one.path, one.node, used), MOST_UNKNOWN))
+        if MOST_UNKNOWN in (len(unknown), len(found)) or any(changes for _, changes in found):
+            refused.append(one.fault(space))
+        else:
+            ignored += [text for text, _ in found]
+    require_no_fault([*refused, *faults])
+    if ignored:
+        more = f" and {len(ignored) - LISTED} more" if len(ignored) > LISTED else ""
+        log.warning("%signored, as gcd_dataset lacks them: %s%s", source, ", ".join(ignored[:LISTED]), more)
+    return design
 
 
-def _values(space: DesignSpace[Any], tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """The tree with each leaf replaced by its value; entries that are not parameters stay unchanged."""
-    spaces = {entry.key: entry.space for entry in space.entries}
-    return {key: _value(spaces.get(key), node, f"{prefix}{key}") for key, node in tree.items()}
-
-
-def _value(space: Space | DesignSpace[Any] | None, node: Any, path: str) -> Any:
-    if space is None or not isinstance(node, Mapping):
-        return node
-    if isinstance(space, DesignSpace):
-        return _values(space, node, f"{path}.")
-    if "v" not in node:
-        raise ConfigError(f"{path} has no value: write it as v")
-    return node["v"]
+def _changes(path: str, node: Any, used: set[str]) -> Iterator[tuple[str, bool]]:
+    """The parameters below an unknown name, each with whether it may change the garment, or may be misspelt."""
+    if isinstance(node, Mapping) and "v" not in node and node and path.count(".") < DEEPEST:
+        for key, inner in node.items():
+            yield from _changes(f"{path}.{key}", inner, used)
+        return
+    value = node.get("v") if isinstance(node, Mapping) else node
+    is_foreign = isinstance(node, Mapping) and not node.keys().isdisjoint(("range", "type"))
+    is_neutral = value is None or value == 0 or path.partition(".")[0] not in used
+    yield f"{path[:60]} = {short(value)}", not (is_foreign and is_neutral)
 
 
 def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ class GatheredSkirtDesign(Design):
     """A skirt of trapezoids, gathered at the top."""
 
     length: float = real(0.2, -0.2, 0.95)
-    """Length below the hips, as a fraction of hips to floor."""
+    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     ruffle: float = real(1.3, 1.0, 2.0, keep=0.3)

@@ -67,7 +67,10 @@ class LevelsSkirtDesign(Design):
     level_ruffle: float = real(1.0, 1.0, 1.7)
     """Gathers at the top of a level: ratio of its top to the hem above."""
     length: float = real(0.5, 0.2, 0.95)
-    """Length of the whole skirt below the hips, as a fraction of hips to floor."""
+    """Depth of the lowest hem below the hips as worn, with or without a waistband, as a fraction of hips to floor.
+
+    Base and levels are at least 5 cm long: many short levels hang lower.
+    """
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Position of the top: 0 at the hips, 1 at the waist."""
     base_length_frac: float = real(0.5, 0.2, 0.8)

@@ -16,7 +16,9 @@ the seam of a hood. This package meets length and tangents exactly, and otherwis
 
 from enum import Enum
 
-__all__ = ["ALL_MENDS", "Mend"]
+from gcd_dataset.validate import NARROWEST_DART
+
+__all__ = ["ALL_MENDS", "Mend", "folds"]
 
 
 class Mend(Enum):
@@ -30,6 +32,15 @@ class Mend(Enum):
         "a level is as wide as the hem above times level_ruffle; GarmentCode interpolates between that width and the "
         "hips by the rise of the level's own section, and computes the base's length from levels-skirt.rise even where "
         "a fitted shirt overrides it"
+    )
+    WORN_LENGTH = (
+        "a bottom begins at the lower edge of its waistband, so that hips and hem hang where its length says; "
+        "GarmentCode lowers a band that would rise above the waist, but draws the bottom from its rise, so that it "
+        "hangs lower by up to the band's height"
+    )
+    FOLDED_DART = (
+        "a dart under half a centimetre is left out, and the side seam takes in its width; GarmentCode draws darts of "
+        "any width, down to tenths of a millimetre"
     )
     SLEEVE_START = (
         "sleeves start clear of the trunk, moved out along the arm; GarmentCode's sleeves start inside wide or "
@@ -50,3 +61,8 @@ class Mend(Enum):
 
 
 ALL_MENDS = frozenset(Mend)
+
+
+def folds(width: float, mends: frozenset[Mend]) -> bool:
+    """Whether a dart of this width [cm] is left out, and its width taken in at the side seam."""
+    return Mend.FOLDED_DART in mends and width < NARROWEST_DART

@@ -8,7 +8,7 @@ from math import fmod
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.waistband import waistband
+from gcd_dataset.generator.garments.waistband import band_rise, waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
@@ -46,12 +46,14 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
     return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
 
-def bottom_rise(design: OutfitDesign) -> float:
-    """Position of the bottom's top: 0 hips, 1 waist; 1 without a bottom or under an ``at_waist`` upper."""
+def bottom_rise(design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
+    """Position of the bottom's top: 0 hips, 1 waist.
+
+    1 without a bottom or under an ``at_waist`` upper; lower under a band that would rise above the waist.
+    """
     upper, bottom = design.meta.upper, design.meta.bottom
-    if bottom is None or (upper is not None and upper.garment.at_waist):
-        return 1.0
-    return bottom.garment.rise(design)
+    rise = 1.0 if bottom is None or (upper is not None and upper.garment.at_waist) else bottom.garment.rise(design)
+    return band_rise(design.waistband, rise) if design.meta.wb and Mend.WORN_LENGTH in mends else rise
 
 
 @lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
@@ -65,7 +67,8 @@ def upper(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> C
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
     """The bottom of a design with a bottom; offers the ring ``top``."""
     assert design.meta.bottom is not None
-    return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
+    drawn = design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design, mends), mends=mends)
+    return drawn.labelled(PanelRole.LEG)
 
 
 @lru_cache(maxsize=8)  # sampling draws them to find tight rings, then the outfit and its rules draw them again

@@ -29,13 +29,11 @@ from typing import Any, Self
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import choice_of, possible_kinds
-from gcd_dataset.generator.garments.parameter import Choice, Space
-from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_known
+from gcd_dataset.generator.garments.parameter import NONE, Choice, Space
+from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_no_fault, unknown_parameters
 from gcd_dataset.tomlfile import read_toml
 
 __all__ = ["NO_OVERLAY", "Overlay", "read_overlay"]
-
-NONE = "none"  # TOML has no null
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Overlay:
         that allows no garment.
         """
         declared = DesignSpace.declared(OutfitDesign)
-        require_known(declared, values)
+        require_no_fault(one.fault(declared) for one in unknown_parameters(declared, values))
         overlay = cls(tuple(_changes(declared, values, "")))
         if not possible_kinds(overlay.space.of(MetaDesign)):
             raise ConfigError(_no_garment(overlay.space.of(MetaDesign)))
@@ -115,8 +113,7 @@ def _changed(space: Space, given: Any) -> Space:
     """The space narrowed by an overlay's entry: a value or a table."""
     range_key = _range_key(space)
     if not isinstance(given, Mapping):
-        value = _parsed_option(space, given)
-        return space.narrowed([value] if isinstance(space, Choice) else [value, value])
+        return space.narrowed([given] if isinstance(space, Choice) else [given, given])
     if unknown := [key for key in given if key not in (range_key, "keep")]:
         raise ConfigError(f"takes no {shown(unknown[0])}: it is {space}, so give {range_key}, keep, or a value")
     if not given:
@@ -126,7 +123,7 @@ def _changed(space: Space, given: Any) -> Space:
             raise ConfigError(
                 f"has {range_key} = {given[range_key]!r}, not a list: write {range_key} = [{given[range_key]!r}]"
             )
-        space = space.narrowed([_parsed_option(space, value) for value in given[range_key]])
+        space = space.narrowed(given[range_key])
     return space.with_keep(_probability(given["keep"])) if "keep" in given else space
 
 
@@ -138,11 +135,6 @@ def _to_plain(space: Space) -> dict[str, Any]:
 def _range_key(space: Space) -> str:
     """The key for a parameter's values in an overlay's table."""
     return "options" if isinstance(space, Choice) else "range"
-
-
-def _parsed_option(space: Space, value: Any) -> Any:
-    empty = isinstance(space, Choice) and space.accepts(None) and isinstance(value, str) and value.lower() == NONE
-    return None if empty else value
 
 
 def _probability(value: Any) -> float:

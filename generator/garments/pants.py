@@ -6,7 +6,7 @@ down into the crotch and back along the inside leg.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import hypot, tan
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +16,18 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
 from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
 from gcd_dataset.generator.garments.tags import Tag
-from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import (
+    back_at_rise,
+    drawn_rise,
+    girth_at_rise,
+    sides_and_darts,
+    waist_back,
+    waist_front,
+)
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
@@ -49,7 +57,8 @@ class PantsDesign(Design):
     """Trousers from the hips or the waist."""
 
     length: float = real(0.3, 0.2, 0.9)
-    """Length below the hips, as a fraction of hips to floor; cuffs included."""
+    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor;
+    cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
     """Width of the crotch, as a fraction of the smallest possible width."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
@@ -85,9 +94,9 @@ class _Quarter:
     """Darts that take in the rest of the difference of hips and waist, from the centre outwards."""
 
 
-def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
+def pants(size: Measurements, design: PantsDesign, *, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """Two legs sewn at the crotch; offers the ring ``top``."""
-    right = _leg(size, design, rise)
+    right = _leg(size, design, rise, mends)
     left = right.mirrored("_r", "_l")
     return (
         Component.of(right, left)
@@ -118,12 +127,14 @@ def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> 
     return girth, float(np.interp(levels, LEG_LEVELS, LEG_GIRTHS).max()) * size.leg_circ
 
 
-def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
+def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend]) -> Component:
     """The right leg; offers the edges that meet the left leg or the waistband."""
-    front_quarter = _front_quarter(size, rise)
-    back_quarter = _back_quarter(size, rise, crotch=_back_crotch(size, design, front_quarter.crotch))
-    front = _panel("pant_f_r", size, design, front_quarter).moved((0, 0, FRONT))
-    back = _panel("pant_b_r", size, design, back_quarter).moved((0, 0, BACK))
+    drawn = drawn_rise(size, rise)
+    below_hips = length_below_waist(size, design.length, rise=rise - drawn) - _cuff_length(size, design)
+    front_quarter = _front_quarter(size, drawn, mends)
+    back_quarter = _back_quarter(size, drawn, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
+    front = _panel("pant_f_r", size, design, front_quarter, below_hips).moved((0, 0, FRONT))
+    back = _panel("pant_b_r", size, design, back_quarter, below_hips).moved((0, 0, BACK))
     leg = (
         Component.of(front, back)
         .sewn(front.along("outside", "hip"), back.along("outside") + back.along("hip", ruffle=BACK_RAISE))
@@ -137,8 +148,8 @@ def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
         )
     )
     for piece, quarter in ((front, front_quarter), (back, back_quarter)):
-        for drawn in quarter.darts:
-            leg = leg.sewn(piece.along(f"{drawn.name}.0"), piece.against(f"{drawn.name}.1"))
+        for sewn in quarter.darts:
+            leg = leg.sewn(piece.along(f"{sewn.name}.0"), piece.against(f"{sewn.name}.1"))
     return leg if design.cuff.type is None else _with_cuff(size, design, leg, design.cuff.type)
 
 
@@ -174,19 +185,18 @@ def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float
     return crotch
 
 
-def _front_quarter(size: Measurements, rise: float) -> _Quarter:
-    waist = 0.5 * (girth_at_rise(size, rise) - _back_at_rise(size, rise))
+def _front_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> _Quarter:
+    waist = 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     hips, depth = 0.5 * (size.hips - size.hip_back_width), rise * size.hips_line
-    lean = _lean(size, depth, hips - waist)
-    width = hips - waist - lean
+    lean, width = sides_and_darts(size, hips - waist, depth, darts=1, mends=mends)
     darts = (_Dart("dart", width, DART_DEPTH * depth, 0.5 * size.bust_points + 0.5 * width),) if width > 0 else ()
     return _Quarter(waist, hips, depth, lean, FRONT_CROTCH * hips, darts)
 
 
-def _back_quarter(size: Measurements, rise: float, *, crotch: float) -> _Quarter:
-    waist, hips, depth = 0.5 * _back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
-    lean = _lean(size, depth, hips - waist)
-    darts = _back_darts(0.5 * size.bum_points, hips - waist - lean, DART_DEPTH * depth)
+def _back_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS, *, crotch: float) -> _Quarter:
+    waist, hips, depth = 0.5 * back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
+    lean, width = sides_and_darts(size, hips - waist, depth, darts=2, mends=mends)
+    darts = _back_darts(0.5 * size.bum_points, width, DART_DEPTH * depth)
     return _Quarter(waist, hips, depth, lean, crotch, darts)
 
 
@@ -199,18 +209,8 @@ def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
     return inner, outer
 
 
-def _back_at_rise(size: Measurements, rise: float) -> float:
-    return blend(size.hip_back_width, size.waist_back_width, rise)
-
-
-def _lean(size: Measurements, depth: float, excess: float) -> float:
-    """Distance by which the side leans in from hips to waist [cm]: by the hips' slope, at most by their excess."""
-    return min(depth * tan(size.drawn_hip_inclination), excess)
-
-
-def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter) -> Piece:
+def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Piece:
     """The front or the back of the right leg, its crotch beside the wearer's axis and its waist at the rise."""
-    leg = design.length * size.leg_length - _cuff_length(size, design)
     outline = _outline(size, design, quarter, leg)
     for drawn in quarter.darts:
         at = quarter.hips - quarter.lean - drawn.from_centre
@@ -280,7 +280,8 @@ PANTS = SimpleBottom(
     name="Pants",
     section="pants",
     design=PantsDesign,
-    cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
+    mends=frozenset({Mend.FOLDED_DART}),
+    cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise, mends=cutting.mends),
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
     legs=True,

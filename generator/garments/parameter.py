@@ -2,17 +2,22 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import repeat
 from math import ceil, floor
+from reprlib import repr as short
 from typing import Any, Self
 
 import numpy as np
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["Choice", "Flag", "Integer", "Real", "Space", "plain"]
+__all__ = ["NONE", "Choice", "Flag", "Integer", "Real", "Space", "plain"]
+
+
+NONE = "none"  # in a file for ``None``: TOML has no null
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class Space(ABC):
 
     def _checked(self, value: Any) -> Any:
         if not self.accepts(value):
-            raise ConfigError(f"is {plain(value)!r}, not {self}")
+            raise ConfigError(f"is {short(plain(value))}, not {self}")
         return value
 
 
@@ -93,6 +98,9 @@ class Real(Space):
         return isinstance(value, int | float) and not isinstance(value, bool) and self.low <= value <= self.high
 
     def read(self, value: Any) -> float:
+        if isinstance(value, str):  # YAML takes 1e-05 for a text
+            with suppress(ValueError):
+                return self.read(float(value))
         return float(self._checked(value))
 
     def within(self, value: Any, low: float, high: float) -> bool:
@@ -137,7 +145,7 @@ class Integer(Real):
         return super().accepts(value) and float(value).is_integer()
 
     def read(self, value: Any) -> int:
-        return int(self._checked(value))
+        return int(super().read(value))
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> int:
         low, high = self._clipped(low, high)
@@ -176,6 +184,8 @@ class Choice(Space):
         return any(_same(value, option) for option in self.options)
 
     def read(self, value: Any) -> Any:
+        if isinstance(value, str) and value.lower() == NONE and self.accepts(None):
+            return None
         return self._checked(next((option for option in self.options if _same(plain(option), value)), value))
 
     def within(self, value: Any, low: float, high: float) -> bool:

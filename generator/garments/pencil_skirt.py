@@ -11,10 +11,17 @@ from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting
 from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.tags import Tag
-from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise, girth_below_waist
+from gcd_dataset.generator.garments.trunk import (
+    back_at_rise,
+    drawn_rise,
+    girth_at_rise,
+    girth_below_waist,
+    sides_and_darts,
+)
 from gcd_dataset.generator.pattern import (
     Component,
     Interface,
@@ -58,7 +65,7 @@ class PencilSkirtDesign(Design):
     """A narrow skirt."""
 
     length: float = real(0.4, 0.2, 0.95)
-    """Length below the hips, as a fraction of hips to floor."""
+    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     flare: float = real(1.0, 0.6, 1.5, keep=0.3)
@@ -110,11 +117,11 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
         raise PatternError(
             f"pencil-skirt.style_side_cut is {design.style_side_cut.value}, but ornaments are not drawn: set it to null"
         )
-    rise, suffix = cutting.rise, cutting.suffix
-    below = cutting.length - rise * size.require(*MEASURES_USED).hips_line
+    rise, suffix, mends = drawn_rise(size.require(*MEASURES_USED), cutting.rise), cutting.suffix, cutting.mends
+    below = cutting.length - rise * size.hips_line
     if below <= 0:
         raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
-    shapes = (_front(size, rise, suffix), _back(size, rise, suffix))
+    shapes = (_front(size, rise, suffix, mends), _back(size, rise, suffix, mends))
     front, back = (_panel(size, design, shape, below) for shape in shapes)
     front = _slit(front, design.front_slit * below).at(0, size.waist_level, FRONT)
     back = _slit(back, design.back_slit * below).at(0, size.waist_level, BACK)
@@ -126,31 +133,25 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
     )
 
 
-def _front(size: Measurements, rise: float, suffix: str) -> _Shape:
+def _front(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _Shape:
     """The front: one dart on each side, below the bust point."""
     hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     height = rise * size.hips_line
-    lean, taken = _sides_and_darts(size, hips - waist, height)
+    lean, taken = sides_and_darts(size, hips - waist, height, darts=1, mends=mends)
     single = _Dart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
     return _Shape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
 
 
-def _back(size: Measurements, rise: float, suffix: str) -> _Shape:
+def _back(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _Shape:
     """The back: two darts on each side, one on either side of the fullest point."""
     hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
     height = BACK_EASE * rise * size.hips_line
-    lean, taken = _sides_and_darts(size, hips - waist, height)
+    lean, taken = sides_and_darts(size, hips - waist, height, darts=2, mends=mends)
     leg = (BACK_DART + BACK_EASE - 1) * rise * size.hips_line
     point = 0.5 * size.bum_points
     inner = _Dart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
     outer = _Dart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
     return _Shape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
-
-
-def _sides_and_darts(size: Measurements, excess: float, height: float) -> tuple[float, float]:
-    """The hips' excess over the top, divided between the lean of the side and the darts [cm]."""
-    lean = min(tan(size.drawn_hip_inclination) * height, excess)
-    return lean, excess - lean
 
 
 def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: float) -> Piece:
@@ -228,7 +229,7 @@ def _rings(size: Measurements, design: PencilSkirtDesign, rise: float, length: f
     """The skirt's cloth below the hips, above its highest slit, the hem's tilt left out."""
     below = length - rise * size.hips_line
     slit = max(design.front_slit, design.back_slit, design.left_slit, design.right_slit)
-    shapes = (_front(size, rise, ""), _back(size, rise, ""))
+    shapes = (_front(size, rise, "", ALL_MENDS), _back(size, rise, "", ALL_MENDS))
     hems = [(-_hem_width(size, shape, design), -below) for shape in shapes]
     sides = [_below_hips(hem, (-shape.hips, 0.0), design, "", 0.0)[0] for hem, shape in zip(hems, shapes, strict=True)]
     for share in np.linspace(0.0, 1.0, RINGS):
@@ -280,6 +281,7 @@ PENCIL_SKIRT = SimpleBottom(
     name="PencilSkirt",
     section="pencil-skirt",
     design=PencilSkirtDesign,
+    mends=frozenset({Mend.FOLDED_DART}),
     cut=pencil_skirt,
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,

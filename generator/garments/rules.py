@@ -16,6 +16,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
@@ -293,12 +294,12 @@ def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
     return size.waist_level if design.meta.upper is None else size.height - size.head_l
 
 
-def garment_length(size: Measurements, design: OutfitDesign) -> float:
+def garment_length(size: Measurements, design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
     """Length of upper, band and bottom, one under the other [cm]."""
-    meta = design.meta
+    meta, rise = design.meta, bottom_rise(design, mends)
     upper = meta.upper.garment.length(size, design) if meta.upper else 0.0
     band = design.waistband.width * size.hips_line if meta.wb else 0.0
-    return upper + band + (meta.bottom.garment.length(size, design, bottom_rise(design)) if meta.bottom else 0.0)
+    return upper + band + (meta.bottom.garment.length(size, design, rise) if meta.bottom else 0.0)
 
 
 def top_girth(size: Measurements, design: OutfitDesign) -> float:

@@ -31,7 +31,7 @@ from gcd_dataset.generator.garments.kind import HAS_UPPER_AND_BOTTOM, Kind, choi
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
-from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict, with_new_numbers
+from gcd_dataset.generator.garments.space import DesignSpace, draw, with_new_numbers
 from gcd_dataset.generator.garments.wearable import wearable
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage
@@ -39,8 +39,6 @@ from gcd_dataset.seeding import rng as stream
 
 __all__ = [
     "attempted_design",
-    "design_from_dict",
-    "design_to_dict",
     "drafted_design",
     "sample_design",
     "sample_draft",
@@ -132,22 +130,6 @@ def attempted_design(
     draft, redraws = _held_up(draft, sizes, rng, overlay)
     drawn = wearable(draft, sizes, rng, overlay.space)
     return drawn if not redraws else replace(drawn, redraws={**redraws, **drawn.redraws})
-
-
-def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
-    """The design as nested plain values, under GarmentCode's names."""
-    return to_dict(design)
-
-
-def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
-    """The design from nested plain values; omitted parameters keep their defaults.
-
-    Raises ``ConfigError`` with the path of an unknown parameter, or of a value outside its range.
-
-    >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
-    <Bottom.CIRCLE: 'SkirtCircle'>
-    """
-    return from_dict(OutfitDesign, values)
 
 
 # ---------------------------------------------------------------------------------------------------------------- parts

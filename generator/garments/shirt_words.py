@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.neckline import (
     worn_neckline,
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
-from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tags, sleeve_words
+from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tag, sleeve_words
 from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
 from gcd_dataset.records import Measurements
@@ -59,16 +59,21 @@ def _tags(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) ->
     yield Tag.FITTED if fitted else Tag.SHIRT
     worn = [half for half in halves if not (fitted and half[0].strapless)]
     if len(worn) < len(halves):
-        yield Tag.STRAPLESS
+        yield Tag.ONE_SHOULDER if worn else Tag.STRAPLESS
     else:
-        for shirt, neck, arm in halves:
-            front = right_torso(size, shirt, neck, arm, fitted=fitted).piece(FRONT_NAME).outline.run("neck")
-            yield neckline_tag(worn_neckline(neck), front)
+        fronts = (right_torso(size, *half, fitted=fitted).piece(FRONT_NAME).outline.run("neck") for half in halves)
+        necks = {neckline_tag(worn_neckline(half[1]), front) for half, front in zip(halves, fronts, strict=True)}
+        yield necks.pop() if len(necks) == 1 else Tag.UNEVEN_NECK
+    if not worn:
+        return
     sleeves = [arm for _, _, arm in worn if not arm.sleeveless]
-    if worn and not sleeves:
+    lengths = {sleeve_tag(arm) for arm in sleeves}
+    if not sleeves:
         yield Tag.SLEEVELESS
-    for arm in sleeves:
-        yield from sleeve_tags(arm)
+    else:
+        yield lengths.pop() if len(sleeves) == len(halves) and len(lengths) == 1 else Tag.UNEVEN_SLEEVES
+    if any(arm.cuff.type for arm in sleeves):
+        yield Tag.CUFFS
 
 
 def _cut(shirts: list[ShirtDesign], *, fitted: bool) -> tuple[Words, ...]:

@@ -16,7 +16,7 @@ from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements, PanelRole
 
-__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tags", "sleeve_words"]
+__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tag", "sleeve_words"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
@@ -86,10 +86,9 @@ class LeftSleeveDesign(SleeveDesign):
     cuff: SleeveCuffDesign = part(LeftCuffDesign)
 
 
-def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
-    """The tags of a sleeve with its cuff."""
-    length = Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
-    return (length, Tag.CUFFS) if design.cuff.type else (length,)
+def sleeve_tag(design: SleeveDesign) -> Tag:
+    """The tag of two such sleeves by their length, cuffs included."""
+    return Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
 
 
 def sleeve_words(

@@ -19,11 +19,13 @@ depth is a number from 1 to 5
 rows is a whole number from 1 to 3
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
+from itertools import chain, islice
+from reprlib import repr as short
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -35,6 +37,7 @@ __all__ = [
     "Design",
     "DesignSpace",
     "Leaf",
+    "Unknown",
     "choice",
     "draw",
     "flag",
@@ -42,16 +45,20 @@ __all__ = [
     "integer",
     "leaves",
     "part",
+    "read_values",
     "real",
     "redrawn",
-    "require_known",
+    "require_no_fault",
     "to_dict",
+    "unknown_parameters",
     "value_at",
     "with_new_numbers",
     "with_parts",
     "with_value",
 ]
 
+LONGEST = 60  # characters of a name in a message
+MOST_FAULTS = 12  # sentences in one message
 D = TypeVar("D", bound="Design")
 P = TypeVar("P", bound="Design")
 
@@ -321,51 +328,69 @@ def to_dict(design: Design) -> dict[str, Any]:
 
 
 def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
-    """The design from nested plain values; omitted parameters keep their defaults.
+    """The design from nested plain values or entries of design files, ``{"v": value, …}``.
 
-    Raises ``ConfigError`` with the path of an unknown parameter, or of a value outside its range.
+    Omitted parameters keep their defaults. Raises ``ConfigError`` with the paths of all unknown parameters and of all
+    values outside their ranges.
     """
     space = DesignSpace.declared(kind)
-    require_known(space, values)
-    return _read(space, values, "")
+    design, faults = read_values(space, values)
+    require_no_fault(chain((one.fault(space) for one in unknown_parameters(space, values)), faults))
+    return design
 
 
-def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
-    """Raise ``ConfigError`` for an unknown parameter, with the nearest name, or for a value instead of a table."""
-    unknown = next(_unknown(space, values, ""), None)
-    if unknown is None:
-        return
-    path, siblings = unknown
-    known = [leaf.path for leaf in leaves(space, added=True)]
-    tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
-    near = get_close_matches(path, [*known, *sorted(tables)], n=1)
-    remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(siblings)}"
-    raise ConfigError(f"no design parameter is called {shown(path)}: {remedy}")
+class Unknown(NamedTuple):
+    """A name that a design space lacks, with the value or table under it."""
+
+    path: str
+    node: Any
+    siblings: Iterable[str]
+    """The known names beside it."""
+
+    def fault(self, space: DesignSpace[Any]) -> str:
+        """A sentence with the most similar known path."""
+        known = [leaf.path for leaf in leaves(space, added=True)]
+        tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
+        near = get_close_matches(self.path, [*known, *sorted(tables)], n=1)
+        remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(self.siblings)}"
+        return f"no design parameter is called {shown(self.path[:LONGEST])}: {remedy}"
 
 
-def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, list[str]]]:
-    """Unknown paths, each with the known names at that level."""
+def unknown_parameters(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str = "") -> Iterator[Unknown]:
+    """The names that the space lacks. Raises ``ConfigError`` for a value instead of a table."""
     entries = {entry.key: entry.space for entry in space.entries}
     for key, value in values.items():
         if key not in entries:
-            yield f"{prefix}{key}", list(entries)
+            yield Unknown(f"{prefix}{key}", value, entries)
         elif isinstance(inner := entries[key], DesignSpace):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"{prefix}{key} is {value!r}, not a table of parameters")
-            yield from _unknown(inner, value, f"{prefix}{key}.")
+                raise ConfigError(f"{prefix}{key} is {short(value)}, not a table of parameters")
+            yield from unknown_parameters(inner, value, f"{prefix}{key}.")
 
 
-def _read(space: DesignSpace[D], values: Mapping[str, Any], prefix: str) -> D:
-    read = {}
+def require_no_fault(faults: Iterable[str]) -> None:
+    """Raise ``ConfigError`` with the faults, if there are any; of many the first ones."""
+    found = list(islice(faults, MOST_FAULTS + 1))
+    if found:
+        raise ConfigError("; ".join([*found[:MOST_FAULTS], *["and more"] * (len(found) > MOST_FAULTS)]))
+
+
+def read_values(space: DesignSpace[D], values: Mapping[str, Any], prefix: str = "") -> tuple[D, list[str]]:
+    """The design, with defaults in place of invalid values, and a sentence for each of these."""
+    read, faults = {}, []
     for entry in space.entries:
         if entry.key not in values:
             continue
         value, path = values[entry.key], prefix + entry.key
         if isinstance(entry.space, DesignSpace):
-            read[entry.name] = _read(entry.space, value, f"{path}.")
+            table = value if isinstance(value, Mapping) else {}  # ``unknown_parameters`` reports it
+            read[entry.name], inner = read_values(entry.space, table, f"{path}.")
+            faults += inner
             continue
         try:
-            read[entry.name] = entry.space.read(value)
+            if isinstance(value, Mapping) and "v" not in value:
+                raise ConfigError("has no value: write it as v")
+            read[entry.name] = entry.space.read(value["v"] if isinstance(value, Mapping) else value)
         except ConfigError as error:
-            raise ConfigError(f"{path} {error}") from error
-    return space.kind(**read)
+            faults.append(f"{path} {error}")
+    return space.kind(**read), faults

@@ -1,10 +1,25 @@
 """Girths of the trunk between hips and waist, for bottoms and waistbands."""
 
+from math import tan
+
 import numpy as np
 
+from gcd_dataset.generator.garments.mends import Mend, folds
 from gcd_dataset.records import Measurements
 
-__all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "girth_below_waist", "waist_back", "waist_front"]
+__all__ = [
+    "back_at_rise",
+    "back_share",
+    "blend",
+    "drawn_rise",
+    "girth_at_rise",
+    "girth_below_waist",
+    "sides_and_darts",
+    "waist_back",
+    "waist_front",
+]
+
+LEAST_ABOVE_HIPS = 1.0  # cm of a fitted bottom above the hips, under a waistband that reaches down to them
 
 LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of floor to hips
 LEGS_GIRTHS = (0.80, 0.79, 0.85, 0.89, 0.87, 0.83, 0.88, 0.94, 0.96, 1.0)
@@ -41,6 +56,24 @@ def back_at_rise(size: Measurements, rise: float) -> float:
 def back_share(size: Measurements, rise: float) -> float:
     """The back's share of the girth at a rise, interpolated between its shares at hips and waist."""
     return blend(size.hip_back_width / size.hips, size.waist_back_width / size.waist, rise)
+
+
+def drawn_rise(size: Measurements, rise: float) -> float:
+    """The rise at which trousers or a pencil skirt begin: seams above the hips have a least length."""
+    return max(rise, LEAST_ABOVE_HIPS / size.hips_line)
+
+
+def sides_and_darts(
+    size: Measurements, excess: float, height: float, *, darts: int, mends: frozenset[Mend]
+) -> tuple[float, float]:
+    """The hips' excess over a top ``height`` cm above, divided between the lean of the side and the darts [cm].
+
+    The side leans in by the hips' slope, at most by the excess; ``darts`` of equal width take in the rest.
+    """
+    lean = min(height * tan(size.drawn_hip_inclination), excess)
+    if folds((excess - lean) / darts, mends):
+        return excess, 0.0
+    return lean, excess - lean
 
 
 def waist_front(size: Measurements) -> float:

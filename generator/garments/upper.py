@@ -67,5 +67,5 @@ class Shirt(UpperGarment[ShirtDesign]):
         return ("shirt", "collar", "sleeve") + (("left",) if left else ())
 
 
-FITTED_SHIRT = Shirt(name="FittedShirt", fitted=True, at_waist=True)
+FITTED_SHIRT = Shirt(name="FittedShirt", fitted=True, at_waist=True, mends=Shirt.mends | {Mend.FOLDED_DART})
 STRAIGHT_SHIRT = Shirt(name="Shirt", fitted=False)

@@ -125,8 +125,8 @@ def _with_armholes(
     size: Measurements, shirt: ShirtDesign, arm: _Armholes, *, fitted: bool, mends: frozenset[Mend]
 ) -> tuple[TorsoHalf, TorsoHalf]:
     """Front and back with their armholes, without necklines."""
-    front = fitted_front(size) if fitted else straight_front(size, shirt)
-    back = fitted_back(size) if fitted else straight_back(size, shirt)
+    front = fitted_front(size, mends) if fitted else straight_front(size, shirt)
+    back = fitted_back(size, mends) if fitted else straight_back(size, shirt)
     depth = _armhole_depth(size, arm.connecting_width, front, back, mends=mends)
     return _with_armhole(size, arm, front, depth), _with_armhole(size, arm, back, depth)
 
@@ -172,7 +172,7 @@ def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *,
 
 def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, mends: frozenset[Mend]) -> Component:
     """Front and back of a fitted half that end in a line from the underarm to the lowest point of the neckline."""
-    front, back = fitted_front(size), fitted_back(size)
+    front, back = fitted_front(size, mends), fitted_back(size, mends)
     side = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(
         size, arm.connecting_width, front, back, mends=mends
     )

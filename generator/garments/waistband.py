@@ -23,12 +23,16 @@ class Waistband(Enum):
 
 @dataclass(frozen=True)
 class WaistbandDesign(Design):
-    """Girth and height of the band."""
+    """Girth and height of the band.
+
+    A bottom begins at the band's lower edge, so that the band moves neither its hips nor its hem.
+    """
 
     waist: float = real(1.0, 1.0, 2.0, keep=0.7)
     """Girth, as a fraction of the body's girth."""
     width: float = real(0.2, 0.1, 1.0, keep=0.5)
-    """Height, as a fraction of waist to hips."""
+    """Height, as a fraction of waist to hips; the lower edge sits at the bottom's ``rise``, or lower if the band would
+    rise above the waist."""
 
 
 def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float) -> Component:

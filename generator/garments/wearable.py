@@ -13,6 +13,7 @@ import numpy as np
 
 from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import choice_of
+from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import (
     FIRM_BAND,
@@ -41,6 +42,7 @@ from gcd_dataset.generator.garments.sewable import (
     upper_fault,
     widest_neckline,
 )
+from gcd_dataset.generator.garments.skirt import SHORTEST
 from gcd_dataset.generator.garments.space import DesignSpace, value_at
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.records import Measurements
@@ -248,7 +250,7 @@ class _Fitting:
         )
 
     def _hanging_in_place(self, design: OutfitDesign) -> OutfitDesign:
-        return self._without_heavy_flare(self._above_floor(self._with_snug_band(design)))
+        return self._without_heavy_flare(self._above_floor(self._below_band(self._with_snug_band(design))))
 
     def _bottom_fault(self, design: OutfitDesign) -> Fault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
@@ -257,13 +259,22 @@ class _Fitting:
             return Fault("too_tight", "ring")
         return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
 
+    def _below_band(self, design: OutfitDesign) -> OutfitDesign:
+        """The design with a bottom of its declared length: no skirt is drawn shorter than ``SHORTEST``."""
+        return self.redrawing.within(design, "short_skirt", _length_path(design), self._least_length(design), inf)
+
+    def _least_length(self, design: OutfitDesign) -> float:
+        """The ``length`` at which a skirt is ``SHORTEST``, its waistband left out."""
+        rise = bottom_rise(design)
+        return max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
+
     def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
         """The design with a bottom that ends above the floor; lengths are fractions of hips to floor."""
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
             return design
         longest = bottom_length(design) - excess
-        return self.redrawing.within(design, "reaches_floor", _length_path(design), -np.inf, longest)
+        return self.redrawing.within(design, "reaches_floor", _length_path(design), self._least_length(design), longest)
 
     def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
         """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""
@@ -285,7 +296,8 @@ class _Fitting:
         """The design with a shorter and narrower bottom, if it is flared and has neither an upper nor a firm band."""
         if design.meta.upper or not is_flared(design) or has_firm_band(design):
             return design
-        design = self.redrawing.within(design, "too_heavy", _length_path(design), -np.inf, LIGHT_LENGTH)
+        least = self._least_length(design)
+        design = self.redrawing.within(design, "too_heavy", _length_path(design), least, LIGHT_LENGTH)
         return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
 
     def _with_top_within(

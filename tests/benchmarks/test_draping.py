@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import run
 from benchmarks.draping.ablation import variants
 from benchmarks.draping.failures import write_failures
 from benchmarks.draping.memory import measure_memory
@@ -17,6 +18,8 @@ from benchmarks.peers.newton import require_newton, unmirrored
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.spec import write_pattern
+from tests.generator.dressing import test_openings as openings
 from tests.helpers import SIZE, far_ball, joined, patch
 
 
@@ -107,3 +110,17 @@ def test_mirrored_panels_keep_area_and_edge_lengths() -> None:
     np.testing.assert_allclose(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], 1.0)
     np.testing.assert_allclose(np.abs(corners), np.abs(mirrored.uv[mirrored.corners]))
     np.testing.assert_array_equal(unmirrored(mesh), mesh.uv[mesh.corners])
+
+
+def test_a_pattern_that_cannot_be_read_is_named_and_the_others_are_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad, report = tmp_path / "good.json", tmp_path / "bad.json", tmp_path / "report.md"
+    write_pattern(openings.tube(50.0, 30.0, y=80.0), good)
+    bad.write_text("{")
+    options = ["--device", "cpu", "--resolution", "6", "--report", str(report)]
+    assert run.main(["drape", str(bad), str(good), *options]) == 1
+    printed = capsys.readouterr()
+    assert "drape.s_per_garment" in printed.out
+    assert f"bad: REFUSED: {bad}: line 1" in printed.err
+    assert "| bad |  | REFUSED |" in report.read_text()

@@ -90,7 +90,7 @@ def test_without_an_expected_mend_a_difference_counts(examples: Path, tmp_path: 
     expect = tmp_path / "mends.toml"
     expect.write_text("")
     assert run(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.0
-    expect.write_text('default_body = ["LEVEL_GIRTH"]\n')
+    expect.write_text('default_body = ["LEVEL_GIRTH", "WORN_LENGTH"]\n')
     assert run(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.5
     expect.write_text('default_body = ["LEVELS"]\n')
     with pytest.raises(ConfigError, match="unknown mend 'LEVELS': choose among"):

@@ -32,6 +32,43 @@ def squares() -> Pattern:
     return Pattern("squares", (square("one"), square("two")), (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))
 
 
+NAMES = (
+    *(
+        "Cós esquerdo",
+        "cos esquerdo",
+        "x" * 40,
+        "x" * 41,
+        "前片",
+        "后片",
+        "перед",
+        "спинка",
+        "앞판",
+        "الأمام",
+        "👗",
+        "👚",
+    ),
+    *(
+        "front left",
+        "front_left",
+        "front\u3000left",
+        "نیم\u200cتنه",
+        "👩\u200d🦰",
+        "body",
+        "Body",
+        "world",
+        "1a",
+        "a#b",
+        "a/b",
+    ),
+)
+"""Names in many scripts; some differ only in letters that a format cannot hold."""
+
+
+def named(*names: str, title: str = "named") -> Pattern:
+    """Squares with these names."""
+    return Pattern(title, tuple(replace(square("a"), name=name) for name in names), ())
+
+
 def darted() -> Pattern:
     """A square with a dart in the middle of its upper edge."""
     half, middle = DART_MOUTH / 2, SIDE / 2

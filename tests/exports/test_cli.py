@@ -1,6 +1,8 @@
 """``gcd export`` of one garment or pattern."""
 
+import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -8,10 +10,12 @@ import trimesh
 from pypdf import PdfReader
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator import fitting
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter
-from gcd_dataset.spec import write_pattern
+from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import squares
 
@@ -77,7 +81,9 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
         (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
         (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
         (["SHARDS", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
-        (["SPEC", "--usd", "a.usd"], 2, "a specification holds no drape, which --usd needs: run gcd drape"),
+        (["SPEC", "--usd", "a.glb"], 2, "a.glb: the file is USD: end its name in .usd"),
+        (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
+        (["SHARDS", "SHARDS", "--glb", "a.glb"], 2, "2 inputs: give one data set, or specification files"),
         (["SPEC", "--pdf", "a.pdf", "--index", "0"], 2, "--index is for a data set, and"),
         (
             ["SPEC", "--dxf", "a.dxf", "--seam-allowance", "-1"],
@@ -104,3 +110,33 @@ def test_errors_are_one_line_with_a_remedy(
     assert message in error
     assert error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == [spec.name]
+
+
+def test_a_bad_file_costs_no_other_and_two_of_one_name_are_told_apart(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "bad.json").write_text("{")
+    shutil.copy(spec, tmp_path / "other" / spec.name)
+    sources = (spec, tmp_path / "bad.json", tmp_path / "other" / spec.name, tmp_path / "missing.json")
+    assert run("export", *sources, "--dxf", tmp_path / "out") == 1
+    said = capsys.readouterr().err
+    assert "bad.json: line 1" in said and "missing.json: no such file" in said and said.count("\n") == 2
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["squares-2.dxf", "squares.dxf"]
+
+
+def test_a_specification_is_draped_on_the_neutral_body(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``gcd drape --glb`` writes it: a node, texture coordinates and a material for each panel."""
+    monkeypatch.setattr(fitting, "drape_patterns", partial(fitting.drape_patterns, resolution=6.0, device="cpu"))
+    write_pattern(make(0, 0, MakeConfig(stage="pattern")).pattern, tmp_path / "a.json")
+    assert run("export", tmp_path / "a.json", "--glb", tmp_path / "a.glb") == 0, capsys.readouterr().err
+    words = ("--resolution", "6", "--device", "cpu", "--quiet", "--glb", "--out", tmp_path / "draped")
+    assert run("drape", tmp_path / "a.json", *words) == 0
+    assert (tmp_path / "draped" / "a.glb").read_bytes() == (tmp_path / "a.glb").read_bytes()
+    scene = trimesh.load(tmp_path / "a.glb")
+    panels = {panel.name for panel in read_pattern(tmp_path / "a.json").panels}
+    assert scene.geometry.keys() == panels | {"body"}
+    assert all(part.visual.uv is not None for part in scene.geometry.values())
+    assert {part.visual.material.name for part in scene.geometry.values()} == panels | {"body"}

@@ -1,7 +1,7 @@
 """DXF files, read back by a reader of tags and by ezdxf."""
 
+import re
 import sys
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from gcd_dataset.exports import dxf
 from gcd_dataset.exports.dxf_file import dxf_bytes
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.dxf_reader import Block, layers_of, read_dxf
-from tests.exports.patterns import SIDE, darted, exact_area, panel_of, square, squares
+from tests.exports.patterns import NAMES, SIDE, darted, exact_area, named, panel_of, square, squares
 
 ALLOWED = {
     "1": {"POLYLINE", "TEXT"},
@@ -122,14 +122,25 @@ def test_ezdxf_finds_no_fault_and_the_pieces_lie_apart(worn: Sample, tmp_path: P
     assert all(a.distance(b) > 19.0 for i, a in enumerate(cloth) for b in cloth[:i])  # mm
 
 
-def test_names_are_plain_and_different(tmp_path: Path) -> None:
-    panels = tuple(replace(square("a"), name=name) for name in ("Cós esquerdo", "cos esquerdo", "x" * 40, "x" * 41))
-    blocks = read_of(Pattern("Größe 38", panels, ()), tmp_path)
+def test_names_are_plain_and_different_and_notes_hold_the_own_ones(tmp_path: Path) -> None:
+    pattern = named(*NAMES, title="Größe 38")
+    blocks = read_of(pattern, tmp_path)
     names = [name for name in blocks if name]
-    assert len({name.upper() for name in names}) == 4
+    pieces = [text for name in names for text in blocks[name].texts("1") if text.startswith("Piece Name:")]
+    assert len({name.upper() for name in names}) == len({text.upper() for text in pieces}) == len(NAMES)
     assert all(len(name) <= 31 and name.isascii() for name in names)
-    assert "Piece Name:Cos esquerdo" in blocks[names[0]].texts("1")
-    assert "Style Name:Gro_e 38" in blocks[""].texts("1")
+    assert all(re.search("[A-Za-z]", text.partition(":")[2]) for text in pieces)
+    assert "Piece Name:Cos esquerdo" in blocks["Cos_esquerdo"].texts("1")
+    assert "Style Name:Grosse 38" in blocks[""].texts("1")
+    assert blocks["piece_5"].texts("15")[2] == r"\U+524D\U+7247"
+    notes = {decoded(text) for name in names for text in blocks[name].texts("15")}
+    assert {name[:36] for name in NAMES} <= notes
+
+
+def decoded(text: str) -> str:
+    """The text with UTF-16 units in place of \\U+XXXX, as CAD programs show it."""
+    units = re.sub(r"\\U\+([0-9A-F]{4})", lambda found: chr(int(found[1], 16)), text)
+    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le")
 
 
 def test_equal_patterns_give_equal_bytes() -> None:

@@ -18,6 +18,7 @@ from gcd_dataset.exports.blender_import import read_facts
 from gcd_dataset.exports.cloth import seam_vertices, smooth_normals, texture_coordinates
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.records import BoxMesh, Drape, Sample
+from tests.exports.patterns import NAMES
 from tests.helpers import patch, tube
 
 WRITERS: dict[str, Callable[..., None]] = {
@@ -47,6 +48,43 @@ def test_a_glb_has_a_node_and_a_material_for_each_panel(worn: Sample, tmp_path: 
     body = scene.geometry["body"]
     assert worn.shape is not None
     assert body.extents == pytest.approx(np.ptp(build_body(worn.shape).vertices, axis=0) / 100, rel=1e-5)
+
+
+def renamed(sample: Sample) -> tuple[Sample, list[str]]:
+    """The sample with names in many scripts for its panels, and these names."""
+    mesh, _ = parts(sample)
+    names = [*NAMES[:2], *NAMES[4:7], *NAMES[10:14], *NAMES[15:]][: len(mesh.panel_names)]
+    new = dict(zip(mesh.panel_names, names, strict=True))
+    panels = tuple(replace(panel, name=new[panel.name]) for panel in sample.pattern.panels)
+    seams = tuple(
+        replace(
+            seam,
+            left=replace(seam.left, panel=new[seam.left.panel]),
+            right=replace(seam.right, panel=new[seam.right.panel]),
+        )
+        for seam in sample.pattern.seams
+    )
+    pattern = replace(sample.pattern, panels=panels, seams=seams)
+    return replace(sample, pattern=pattern, box_mesh=replace(mesh, panel_names=tuple(names))), names
+
+
+def test_names_in_any_script_stay_different(worn: Sample, tmp_path: Path) -> None:
+    """Also those that differ in a space, or are names of the body and of a scene's root."""
+    sample, names = renamed(worn)
+    assert {"body", "world", "front left", "front_left", "前片", "👗"} <= set(names)
+    exports.glb(sample, tmp_path / "a.glb")
+    scene = trimesh.load(tmp_path / "a.glb")
+    assert len(scene.graph.nodes_geometry) == len(scene.geometry) == len(names) + 1
+    assert {part.metadata.get("gcd_panel") for part in scene.geometry.values()} == {None, *names}
+    exports.obj(sample, tmp_path / "a.obj")
+    groups = [line[2:] for line in (tmp_path / "a.obj").read_text().splitlines() if line.startswith("g ")]
+    assert len(set(groups)) == len(names) and not any(" " in group or "#" in group for group in groups)
+    assert {"前片", "👗", "body_"} <= set(groups)
+    exports.usd(sample, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    found = [prim for prim in stage.Traverse() if prim.GetTypeName() == "GeomSubset"]
+    assert {prim.GetDisplayName() for prim in found} == set(names)
+    assert all(prim.GetName().isascii() and prim.GetName() != "body" for prim in found)
 
 
 def test_textures_have_one_scale(worn: Sample, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from gcd_dataset.exports import pdf
 from gcd_dataset.exports.pdf_file import bezier_pieces, pdf_bytes
 from gcd_dataset.exports.tiling import PAPERS, Page, paper_named, tile
 from gcd_dataset.records import Pattern, Sample
-from tests.exports.patterns import exact_area, panel_of, quarter_circle, square, squares
+from tests.exports.patterns import NAMES, exact_area, named, panel_of, quarter_circle, square, squares
 
 CM = 2.54 / 72
 STEPS = np.linspace(0.0, 1.0, 65)[1:, None]
@@ -162,6 +162,23 @@ def test_pages_name_pieces_neighbours_and_seams(tmp_path: Path) -> None:
     assert "glue A2 here" in texts[1]
     assert "to A1" in texts[2]
     assert any("cut 1, right side up" in text for text in texts[1:])
+
+
+def test_names_in_any_script_are_drawn_or_numbered_and_all_are_bookmarks(tmp_path: Path) -> None:
+    reader = read(named(*NAMES, title="连衣裙 👗"), tmp_path, paper="a0")
+    assert {entry.title for entry in reader.outline if not isinstance(entry, list)} == set(NAMES)
+    assert reader.metadata is not None and reader.metadata.title == "连衣裙 👗"
+    text = "\n".join(page.extract_text() for page in reader.pages)
+    listed = [line.partition(": 42.0")[0].strip() for line in text.splitlines() if ": 42.0 × 42.0 cm" in line]
+    assert len(set(listed)) == len(NAMES)
+    drawn = ("Cós esquerdo", "piece_5 (前片)", "piece_7 (перед)", "piece_9 (앞판)", "piece_10", "piece_11")
+    assert set(drawn) <= set(listed)
+    assert "?" not in text
+
+
+def test_a_long_name_stays_in_its_piece(tmp_path: Path) -> None:
+    reader = read(named("x" * 300, "y"), tmp_path, paper="a0")
+    assert "x" * 58 + "_1" in reader.pages[0].extract_text()
 
 
 def test_every_page_shows_cloth_and_no_cloth_is_missing() -> None:

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gcd_dataset.exports.cloth import smooth_normals
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Panel, Pattern
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import page_of
@@ -194,6 +196,23 @@ def test_panels_keep_their_shape_on_the_way_to_the_body(opened: Opened, content:
     inside = ~np.isin(mesh.faces, mesh.seams[:, 0]).any(axis=1)  # the seams bend the faces beside them
     expected = np.linalg.norm(np.roll(flat, -1, axis=1) - flat, axis=2)
     assert np.abs(sides / expected - 1.0)[inside].max() < 0.01
+
+
+def test_normals_of_coarse_cloth_are_smooth(browser: Any, content: Content, tmp_path: Path) -> None:
+    """They turn less along an edge than the normals of the faces: else triangles show as saw teeth."""
+    mesh, draped = content.mesh, content.draped
+    assert mesh is not None and draped is not None
+    rough = draped + np.random.default_rng(0).normal(0.0, 0.5, draped.shape)
+    opened = Opened(browser, replace(content, draped=rough), tmp_path).ready()
+    of_corner = np.array(opened.page.evaluate("[...gcdPage.picture.garment.normals]")).reshape(-1, 3)
+    shown = np.zeros_like(rough)
+    shown[mesh.uv_vertex] = of_corner
+    assert np.abs(shown[mesh.uv_vertex] - of_corner).max() < 1e-6  # at a seam both panels have one normal
+    assert np.linalg.norm(of_corner, axis=1) == pytest.approx(1.0, abs=1e-5)
+    ends = mesh_edges(mesh.faces).ends
+    both = (shown, smooth_normals(rough, mesh.faces))
+    turns = [np.linalg.norm(normals[ends[:, 0]] - normals[ends[:, 1]], axis=1).mean() for normals in both]
+    assert turns[0] < 0.7 * turns[1]
 
 
 def test_the_body_goes_and_comes_back(opened: Opened) -> None:

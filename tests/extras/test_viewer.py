@@ -14,6 +14,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gcd_dataset.cli.show import _album
@@ -257,6 +258,32 @@ def test_a_reload_shows_the_same_garment(browser: Any, garments: Path) -> None:
         page.reload()
         sync_api.expect(page.locator("#status")).to_have_text("4 of 5")
         assert heading(page) == "gcd_000000003"
+
+
+def test_at_1400_by_900_nothing_scrolls_and_a_bar_shows_the_scale(browser: Any, garments: Path) -> None:
+    """A panel's width in the drawing, by the bar, is its width in centimetres."""
+    overflow = (
+        "document.documentElement.scrollHeight > innerHeight || document.documentElement.scrollWidth > innerWidth"
+    )
+    with opened(browser, Gallery(ShardAlbum(ShardReader(garments), "set"))) as page:
+        page.set_viewport_size({"width": 1400, "height": 900})
+        inner = frame(page)
+        assert not page.evaluate(overflow) and not inner.evaluate(overflow)
+        assert inner.locator(".tables").is_visible()
+        lengths = [float(inner.inner_text(f"#{name}-scale").removesuffix(" cm")) for name in ("pattern", "view")]
+        widths = [inner.locator(f"#{name}-scale").bounding_box()["width"] for name in ("pattern", "view")]
+        assert all(length > 0 and 40 < width <= 120 for length, width in zip(lengths, widths, strict=True))
+        panel = ShardReader(garments).sample(0).pattern.panels[0]
+        cloth = inner.locator(f"[data-panel='{panel.name}'] .cloth").bounding_box()["width"]
+        assert cloth / widths[0] * lengths[0] == pytest.approx(np.ptp(panel.vertices[:, 0]), rel=0.05)
+        inner.locator("#view").focus()
+        page.keyboard.press("+")
+        page.keyboard.press("+")
+        page.wait_for_timeout(300)
+        closer = inner.locator("#view-scale").bounding_box()["width"] / float(
+            inner.inner_text("#view-scale").split()[0]
+        )
+        assert closer == pytest.approx(widths[1] / lengths[1] / 0.88**2, rel=0.1)
 
 
 def test_a_page_without_its_server_says_how_to_go_on(browser: Any, garments: Path) -> None:

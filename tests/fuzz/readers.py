@@ -352,7 +352,7 @@ def _landmarks(folder: Path) -> Reader:
 
     def read(data: bytes) -> Any:
         path.write_bytes(data)
-        return _plain(read_landmarks(path, vertices, 1.0).rings)
+        return _plain(read_landmarks(path, vertices).rings)
 
     return Reader(json.dumps(content).encode(), read, protected=False)
 

@@ -36,6 +36,17 @@ def test_a_panel_with_any_name_is_drawn(name: str) -> None:
     assert not is_paper(drawn).all()
 
 
+def test_names_beyond_ascii_are_numbered() -> None:
+    """Pillow's font has no other letters: all would be the same box."""
+    first, second = napkins().panels
+
+    def drawn(*names: str) -> bytes:
+        panels = (replace(first, name=names[0]), replace(second, name=names[1]))
+        return draw_pattern(replace(napkins(), panels=panels, seams=()), size=64).tobytes()
+
+    assert drawn("前片", "спинка") == drawn("piece_1", "piece_2")
+
+
 def test_contact_sheets_place_pictures_and_files_decode_to_them() -> None:
     pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
     sheet = contact_sheet(pictures, columns=2, gap=2)

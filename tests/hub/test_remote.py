@@ -312,6 +312,22 @@ def test_a_truncated_shard_is_reported(hub: Hub, commit: str, tmp_path: Path) ->
         list(stream)
 
 
+def test_an_unfinished_run_is_known_by_its_mark(
+    hub: Hub, commit: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    url, name = f"{hub.endpoint}/files/garments", "garments/.unfinished-train.json"
+    for mark in (b"", b"<html>no such page</html>", b'{"count": 400, "splits": ["train"]}'):
+        hub.static[name] = mark
+        GarmentDataset(url, cache_dir=tmp_path / str(len(mark)), fields=["meta"])
+    (message,) = caplog.messages
+    assert f"split train is unfinished: {COUNT} of 400 samples" in message
+    assert message.endswith("ask its publisher to finish it; partial=True opens it without this warning")
+    GarmentDataset(url, cache_dir=tmp_path / "x", fields=["meta"], partial=True)
+    hub.stop()
+    GarmentDataset(url, cache_dir=tmp_path / "0", fields=["meta"], download=False)  # known from the cache
+    assert caplog.messages == [message]
+
+
 def test_a_server_without_ranges_is_refused(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     hub.faults = [Fault(SHARDS, whole=True, times=999)]
     url = f"{hub.endpoint}/files/garments"
@@ -387,14 +403,12 @@ def captions(hub: Hub, tmp_path: Path) -> str:
 
 def test_foreign_tars_of_a_repository(hub: Hub, captions: str, tmp_path: Path) -> None:
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache"}
-    ds = GarmentDataset("org/foreign", **options)
-    assert [item["txt"] for item in ds] == [str(i) for i in range(6)]
-    assert [item["txt"] for item in GarmentDataset("org/foreign", streaming=True, **options)] == [
-        item["txt"] for item in ds
-    ]
+    ds: Any = GarmentDataset("org/foreign", **options)
+    stream: Any = GarmentDataset("org/foreign", streaming=True, **options)
+    assert [item["txt"] for item in ds] == [item["txt"] for item in stream] == [str(i) for i in range(6)]
     assert len(ds[5]["npy"]) == 205
     hub.stop()
-    again = GarmentDataset("org/foreign", revision=captions, fields=["npy"], **options)
+    again: Any = GarmentDataset("org/foreign", revision=captions, fields=["npy"], **options)
     assert [len(item["npy"]) for item in again] == [200 + i for i in range(6)]
 
 

@@ -1,6 +1,7 @@
 """Data sets of bodies: shards and the published folder give the same items."""
 
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
 from gcd_dataset.shards import BODIES, BodyWriter
+from gcd_dataset.shards.unfinished import filling
 from tests.shards.people import MESH, fake_person, fill, publish, segmentation
 
 COUNT = 3
@@ -199,6 +201,17 @@ def test_published_people_are_stored_unchanged_in_shards(few: Path, tmp_path: Pa
         assert_same(item, other)
 
 
+def test_an_unfinished_run_is_warned_of(ours: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    copy = Path(shutil.copytree(ours, tmp_path / "copy"))
+    with pytest.raises(StopIteration), filling(copy, 9):
+        raise StopIteration
+    BodyDataset(copy, partial=True)
+    assert not caplog.messages
+    BodyDataset(copy)
+    words = "3 of 9 samples: .*: gcd generate .*copy --count 9 --seed 5 --bodies random --stage body; partial=True"
+    assert re.search(words, "".join(caplog.messages))
+
+
 def test_only_the_files_of_the_fields_are_read(ours: Path, few: Path) -> None:
     for ds in (BodyDataset(ours, fields=("measures", "name")), PublishedBodies(few, fields=("measures", "name"))):
         assert list(ds[0]) == ["name", "measures"]
@@ -209,7 +222,8 @@ def test_only_the_files_of_the_fields_are_read(ours: Path, few: Path) -> None:
             type(ds)(few, fields=["waist"])
         with pytest.raises(IndexError, match="person 7 of"):
             ds[7]
-    assert PublishedBodies(few, fields=["measures"], transform=lambda item: item["measures"][0])[-1] > 0
+    first: Any = PublishedBodies(few, fields=["measures"], transform=lambda item: item["measures"][0])
+    assert first[-1] > 0
     for path in (few / "meshes").iterdir():
         path.unlink()
     assert PublishedBodies(few, fields=["shape"])[0]["shape"].shape == (3,)

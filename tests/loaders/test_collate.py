@@ -20,7 +20,7 @@ B = 5
 
 
 @pytest.fixture(scope="module")
-def items() -> list[dict[str, Any]]:
+def items() -> list[Any]:
     ds = FakeGarments(B, seed=3)
     return [ds[i] for i in range(B)]
 
@@ -324,3 +324,12 @@ def test_a_missing_device_is_named(batch: PackedBatch) -> None:
             batch.to("cuda")
         with pytest.raises(ConfigError, match="leave out pin_memory"):
             batch.pin_memory()
+
+
+@pytest.mark.parametrize("collate", [collate_packed, collate_padded])
+@pytest.mark.parametrize("item", [(torch.ones(2), 1), None, (), torch.ones(2), 7])
+def test_an_item_that_is_no_dict_is_refused(collate: Any, item: Any) -> None:
+    with pytest.raises(
+        ConfigError, match=rf"a {type(item).__name__}, not a dict .* the transform return .* collate_fn="
+    ):
+        collate([item, item])

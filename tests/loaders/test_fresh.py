@@ -317,7 +317,7 @@ def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.
 
 def test_items_in_the_buffer_hold_no_shared_memory() -> None:
     made = list(FreshGarments(FakeGarments(4, fields=["meta", "verts"]), room=4, workers=1))
-    assert [item["verts"].is_shared() for item in made] == 4 * [False]
+    assert [item["verts"].is_shared() for item in made] == 4 * [False]  # type: ignore[no-untyped-call]
 
 
 def test_an_item_is_freed_after_its_last_use() -> None:

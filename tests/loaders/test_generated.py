@@ -27,7 +27,7 @@ def garments(**options: Any) -> GeneratedGarments:
 
 
 @pytest.fixture(scope="module")
-def items() -> list[dict[str, Any]]:
+def items() -> list[Any]:
     return [garments()[i] for i in range(COUNT)]
 
 
@@ -69,7 +69,7 @@ def test_an_item_holds_the_selected_fields_only() -> None:
 def test_unneeded_pictures_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """The other fields stay the same."""
     options: dict[str, Any] = {"seed": 5, "resolution": 8.0, "picture": 32, "device": "cpu"}
-    whole = GeneratedGarments(1, **options)[0]
+    whole: Any = GeneratedGarments(1, **options)[0]
 
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("a picture was taken")

@@ -22,7 +22,7 @@ B = 3
 
 
 @pytest.fixture(scope="module")
-def items() -> list[dict[str, Any]]:
+def items() -> list[Any]:
     return [FakeGarments(B)[i] for i in range(B)]
 
 

@@ -3,8 +3,9 @@
 import logging
 import pickle
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_type
 
 import numpy as np
 import pytest
@@ -17,14 +18,18 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
     Augmented,
+    Chain,
     FakeGarments,
     FreshGarments,
     GarmentDataset,
+    GarmentFields,
     GarmentLoader,
     Garments,
     GeneratedGarments,
     Hdf5Garments,
     MixedDataset,
+    PickCaption,
+    PublishedBodies,
     PublishedGarmentCodeData,
     Yaw,
     collate_packed,
@@ -35,6 +40,7 @@ from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.test_shards import assert_all_same, same
 from tests.shards.folders import fill
+from tests.shards.people import MESH, fake_person, publish
 
 COUNT = 4
 FIRST = 3  # number of the first stored sample, so that keys differ from positions
@@ -54,6 +60,12 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 writer.write(sample)
         list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
     return folders
+
+
+@pytest.fixture
+def few(tmp_path: Path) -> Path:
+    """Two people in the published layout."""
+    return publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
 
 
 def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
@@ -181,8 +193,8 @@ def test_a_list_of_indices_gives_a_list_of_items(sets: dict[str, Path], way: str
 
 
 def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["meta"])
-    mixed = MixedDataset([ds], [1])
+    ds: Any = GarmentDataset(sets["pattern"], fields=["meta"])
+    mixed: Any = MixedDataset([ds], [1])
     for index in (True, np.bool_(True), torch.tensor(True), 1.0, None, [True, False], ds):
         for garments in (ds, mixed, ds.select([0])):
             with pytest.raises(TypeError, match="give a whole number"):
@@ -270,8 +282,75 @@ def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> No
         lambda: Augmented(FakeGarments(1), 3),  # type: ignore[arg-type]
     ]
     for make in makers:
-        with pytest.raises(ConfigError, match=r"(transform|augment)=.*: give a function that takes an item"):
+        with pytest.raises(ConfigError, match=r"(transform|augment)=.*: give a function of item"):
             make()
+
+
+@pytest.mark.parametrize("transform", [Yaw(), Chain(Yaw()), PickCaption(), lambda item, rng: item])
+def test_a_transform_that_needs_a_random_stream_is_refused_at_once(few: Path, transform: Any) -> None:
+    makers: list[Callable[..., Any]] = [
+        FakeGarments,
+        partial(GeneratedGarments, drape=None),
+        lambda n, **options: MixedDataset([FakeGarments(n)], [1], **options),
+        lambda n, **options: PublishedBodies(few, **options),
+    ]
+    for make in makers:
+        with pytest.raises(ConfigError, match=r"transform=.* with \(item\): give it to Augmented\(dataset, augment\)"):
+            make(1, transform=transform)
+
+
+def test_functions_are_accepted_by_the_arguments_that_they_can_take() -> None:
+    given: list[Any] = [dict, nn.Identity(), PickCaption("short"), lambda item, rng=None: item, partial(max, key=len)]
+    for function in given:
+        assert FakeGarments(1, transform=function).transform is function
+    with pytest.raises(ConfigError, match=r"augment=.* with \(item, rng\): give a function of item, rng"):
+        Augmented(FakeGarments(1), lambda item: item)  # type: ignore[misc, arg-type]
+    with pytest.raises(ConfigError, match=r"collate_fn=.*\(items\)"):
+        GarmentLoader(FakeGarments(1), 1, collate_fn=lambda: None)  # type: ignore[misc, arg-type]
+    with pytest.raises(ConfigError, match="whole is a str: give GarmentDataset"):
+        Augmented("folder", Yaw())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("indices", [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}])
+def test_select_takes_several_indices(indices: Any) -> None:
+    with pytest.raises(ConfigError, match=r"select\(.*give indices or keys in a list, .* select by a condition with"):
+        FakeGarments(4).select(indices)
+
+
+def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence() -> None:
+    ds: Any = FakeGarments(4, fields=["meta"])
+    for indices in ([1, 3], (1, 3), np.array([1, 3]), torch.tensor([1, -1]), iter([1, 3]), range(1, 4, 2)):
+        assert [item["meta"]["index"] for item in ds.select(indices)] == [1, 3]
+    for wrong in ([True] * 4, np.ones(3, bool), torch.ones(4, dtype=torch.bool), [4], [-5], [0.5], ["gcd_000000009"]):
+        with pytest.raises(ConfigError, match=r"^[^\n]+: [^\n]+$"):
+            ds.select(wrong)
+
+
+# ----------------------------------------------------------------------------------------------------- typed and whole
+
+
+def test_the_sample_of_a_garment_is_whole_whatever_the_fields(sets: dict[str, Path], tmp_path: Path) -> None:
+    expected = ShardReader(sets["mesh"]).sample(1)
+    options: dict[str, Any] = {"fields": ["panels"], "stage": "mesh", "resolution": 6.0, "points": 512}
+    ds = GarmentDataset(sets["mesh"], fields=["panels"])
+    assert ds.sample(1 - COUNT) == expected
+    ways: list[Garments] = [
+        *(ds, ds.select([2, 1]), Augmented(ds, Yaw())[1:], GarmentDataset(sets["mesh"], streaming=True)),
+        Hdf5Garments(sets["mesh"] / "train.h5", fields=["panels"]),
+        *2 * [GeneratedGarments(FIRST + 2, 2, cache_dir=tmp_path, **options)],
+    ]
+    assert [garments.sample(expected.key) for garments in ways] == len(ways) * [expected]
+    assert MixedDataset([ds[1:2]], [1]).sample(0) == expected
+    assert FakeGarments(2, fields=["meta"]).sample(1).drape is not None
+
+
+def test_the_type_of_a_field_is_known_to_type_checkers() -> None:
+    ds = FakeGarments(2)
+    assert_type(ds[0]["verts"], torch.Tensor)
+    assert_type(ds["gcd_000000001"]["measures"], dict[str, float])
+    assert_type([item["meta"] for item in ds[:1]], list[dict[str, Any]])
+    assert_type(ds[[0, 1]], list[GarmentFields])
+    assert GarmentFields.__annotations__.keys() >= ds[0].keys()
 
 
 def test_a_design_overlay_may_be_a_dict() -> None:
@@ -294,7 +373,7 @@ def test_the_time_of_a_drape_is_logged_once(caplog: pytest.LogCaptureFixture) ->
         FreshGarments(MixedDataset([ds], [1])).garments.tell_wait()
         GeneratedGarments(3, stage="mesh").tell_wait()
     assert [record.message for record in caplog.records] == [
-        "waiting for the first garment: about 7 s each on cpu, longer for the first if kernels must be compiled"
+        "waiting for the first garment: about 7 s each on cpu, the first longer if it compiles kernels"
     ]
 
 

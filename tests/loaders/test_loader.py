@@ -1,5 +1,6 @@
 """``GarmentLoader``: a run that is stopped at any batch and resumed elsewhere sees the same garments."""
 
+import errno
 import multiprocessing
 import random
 from collections.abc import Iterator
@@ -9,10 +10,20 @@ from typing import Any
 
 import pytest
 import torch
-from torch.utils.data import Dataset, IterableDataset
+from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
-from gcd_dataset.loaders import FakeGarments, GarmentDataset, GarmentLoader, collate_list
+from gcd_dataset.loaders import (
+    Augmented,
+    ElasticSampler,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    GarmentLoader,
+    Yaw,
+    collate_list,
+    collate_packed,
+)
 from gcd_dataset.loaders.base import Item
 from tests.shards.folders import fill
 
@@ -53,6 +64,74 @@ ORDER = merged(loaders(1))
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three shards of 4, 4 and 2 garments."""
     return fill(tmp_path_factory.mktemp("data"), range(10))
+
+
+@pytest.mark.parametrize(
+    ("dataset", "remedy"),
+    [
+        ("garments", r"give GarmentDataset\('garments'\) or"),
+        (Path("garments"), r"give GarmentDataset\('garments'\) or"),
+        (FakeGarments, r"give GarmentDataset\(…\) or"),
+        (None, r"give GarmentDataset\(…\) or"),
+        ({"train": garments()}, r"give GarmentDataset\(…\) or"),
+        (iter(garments()), r"give GarmentDataset\(…\) or"),
+        (GarmentLoader(garments(), 2), r"give GarmentDataset\(…\) or"),
+    ],
+)
+def test_anything_but_a_data_set_is_refused_at_once(dataset: Any, remedy: str) -> None:
+    for make in (lambda: GarmentLoader(dataset, 2), lambda: ElasticSampler(dataset)):
+        with pytest.raises(ConfigError, match=rf"dataset=.*{remedy}"):
+            make()
+
+
+@pytest.mark.parametrize("batch_size", [0, 1.5, "8", None, True])
+def test_a_batch_size_is_a_whole_number(batch_size: Any) -> None:
+    with pytest.raises(ConfigError, match=r"batch_size=.*: give a whole number, 1 or more"):
+        GarmentLoader(garments(), batch_size)
+
+
+# ------------------------------------------------------------------------------------------------------- shared memory
+
+
+def is_full(*_: Any) -> Any:
+    raise RuntimeError("unable to allocate shared memory(shm) for file </torch_1>: No space left on device (28)")
+
+
+@pytest.mark.parametrize(
+    "collate", [collate_packed, collate_list, lambda items: tuple(item["verts"] for item in items)]
+)
+def test_a_batch_without_room_in_shared_memory_is_an_error(monkeypatch: pytest.MonkeyPatch, collate: Any) -> None:
+    """torch's thread in the worker would print it, and the training would wait forever."""
+    ds = FakeGarments(4, fields=["verts"])
+    makers: list[Any] = [
+        GarmentLoader(ds, 2, num_workers=1, collate_fn=collate),
+        *([] if collate.__name__ == "<lambda>" else [DataLoader(ds, 2, num_workers=1, collate_fn=collate)]),
+        FreshGarments(ds, workers=1),
+    ]
+    monkeypatch.setattr(torch.Tensor, "share_memory_", is_full)
+    for made in makers:
+        with pytest.raises(ConfigError, match=r"shared memory \(/dev/shm\) is full.*num_workers=0.*--shm-size"):
+            next(iter(made))
+    assert len(list(GarmentLoader(ds, 2, collate_fn=collate))) == 2
+    with pytest.raises(ConfigError, match="shared memory"):
+        Augmented(ds, Yaw())
+
+
+def test_shared_memory_without_room_for_queues_is_recognised_before_workers_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(*_: Any) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("multiprocessing.context.BaseContext.Semaphore", full)
+    with pytest.raises(ConfigError, match=r"shared memory \(/dev/shm\) is full.*num_workers=0.*--shm-size"):
+        GarmentLoader(garments(), 2, num_workers=1)
+    with pytest.raises(ConfigError, match=r"shared memory \(/dev/shm\) is full"):
+        next(iter(FreshGarments(garments(), workers=1)))
+    assert len(GarmentLoader(garments(), 5)) == 10
+
+
+# --------------------------------------------------------------------------------------------------------------- order
 
 
 def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:

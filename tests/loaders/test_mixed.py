@@ -96,7 +96,7 @@ def test_it_is_a_data_set_like_its_parts(tmp_path: Path) -> None:
 
 def test_the_mix_transforms_after_its_parts() -> None:
     parts = [FakeGarments(4, seed, fields=["meta"], transform=lambda item: [item["meta"]["seed"]]) for seed in (0, 1)]
-    ds = MixedDataset(parts, [1, 1], transform=lambda item: [*item, "mixed"])
+    ds: Any = MixedDataset(parts, [1, 1], transform=lambda item: [*item, "mixed"])
     assert {tuple(ds[i]) for i in range(8)} == {(0, "mixed"), (1, "mixed")}
 
 

@@ -1,5 +1,6 @@
 """Scans measured when garments are read: the same for any order and worker."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -95,8 +96,13 @@ def test_skin_is_measured_on_demand(folder: Path) -> None:
 def test_unusable_items_and_options_are_refused(folder: Path) -> None:
     with pytest.raises(TransformError, match=r"Scan needs .*VIEW_FIELDS"):
         GarmentDataset(folder, fields=("meta", "verts"), transform=small())[0]
-    with pytest.raises(ConfigError, match="points"):
-        small(points=0)
+    for options, words in (
+        ({"points": 0}, "points"),
+        ({"noise": 0.5}, r"noise=0\.5: give DepthNoise"),
+        ({"cameras": ScanRanges(distance=(math.inf, 300.0))}, "distance of cameras=inf: give a finite number"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            small(**options)
 
 
 PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "scans.md"

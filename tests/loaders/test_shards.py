@@ -14,8 +14,9 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
-from gcd_dataset.shards import FIELDS, MEMBERS, read_index
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardWriter, read_index
 from gcd_dataset.shards.reader import Quality, Verify
+from gcd_dataset.shards.unfinished import filling
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -72,7 +73,7 @@ def test_indices_count_from_both_ends(folder: Path) -> None:
 
 
 def test_a_transform_sees_every_item(folder: Path) -> None:
-    ds = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
+    ds: Any = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
     assert ds[3] == len(FakeGarments(COUNT)[3]["verts"])
 
 
@@ -200,12 +201,36 @@ def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
         GarmentDataset(folder, quality="good")  # type: ignore[arg-type]
 
 
-def test_a_folder_without_settled_garments_is_refused(tmp_path: Path) -> None:
-    with open_writer(tmp_path) as writer:
+@pytest.mark.parametrize("streaming", [False, True])
+def test_an_unfinished_run_is_warned_of_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], streaming: bool
+) -> None:
+    options: dict[str, Any] = {"streaming": streaming, "fields": ["meta"]}
+    with pytest.raises(StopIteration), filling(tmp_path, 400):
+        fill(tmp_path, range(3))
+        raise StopIteration
+    ds = GarmentDataset(tmp_path, "train[:1]+train[1:]", **options)
+    assert len(list(DataLoader(ds, 2, num_workers=2, collate_fn=collate_list))) == 2
+    (message,) = caplog.messages
+    assert message.startswith(f"{tmp_path}: split train is unfinished: 3 of 400 samples: its run was stopped, or is")
+    assert "400 samples" not in "".join(capfd.readouterr())  # nor printed by a worker
+    GarmentDataset(tmp_path, partial=True, **options)
+    with filling(tmp_path, 3):
+        pass
+    GarmentDataset(tmp_path, **options)
+    assert caplog.messages == [message]
+
+
+@pytest.mark.parametrize("recipe", [{"fake": True}, {"stage": "mesh"}])
+def test_garments_without_a_drape_neither_settle_nor_have_a_grade(tmp_path: Path, recipe: dict[str, Any]) -> None:
+    with ShardWriter(tmp_path, seed=0, recipe=recipe) as writer:
         writer.write(ended(fake_sample(0, 0), None))
     assert len(GarmentDataset(tmp_path)) == 1
-    with pytest.raises(ShardError, match="none of the 1 samples of split train has settled: leave out settled_only"):
+    reason = f"they {'end with stage mesh' if 'stage' in recipe else 'have no drapes'}, and only drapes settle and have"
+    with pytest.raises(ShardError, match=f"none of the 1 samples of split train has settled: {reason} a grade: leave"):
         GarmentDataset(tmp_path, settled_only=True)
+    with pytest.raises(ShardError, match=f"has the grade paper: {reason} a grade: leave out quality, or make garments"):
+        GarmentDataset(tmp_path, quality="paper", streaming=True)
 
 
 def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Sketches drawn when garments are read: the same for any order and worker."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,10 @@ def test_unusable_items_and_options_are_refused(folder: Path) -> None:
         ({"size": 9999}, "4096"),
         ({"yaws": ()}, "yaws"),
         ({"turn": -1}, "turn"),
+        ({"turn": math.nan}, "turn=nan: give a finite number, 0 to 180 degrees"),
+        ({"yaws": 90.0}, "yaws=90.0: give one angle or more in a tuple"),
+        ({"yaws": (0.0, math.inf)}, "yaws=inf: give a finite number"),
+        ({"style": "hand"}, "style='hand': give SketchStyle"),
     ):
         with pytest.raises(ConfigError, match=words):
             small(**options)

@@ -6,6 +6,7 @@ import pickle
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, cast
@@ -13,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset, DistributedSampler, IterableDataset, Subset
+from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, IterableDataset, Subset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
 from gcd_dataset.loaders import (
@@ -436,6 +437,29 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert sorted(seen) == list(range(N))
         assert max(counts) - min(counts) <= 1
         assert workers or seen == list(range(N))
+
+
+@pytest.mark.parametrize("world_size", [1, 2])
+@pytest.mark.parametrize(("workers", "size"), [(0, 5), (2, 5), (3, 2), (4, 12), (4, None)])
+def test_the_workers_of_a_stream_make_as_many_batches_as_one_process(
+    three: Path, ranks: Callable, world_size: int, workers: int, size: int | None
+) -> None:
+    """``drop_last`` leaves out less than one batch, not one for each worker, and ``len`` is exact on every rank."""
+    stream = GarmentDataset(three, fields=["meta"], streaming=True)
+    for rank, drop_last in product(range(world_size), [False, True] if size else [False]):
+        ranks(rank, world_size)
+        own = len(list(stream))
+        loader = DataLoader(stream, size, num_workers=workers, drop_last=drop_last, collate_fn=collate_list)
+        lengths = [len(batch) for batch in loader] if size else [1 for _ in loader]
+        whole, rest = divmod(own, size or 1)
+        expected = whole * [size or 1] + [rest] * (rest > 0 and not drop_last)
+        assert len(loader) == len(lengths)
+        assert sorted(lengths, reverse=True) == expected
+    chained = DataLoader(
+        ChainDataset([stream, stream]), 5, num_workers=workers, drop_last=True, collate_fn=collate_list
+    )
+    assert len(list(chained)) == len(chained) == 2 * own // 5
+    assert (len(stream), len(GarmentLoader(stream, 2, rank=0, world_size=1))) == (N, N // 2)
 
 
 def test_ranks_and_workers_split_slices_evenly(three: Path, ranks: Callable) -> None:

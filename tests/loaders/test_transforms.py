@@ -1,5 +1,7 @@
 """Augmentations: geometry, and draws by seed, index and epoch."""
 
+import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -97,6 +99,13 @@ def test_noise_has_the_given_standard_deviation() -> None:
     before, after = ball()["points"].float(), PointNoise(2.0)(ball(), rng())["points"].float()
     assert (after - before)[:, :3].std().item() == pytest.approx(2.0, rel=0.05)
     assert torch.equal(after[:, 3:], before[:, 3:])
+
+
+@pytest.mark.parametrize("value", [-1, math.nan, math.inf, "0.2", None, True])
+def test_sizes_of_augmentations_are_finite_numbers_from_zero(value: Any) -> None:
+    for make in (PointNoise, Yaw, PartialView, partial(PartialView, 300.0)):
+        with pytest.raises(ConfigError, match=r"(sigma|most|distance|reach)=.*: give a finite number, [01]"):
+            make(value)
 
 
 def test_a_view_shows_the_half_that_faces_the_camera() -> None:

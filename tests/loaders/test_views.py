@@ -1,5 +1,6 @@
 """Pictures rendered when garments are read: the same for any worker, order and batch; truths follow the geometry."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,7 +17,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.render import MAPS, AppearanceRanges, PrintKind
+from gcd_dataset.generator.render import MAPS, AppearanceRanges, CameraRanges, LightRanges, PrintKind
 from gcd_dataset.loaders import (
     VIEW_FIELDS,
     Augmented,
@@ -339,6 +340,10 @@ def test_a_gpu_is_refused_in_a_worker(folder: Path) -> None:
         ({"maps": "depth"}, "maps='depth': give names in a tuple"),
         ({"seed": -1}, "seed=-1"),
         ({"device": "gpu"}, "device='gpu'"),
+        ({"camera": CameraRanges(fill=(0.5, math.nan))}, "fill of camera=nan: give a finite number"),
+        ({"lights": LightRanges(cast=-1.0)}, "cast of lights=-1.0: give a finite number, 0 or more"),
+        ({"appearance": {"plain": 1.0}}, r"appearance=.*: give AppearanceRanges\(…\)"),
+        ({"bodies": 3}, "bodies=3: give a function of name"),
     ],
 )
 def test_options_are_checked_at_once(options: dict[str, Any], message: str) -> None:

@@ -9,6 +9,7 @@ import tarfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,14 +47,14 @@ def folder(tmp_path: Path) -> Path:
 def test_webdataset_shards_are_read_by_number(folder: Path, indexed: bool) -> None:
     if indexed:
         rebuild_index(folder)
-    ds = GarmentDataset(folder)
+    ds: Any = GarmentDataset(folder)
     assert (len(ds), ds.fields) == (2 * COUNT, ("cls", "json", "png", "seg.npy", "txt"))
     item = ds[7]
     assert (item["cls"], item["json"], item["txt"]) == (7, {"i": 7}, "No. 7")
     assert torch.equal(item["seg.npy"], torch.arange(7))
     assert item["png"][:, 0, 0].tolist() == [255, 0, 10]
     assert ds[3]["txt"] is None
-    assert GarmentDataset(folder, fields=["cls"])[9] == {"cls": 9}
+    assert GarmentDataset(folder, fields=["cls"])[9].items() == {"cls": 9}.items()
     ds.verify(2)
     with pytest.raises(ConfigError, match="have no recipe"):
         ds.recipe(0)
@@ -77,7 +78,18 @@ def test_an_index_finds_a_flipped_byte(folder: Path) -> None:
 def test_a_shard_added_later_is_found(folder: Path) -> None:
     rebuild_index(folder)
     (folder / "thing-000000.tar").rename(folder / "thing-000007.tar")
-    assert [item["cls"] for item in GarmentDataset(folder, fields=["cls"])] == [5, 6, 7, 8, 9, 0, 1, 2, 3, 4]
+    assert [next(iter(item.values())) for item in GarmentDataset(folder, fields=["cls"])] == [
+        5,
+        6,
+        7,
+        8,
+        9,
+        0,
+        1,
+        2,
+        3,
+        4,
+    ]
 
 
 def test_splits_are_recognised_by_file_name(folder: Path) -> None:
@@ -107,7 +119,8 @@ def test_arrays_of_other_byte_orders_are_read_and_texts_reported(tmp_path: Path)
         return file.getvalue()
 
     written(tmp_path / "a.tar", {"s.big.npy": content(np.arange(3, dtype=">f4")), "s.text.npy": content(np.array("a"))})
-    assert GarmentDataset(tmp_path, fields=["big.npy"])[0]["big.npy"].tolist() == [0.0, 1.0, 2.0]
+    item: Any = GarmentDataset(tmp_path, fields=["big.npy"])[0]
+    assert item["big.npy"].tolist() == [0.0, 1.0, 2.0]
     with pytest.raises(ShardError, match=r"member text\.npy: does not match its ending \(<U1, expected numbers\)"):
         GarmentDataset(tmp_path, fields=["text.npy"])[0]
 
@@ -122,14 +135,16 @@ def encoded(array: np.ndarray, form: str) -> bytes:
 def test_a_depth_map_keeps_its_values(tmp_path: Path, form: str, ending: str) -> None:
     depth = np.array([[0, 255, 256], [4711, 65534, 65535]], np.uint16)
     written(tmp_path / "a.tar", {f"s.depth.{ending}": encoded(depth, form)})
-    read = GarmentDataset(tmp_path)[0][f"depth.{ending}"]
+    item: Any = GarmentDataset(tmp_path)[0]
+    read = item[f"depth.{ending}"]
     assert (read.dtype, read.tolist()) == (torch.int32, [depth.tolist()])
 
 
 def test_a_picture_of_floats_keeps_its_values(tmp_path: Path) -> None:
     heights = np.array([[-0.5, 1e6], [0.25, 300.0]], np.float32)
     written(tmp_path / "a.tar", {"s.height.tif": encoded(heights, "TIFF")})
-    assert GarmentDataset(tmp_path)[0]["height.tif"].tolist() == [heights.tolist()]
+    item: Any = GarmentDataset(tmp_path)[0]
+    assert item["height.tif"].tolist() == [heights.tolist()]
 
 
 def deep_png() -> bytes:
@@ -226,7 +241,7 @@ def test_a_pickle_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n
     written(tmp_path / "a.tar", {name: pickle.dumps(Bomb()), "x.json": b"[1]"})
     with pytest.raises(ShardError, match=rf"member {name[2:]} is a pickle, which could run code"):
         list(GarmentDataset(tmp_path, streaming=streaming))
-    assert list(GarmentDataset(tmp_path, fields=["json"], streaming=streaming)) == [{"json": [1]}]
+    assert list(map(dict, GarmentDataset(tmp_path, fields=["json"], streaming=streaming))) == [{"json": [1]}]
     array = io.BytesIO()
     np.save(array, np.array([Bomb()], dtype=object), allow_pickle=True)
     written(tmp_path / "a.tar", {"x.npy": array.getvalue()})

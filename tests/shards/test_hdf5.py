@@ -77,11 +77,15 @@ def test_a_file_holds_views(tmp_path: Path, file: Path) -> None:
         assert {member: bytes(data) for member, data in there.items()} == {m: bytes(d) for m, d in here.items()}
         reader.check(position)
     views = ("view_0", "view_0_json", "view_1", "view_1_json")
-    ds = Hdf5Garments(own)
+    ds: Any = Hdf5Garments(own)
     assert set(ds[0]) == {*FIELDS, "caption", *views}
     assert [item["view_1_json"]["number"] for item in ds] == [0, 1]
     joint = ("views", "camera_k", "camera_rt")
-    for one, other in zip(Hdf5Garments(own, joint), GarmentDataset(folder, fields=joint), strict=True):
+    for one, other in zip(
+        map(dict[str, Any], Hdf5Garments(own, joint)),
+        map(dict[str, Any], GarmentDataset(folder, fields=joint)),
+        strict=True,
+    ):
         assert all(torch.equal(one[field], other[field]) for field in joint)
     with h5py.File(own) as data:
         start, end = data["ptr/view_1"][1:3]
@@ -128,7 +132,7 @@ def test_a_damaged_sample_is_to_be_made_again_not_the_file_being_written(tmp_pat
 def test_items_equal_the_items_of_the_shards(folder: Path, file: Path) -> None:
     shards, one = GarmentDataset(folder), Hdf5Garments(file)
     assert len(one) == len(shards)
-    for before, after in zip(shards, one, strict=True):
+    for before, after in zip(map(dict[str, Any], shards), map(dict[str, Any], one), strict=True):
         assert before.keys() == after.keys()
         for field, value in before.items():
             same = torch.equal(value, after[field]) if isinstance(value, torch.Tensor) else value == after[field]

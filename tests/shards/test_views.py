@@ -71,7 +71,8 @@ def test_views_of_different_sizes_are_read_one_by_one(tmp_path: Path) -> None:
     folder = write(tmp_path, [viewed(0, (16, 24))])
     with pytest.raises(ShardError, match="views have the sizes 16 x 16, 24 x 24, and one array needs equal sizes"):
         GarmentDataset(folder, fields=["views"])[0]
-    assert GarmentDataset(folder, fields=["view_1"])[0]["view_1"].shape == (3, 24, 24)
+    item: Any = GarmentDataset(folder, fields=["view_1"])[0]
+    assert item["view_1"].shape == (3, 24, 24)
 
 
 def test_views_without_a_camera_name_the_member(tmp_path: Path) -> None:

@@ -447,7 +447,8 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
             ):
                 writer.write(fake_sample(0, 9))
     for streaming in (False, True):
-        for index, item in enumerate(GarmentDataset(tmp_path, streaming=streaming)):
+        ds: Any = GarmentDataset(tmp_path, streaming=streaming)
+        for index, item in enumerate(ds):
             assert (item["caption"], item["view_0_json"]) == (f"skirt {index}", {"fov": 40.0})
             assert item["view_0"].shape == (3, 16, 16)
     only = GarmentDataset(tmp_path, fields=["caption", "points"])[5]

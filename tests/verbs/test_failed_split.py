@@ -43,9 +43,9 @@ def strict() -> Iterator[None]:
     """A narrow limit on body edges through the cloth, so that some drapes always fail."""
     judge = outcome._judge
 
-    def judged(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
-        found = judge(job, drape, config, status, overfull=overfull)
-        return Outcome.THROUGH_BODY if found is Outcome.SETTLED and drape.body_through > 80 else found
+    def judged(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> tuple[Outcome, str]:
+        found, reason = judge(job, drape, config, status, overfull=overfull)
+        return (Outcome.THROUGH_BODY if found is Outcome.SETTLED and drape.body_through > 80 else found), reason
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outcome, "_judge", judged)

@@ -1,14 +1,23 @@
 """Albums of the viewer: order, filters, jumps, damaged garments, predictions beside truth."""
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.generator.body import named_body
+from gcd_dataset.generator.drawing import draw_pattern, jpeg_bytes
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.render import render_garment
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
@@ -16,6 +25,7 @@ from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer.album import Filter, ShardAlbum, spec_album
 
 COUNT = 6
+SHORT = Overlay.from_dict({"meta": {"upper": "none", "bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.2}})
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +105,58 @@ def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     assert album.known == 0
 
 
+def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:
+    made = make(3, 0, MakeConfig(bodies="neutral", resolution=8.0, picture=0, device="cpu", design=SHORT))
+    assert made.drape is not None and made.box_mesh is not None
+    lost = replace(made.drape, vertices=np.full_like(made.drape.vertices, np.nan))
+    white = jpeg_bytes(np.full((8, 8, 3), 255, np.uint8))
+    with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
+        for index, sample in enumerate([replace(made, front=white), made, replace(made, drape=lost)]):
+            writer.write(replace(sample, provenance=replace(made.provenance, index=index)))
+    album = ShardAlbum(ShardReader(tmp_path), "shards")
+    stored, rendered, drawn = (album.picture(position, 64) for position in range(3))
+    assert (stored > 250).all()
+    assert np.array_equal(drawn, draw_pattern(made.pattern, size=64))
+    body, _, _ = named_body("neutral")
+    front, _ = render_garment(made.drape.vertices, made.box_mesh, body, size=64, device="cpu")
+    assert np.abs(rendered.astype(int) - front).mean() < 1
+
+
+def sheet_of(folder: Path, *options: str) -> tuple[int, tuple[int, int]]:
+    """Exit code of ``gcd show --sheet``, and width and height of the sheet in tiles."""
+    picture = folder.parent / "sheet.png"
+    code = main(["show", str(folder), "--sheet", str(picture), *options])
+    with Image.open(picture) as sheet:
+        width, height = sheet.size
+    return code, (width // 512, height // 512)
+
+
+@pytest.mark.parametrize(
+    ("options", "tiles"),
+    [
+        ([], (3, 2)),
+        (["--index", "0-2,5"], (2, 2)),
+        (["--where", "kind=dress", "grade=clean"], (2, 1)),
+        (["--where", "outcome=slid off", "--index", "3-5"], (1, 1)),
+    ],
+)
+def test_a_sheet_shows_the_selected_garments(options: list[str], tiles: tuple[int, int], folder: Path) -> None:
+    assert sheet_of(folder, *options) == (0, tiles)
+
+
+def test_a_damaged_garment_is_left_white_on_a_sheet(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, reader = tmp_path / "damaged", ShardReader(folder)
+    shutil.copytree(folder, copy)
+    (shard,) = copy.glob("*.tar")
+    content = bytearray(shard.read_bytes())
+    content[int(reader.index.table.offset[0, 0])] ^= 1
+    shard.write_bytes(content)
+    assert sheet_of(copy, "--index", "0-3") == (1, (2, 2))
+    assert "gcd show: " in capsys.readouterr().err
+
+
 def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> None:
     predicted, true = tmp_path / "predicted", tmp_path / "true"
     for where, size in ((predicted, 1.0), (true, 2.0)):
@@ -108,8 +170,37 @@ def test_predictions_stand_beside_the_truth_of_the_same_name(tmp_path: Path) -> 
     assert [album.key(position) for position in range(len(album))] == ["a", "b"]
     assert album.position_of("b") == album.position_of("b_specification.json") == 1
     assert album.page(0, 0) != album.page(0, 1)
-    with pytest.raises(GcdError, match="no file of this name"):
+    with pytest.raises(GcdError, match="no true pattern of this name"):
         album.page(1, 1)
+
+
+def test_scores_tell_what_is_missing_and_the_means(tmp_path: Path, folder: Path) -> None:
+    """Predictions match by the garment's name, also those of a data set; one that cannot be read costs no other."""
+    predicted = tmp_path / "predicted"
+    (tmp_path / "nested" / "gcd_000000001").mkdir(parents=True)
+    predicted.mkdir()
+    for index, name in enumerate(("gcd_000000000_prediction", "gcd_000000001", "other")):
+        write_pattern(fake_sample(0, index).pattern, predicted / f"{name}.json")
+    (predicted / "gcd_000000002_predicted.json").write_text("{")
+    write_pattern(fake_sample(0, 1).pattern, tmp_path / "nested" / "gcd_000000001" / "specification.json")
+    lines = list(spec_album(predicted, ShardReader(folder)).scores())
+    assert lines[:2] == [
+        "1 without a true pattern: other",
+        "3 without a prediction: gcd_000000003, gcd_000000004, gcd_000000005",
+    ]
+    assert lines[2].startswith("gcd_000000000: iou 1.000") and "stitch_f1 1.000" in lines[2]
+    assert "gcd_000000002: no score" in lines[4] and lines[5].startswith("mean of 2: iou 1.000")
+    assert "4 without" not in "".join(lines)
+    nested = spec_album(predicted, tmp_path / "nested")
+    assert [line.partition(":")[0] for line in nested.scores()][1:] == ["gcd_000000001", "mean of 1"]
+    assert nested.links(1)["score"] == lines[3].partition(": ")[2]
+
+
+def test_two_files_of_one_garment_are_refused(tmp_path: Path) -> None:
+    for name in ("a.json", "a_prediction.json"):
+        write_pattern(fake_sample(0, 1).pattern, tmp_path / name)
+    with pytest.raises(ConfigError, match=r"a_prediction\.json: .*a\.json is named after the same garment"):
+        spec_album(tmp_path)
 
 
 def test_a_specification_that_cannot_be_drawn_is_an_error_with_file_and_edge(tmp_path: Path) -> None:

@@ -38,14 +38,18 @@ class Running:
         self.thread.start()
         assert ready.wait(30)
         self.address, self.server = found
-        self.port = urlsplit(self.address).port
+        self.port, self.first = urlsplit(self.address).port, self.address.partition(str(urlsplit(self.address).port))[2]
+        self.cookie = ""
+        self.ask("GET", self.first)
 
     def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, str, str]:
+        """Status, type and text of an answer to a browser that keeps the cookie, unless ``Cookie`` is given."""
         connection = HTTPConnection("127.0.0.1", self.port, timeout=60)
         content = None if body is None else body if isinstance(body, str) else json.dumps(body)
-        given = {} if body is None else {"Content-Type": "application/json"}
+        given = {"Cookie": self.cookie} | ({} if body is None else {"Content-Type": "application/json"})
         connection.request(method, path, content, {**given, **headers})
         answer = connection.getresponse()
+        self.cookie = answer.getheader("Set-Cookie", self.cookie).partition(";")[0]
         found = answer.status, answer.headers.get_content_type(), answer.read().decode()
         connection.close()
         return found
@@ -169,6 +173,33 @@ def test_a_page_that_is_closed_early_leaves_no_message(gallery: Running, capsys:
 def test_another_host_name_is_refused(gallery: Running) -> None:
     """A page of another site whose name resolves to this machine must not read the data."""
     assert gallery.ask("GET", "/facets", Host="evil.example")[0] == 403
+
+
+PAGES = ("/", "/facets", "/find?rank=0", "/links?position=0", "/garment?position=0", "/nowhere", "//[")
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_nothing_is_answered_without_the_token(path: str, gallery: Running) -> None:
+    """Other users of the machine reach the port, too."""
+    wrong = gallery.cookie[:-1] + ("a" if gallery.cookie[-1] != "a" else "b")
+    for cookie in ("", wrong, gallery.cookie.partition("=")[2], "é"):
+        status, _, text = gallery.ask("GET", path, Cookie=cookie)
+        assert status == 403 and "printed" in json.loads(text)["error"]
+    between = "&" if "?" in path else "?"
+    assert gallery.ask("GET", f"{path}{between}token={wrong}", Cookie="")[0] == 403
+    assert gallery.ask("POST", "/more", {}, Cookie="")[0] == 403
+
+
+def test_the_token_in_the_address_or_the_cookie_opens_every_page(gallery: Running) -> None:
+    for path in ("/", "/facets", "/garment?position=0"):
+        token = gallery.first.partition("?")[2]
+        assert gallery.ask("GET", f"{path}{'&' if '?' in path else '?'}{token}", Cookie="")[0] == 200
+        assert gallery.ask("GET", path, Cookie=f"other=1; {gallery.cookie}")[0] == 200
+
+
+def test_each_server_has_a_token_of_its_own(gallery: Running, design: Running) -> None:
+    assert gallery.cookie.partition("=")[0] != design.cookie.partition("=")[0]
+    assert design.ask("GET", gallery.first, Cookie=gallery.cookie)[0] == 403
 
 
 def test_a_drawn_pattern_and_the_reasons_of_rules_are_answered(design: Running) -> None:

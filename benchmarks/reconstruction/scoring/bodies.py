@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gcd_dataset.bodyfiles import read_measurements
+from gcd_dataset.bodyfiles import read_measurements, require_same_body
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body import build_body, measure, named_body, read_body
 from gcd_dataset.generator.body.asset import body_model
@@ -139,7 +139,10 @@ def _from_shape(path: Path, legs_apart: bool) -> tuple[Body, Measurements]:
     shape = BodyShape(weights, _arm_angle(stem.with_name(f"{stem.name}.meta.json")))
     straight = build_body(shape, name=stem.name)
     given = _beside(stem, MEASURES)
-    size = measure(straight) if given is None else read_measurements(given)
+    size = measure(straight)
+    if given is not None:
+        ours, size = size, read_measurements(given)
+        require_same_body(size, ours, given, path)
     return build_body(replace(shape, legs_apart=True), name=stem.name) if legs_apart else straight, size
 
 

@@ -298,7 +298,7 @@ def test_folders_without_results_are_refused(tmp_path: Path) -> None:
         ('{"settings": {}, "garments": [1]}', "garment 0 has no name"),
         ('{"settings": {}, "garments": [{"name": "g", "iou": 1}]}', "no hash of the true patterns: evaluate again"),
         ("{", "correct the JSON"),
-        ("", "correct the JSON"),
+        ("", "empty, not a JSON file"),
     ],
 )
 def test_json_of_another_kind_is_refused(

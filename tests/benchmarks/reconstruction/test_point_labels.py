@@ -30,7 +30,7 @@ DRESS: dict[str, Any] = {
 
 
 @cache
-def dress() -> dict[str, Any]:
+def dress() -> Any:
     return GeneratedGarments(1, 0, drape=None, resolution=3.0, points=4096, dtype=None, design=DRESS)[0]
 
 

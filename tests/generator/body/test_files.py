@@ -1,7 +1,9 @@
 """Bodies and measures in files, and bodies by name."""
 
+import codecs
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 import trimesh
 import yaml
 
-from gcd_dataset.errors import BodyError, OutputError
+from gcd_dataset.bodyfiles import read_body_parts
+from gcd_dataset.errors import BodyError, ConfigError, OutputError
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
@@ -20,7 +23,7 @@ from gcd_dataset.generator.body import (
     read_measurements,
     write_measurements,
 )
-from gcd_dataset.records import MEASURES, BodyPart, Measurements
+from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 
 SIZE = measure(build_body(neutral_shape()))
@@ -79,8 +82,9 @@ def test_published_mean_bodies(name: str, examples: Path) -> None:
     assert body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0].mean() > 20.0
 
 
-@pytest.mark.parametrize("kind", ["obj", "ply"])
-@pytest.mark.parametrize(("factor", "unit"), [(1.0, "centimetres"), (0.01, "metres"), (10.0, "millimetres")])
+@pytest.mark.parametrize(
+    ("kind", "factor", "unit"), [("obj", 1.0, "centimetres"), ("ply", 0.01, "metres"), ("obj", 10.0, "millimetres")]
+)
 def test_the_models_mesh_is_recognised(
     kind: str, factor: float, unit: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -193,8 +197,58 @@ def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str
 
 def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
-    with pytest.raises(BodyError, match="20 tall, no person's height in centimetres, metres"):
+    with pytest.raises(BodyError, match="20 tall, no adult's height in centimetres, metres"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+
+
+def test_smpls_part_names_are_read(tmp_path: Path) -> None:
+    arm, leg = ["Shoulder", "Arm", "ForeArm", "Hand", "HandIndex1"], ["UpLeg", "Leg", "Foot", "ToeBase"]
+    names = ["hips", "head", "eyeballs", *(side + name for side in ("left", "right") for name in arm + leg)]
+    (tmp_path / "smpl.json").write_text(json.dumps({name: [row] for row, name in enumerate(names)}))
+    parts = [BodyPart(part).name for part in read_body_parts(tmp_path / "smpl.json", 22, tmp_path / "a.obj")]
+    assert parts[:3] == ["TRUNK", "HEAD", "INTERNAL"]
+    assert parts[3:12] == 3 * ["LEFT_ARM"] + 2 * ["HANDS"] + 2 * ["LEFT_LEG"] + 2 * ["FEET"]
+    assert parts[12:21] == 3 * ["RIGHT_ARM"] + 2 * ["HANDS"] + 2 * ["RIGHT_LEG"] + 2 * ["FEET"]
+
+
+def test_measures_of_another_body_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Each that is over 3 cm and 5 % off; angles are not compared."""
+    other = replace(SIZE, waist=SIZE.waist + 4.5, height=SIZE.height + 5.0, wrist=SIZE.wrist + 2.0, shoulder_incl=0.9)
+    write_measurements(other, tmp_path / "other.yaml")
+    _, size, _ = named_body("neutral", measurements=tmp_path / "other.yaml")
+    assert size == other
+    [record] = caplog.records
+    named = record.getMessage()
+    assert f"differs from neutral (its measures in brackets): waist {other.waist:.1f} ({SIZE.waist:.1f}) [cm]" in named
+    caplog.clear()
+    write_measurements(SIZE, tmp_path / "same.yaml")
+    named_body("neutral", measurements=tmp_path / "same.yaml")
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("inches", 2.54), ("metres", 100.0), ("millimetres", 0.1)])
+def test_measures_in_another_unit_are_refused(unit: str, factor: float, tmp_path: Path) -> None:
+    lengths = {key: getattr(SIZE, key) / factor for key in MEASURES if key not in ANGLES and key != "wrist"}
+    write_measurements(replace(SIZE, **lengths), tmp_path / "size.yaml")
+    with pytest.raises(BodyError, match=rf"size\.yaml: most measures are those of male in {unit}"):
+        named_body("male", measurements=tmp_path / "size.yaml")
+
+
+def test_a_byte_order_mark_before_measures_is_skipped(tmp_path: Path) -> None:
+    write_measurements(SIZE, tmp_path / "size.yaml")
+    (tmp_path / "bom.yaml").write_bytes(codecs.BOM_UTF8 + (tmp_path / "size.yaml").read_bytes())
+    assert read_measurements(tmp_path / "bom.yaml") == SIZE
+
+
+def test_a_mesh_without_a_body_is_taken_as_it_stands(
+    mannequin: dict[str, Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    """With measures and parts, as for a dress form; the heights are compared."""
+    write_measurements(replace(SIZE, height=190.0), mannequin["size"])
+    read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+    found, height = (record.getMessage() for record in caplog.records if record.levelno == logging.WARNING)
+    assert "taken as it stands, y up and facing +z" in found
+    assert "height 190.0 (170.0)" in height
 
 
 def test_bodies_by_name() -> None:
@@ -243,6 +297,13 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
 def test_unknown_names_are_errors(name: str, expected: str) -> None:
     with pytest.raises(BodyError, match=expected):
         named_body(name)
+
+
+def test_a_height_must_be_an_adults_and_is_for_a_mesh(mannequin: dict[str, Path]) -> None:
+    with pytest.raises(ConfigError, match=r"height 1\.7: no adult's: give it in centimetres, 120 to 230"):
+        named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"], height=1.7)
+    with pytest.raises(BodyError, match="neutral: a named body has known parts and height: leave"):
+        named_body("neutral", height=170.0)
 
 
 def test_an_unwritable_file_is_an_error(tmp_path: Path) -> None:

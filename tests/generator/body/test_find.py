@@ -1,6 +1,7 @@
 """Bodies in unknown meshes: landmarks, parts and measures from the geometry alone."""
 
 import json
+import logging
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
@@ -25,6 +27,7 @@ from gcd_dataset.generator.body import (
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
+from gcd_dataset.generator.body.upright import unit_of
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -100,11 +103,10 @@ def test_measures_of_the_models_mesh_scale_exactly() -> None:
         assert large[key] == pytest.approx(small[key] * (1.0 if key in ANGLES else 1.1), rel=1e-6)
 
 
-RIGHT = ("some faces flipped", "facing away")
+RIGHT = ("some faces flipped", "facing away", "on a floor")
 ERRORS = {
     "not a number": "the position of vertex 3121 is not a number",
     "collapsed": "with an area",
-    "on a floor": "off the body in it",
     "no hands": "wrist|hands",
     "twelve vertices": "20 triangles",
     "arms grown to the trunk": "is merged with the trunk",
@@ -119,6 +121,60 @@ def test_harmless_damage_does_not_change_the_measures(kind: str, tmp_path: Path)
     result, remarks = measure_file(made.write(tmp_path))
     assert not too_far(result.measurements, made.truth)
     assert any("turned" in remark for remark in remarks) == (kind == "facing away")
+    assert any("such as a floor" in remark for remark in remarks) == (kind == "on a floor")
+
+
+def scene(body: Body) -> trimesh.Trimesh:
+    """The body in inches with an eyeball, on a floor, leaning to front and side, turned; vertex 0 is unused."""
+    eye = trimesh.creation.icosphere(radius=1.2).apply_translation([3.0, 0.93 * body.vertices[:, 1].max(), 5.0])
+    floor = trimesh.creation.box((300.0, 4.0, 300.0)).apply_translation([0.0, -2.0, 0.0])
+    whole = trimesh.util.concatenate([trimesh.Trimesh(body.vertices, body.faces, process=False), eye, floor])
+    turn = Rotation.from_euler("YZX", [40.0, 5.0, 8.0], degrees=True).as_matrix()
+    vertices = np.concatenate([[[1e6, 0.0, 0.0]], whole.vertices @ turn.T / 2.54])
+    return trimesh.Trimesh(vertices, whole.faces + 1, process=False)
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["our mesh", "any mesh"])
+def test_the_body_of_a_scene_is_measured_upright_and_alone(
+    ours: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    body = build_body(female_shape())
+    scene(body if ours else unknown(body)).export(tmp_path / "scene.obj")
+    with caplog.at_level(logging.INFO):
+        stood, size = read_body(tmp_path / "scene.obj", height=float(np.ptp(body.vertices[:, 1])))
+    for remark in ("scaled to 166.", "upright facing +z and was turned", "left out: 12 triangles not connected"):
+        assert remark in caplog.text
+    expected = measure(body) if ours else fitted_woman().result.measurements
+    assert max(map(abs, off(size, expected).values())) < 0.7
+    count = len(body.vertices)
+    assert np.abs(stood.vertices[:count] - body.vertices).max() < 2.0
+    assert (stood.parts[:count] == body.parts)[body.parts != BodyPart.INTERNAL.value].mean() > 0.97
+    assert (stood.parts[count:] == BodyPart.INTERNAL.value).all()  # the eyeball
+
+
+@pytest.mark.parametrize("lean", [("x", 3.0), ("x", -30.0)])
+def test_our_mesh_is_set_upright(lean: tuple[str, float], tmp_path: Path) -> None:
+    body = build_body(female_shape())
+    turn = Rotation.from_euler(*lean, degrees=True).as_matrix()
+    trimesh.Trimesh(body.vertices @ turn.T, body.faces, process=False).export(tmp_path / "own.ply")
+    result, remarks = measure_file(tmp_path / "own.ply")
+    assert max(map(abs, off(result.measurements, measure(body)).values())) < 0.5
+    assert "did not stand upright facing +z and was turned" in remarks
+
+
+def test_a_mirrored_body_keeps_its_left_on_the_left(tmp_path: Path) -> None:
+    """Its vertices are our mesh's, its sides are not."""
+    body = build_body(female_shape())
+    trimesh.Trimesh(body.vertices * [-1.0, 1.0, 1.0], body.faces, process=False).export(tmp_path / "own.ply")
+    mirrored, _ = read_body(tmp_path / "own.ply")
+    assert mirrored.vertices[mirrored.parts == BodyPart.LEFT_ARM.value, 0].min() > 0.0
+
+
+@pytest.mark.parametrize("tall", [1.0, 70.5, 61.7, 5.4, 100.0, 2400.0])
+def test_a_height_of_no_adult_is_an_error(tall: float) -> None:
+    with pytest.raises(BodyError, match=f"scan: {tall:g} tall, no adult's height in .* --height CM"):
+        unit_of(tall, "scan")
+    assert unit_of(tall, "scan", height=165.0) == pytest.approx(165.0 / tall)
 
 
 @pytest.mark.parametrize("kind", ERRORS)
@@ -145,7 +201,7 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     nape = fitted_woman().marks.points["nape_of_neck"]
     marks = {"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])], "waist": [[0.0, 100.0, 0.0]]}
     (tmp_path / "marks.json").write_text(json.dumps(marks))
-    given = read_landmarks(tmp_path / "marks.json", woman().vertices, 1.0)
+    given = read_landmarks(tmp_path / "marks.json", woman().vertices)
     size = find_body(woman().vertices, woman().faces, given=given)
     assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
     assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
@@ -202,7 +258,7 @@ def test_broken_landmark_files(content: str, expected: str, tmp_path: Path) -> N
     path = tmp_path / "marks.json"
     path.write_text(content)
     with pytest.raises(BodyError, match=expected) as caught:
-        read_landmarks(path, np.zeros((10, 3)), 1.0)
+        read_landmarks(path, np.zeros((10, 3)))
     assert str(caught.value).startswith(str(path))
 
 
@@ -223,6 +279,7 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
         ([], 2, "give a mesh file or --shape"),
         (["a.obj", "--shape", "female"], 2, "one of them"),
         (["--shape", "female", "--landmarks", "x.json"], 2, "are for a mesh file"),
+        (["--shape", "female", "--height", "170"], 2, "are for a mesh file"),
         (["nowhere.obj"], 1, "nowhere.obj: no such file"),
     ],
 )

@@ -1,5 +1,6 @@
 """Bodies in all mesh formats have the same vertices and measures; malformed files give one-line errors."""
 
+import codecs
 import json
 import struct
 from functools import cache
@@ -15,6 +16,7 @@ from gcd_dataset.generator.body import build_body, draw_shape, named_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file, read_body
 from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.records import Body
+from gcd_dataset.release.obj import read_obj
 from gcd_dataset.seeding import Stage, rng
 
 
@@ -105,6 +107,28 @@ def test_vertices_of_obj_keep_their_numbers(tmp_path: Path) -> None:
     assert faces.tolist() == [[0, 1, 3], [3, 1, 4], [4, 3, 0]]
 
 
+def test_relative_vertex_numbers_count_from_their_line(tmp_path: Path) -> None:
+    """As written object by object, after a byte order mark; of the published bodies too."""
+    triangle = "v 0 0 %d\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
+    text = triangle % 1 + "f -3/-1/-1 -2/-1/-1 -1/-1/-1\n" + triangle % 2 + "f -3//-1 -2//-1 3\n"
+    (tmp_path / "a.obj").write_bytes(codecs.BOM_UTF8 + text.encode())
+    vertices, faces = read_mesh(tmp_path / "a.obj")
+    assert faces.tolist() == [[0, 1, 2], [3, 4, 2]]
+    assert vertices[:, 2].tolist() == [1, 0, 0, 2, 0, 0]
+    published = read_obj(tmp_path / "a.obj")
+    assert published.triangles().tolist() == faces.tolist()
+    assert published.positions().tolist() == vertices.tolist()
+
+
+def test_a_floor_of_a_scene_is_not_its_body(tmp_path: Path) -> None:
+    floor = trimesh.creation.box((1.3, 0.01, 1.3)).apply_translation([0.0, -0.01, 0.0])
+    body = mesh_of(ours=True, metres=True)
+    assert not floor.area < 0.2 * (body.area + floor.area)
+    trimesh.Scene({"floor": floor, "body": body}).export(tmp_path / "me.glb")
+    _, remarks = measure_file(tmp_path / "me.glb")
+    assert "left out: 12 triangles not connected to the body, such as a floor" in remarks
+
+
 # ----------------------------------------------------------------------------------------------------- malformed files
 
 
@@ -134,7 +158,7 @@ MALFORMED = {
     "nothing.ply": (b"", ""),
     "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
     "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
-    "back.obj": (f"{V}f -1 -2 -9\n".encode(), ""),
+    "back.obj": (f"{V}f -1 -2 -9\n".encode(), "a face names vertex -9, but OBJ counts from 1"),
     "none.obj": (b"f 1 2 3\n", ""),
     "words.obj": (f"{V}f a b c\n".encode(), ""),
     "flat.obj": (f"{V}f 1 2\n".encode(), ""),

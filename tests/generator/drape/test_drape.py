@@ -250,11 +250,11 @@ def test_a_band_cut_too_small_is_overstretched() -> None:
     """A ring cut for half the girth of its body is stretched to twice its length."""
     barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
     barrel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    barrel.apply_translation([0.0, 30.0, 0.0])
+    barrel.apply_translation([0.0, 90.0, 0.0])
     body = body_from(barrel.subdivide().subdivide())
     for share, outcome in ((0.5, Outcome.OVERSTRETCHED), (0.97, Outcome.SETTLED)):
         columns = round(share * 2 * np.pi * 12.5 / 2.0)
-        band = tube(columns, 4, radius=13.0, spacing=2.0, height=30.0)
+        band = tube(columns, 4, radius=13.0, spacing=2.0, height=90.0)
         [drape] = drape_batch([DrapeJob(band, body, SIZE, Fabric(friction=3.0))], device="cpu")
         assert drape.outcome is outcome
 
@@ -269,6 +269,19 @@ def test_start_positions_of_another_mesh_are_refused() -> None:
     job = on_a_ball(4)
     with pytest.raises(ConfigError, match=r"3 start positions for the \d+ vertices of the box mesh"):
         replace(job, start=job.box_mesh.vertices[:3])
+
+
+def test_a_job_that_cannot_be_draped_costs_no_other() -> None:
+    good, config = on_a_ball(4), DrapeConfig(max_frames=1)
+    mesh = good.box_mesh
+    empty = replace(mesh, faces=mesh.faces[:0], corners=mesh.corners[:0], panel_id=mesh.panel_id[:0])
+    beyond = replace(mesh, faces=mesh.faces + len(mesh.vertices))
+    jobs = [replace(good, box_mesh=empty), good, replace(good, box_mesh=beyond)]
+    first, drape, last = drape_batch(jobs, config, device="cpu")
+    assert [drape] == drape_batch([good], config, device="cpu")
+    assert first.outcome is last.outcome is Outcome.REFUSED
+    assert "no faces" in first.reason
+    assert "faces: numbers 25 to 49, but there are 25 rows" in last.reason
 
 
 def test_no_jobs_give_no_drapes() -> None:

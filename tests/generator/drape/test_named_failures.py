@@ -25,7 +25,7 @@ from tests.helpers import tube
 
 ARMS = ("left arm", "right arm")
 FOREARM_FROM = 0.45  # share of the way from shoulder to finger tips
-INSTEP = 5.0  # cm
+INSTEP = 6.0  # cm
 UNDER_TOES = 2.0  # cm: without a floor, cloth over the toes may hang back under the sole
 TOES = 10  # cloth edges that may cross toes, which are thinner than the 3 cm spacing
 
@@ -34,7 +34,7 @@ WIDE = ShirtDesign(width=1.3, length=1.5, flare=1.3)
 FULL_SKIRT = OutfitDesign(
     meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.GATHERED),
     waistband=WaistbandDesign(width=0.4),
-    skirt=GatheredSkirtDesign(length=0.87, ruffle=1.7, flare=20),
+    skirt=GatheredSkirtDesign(length=0.95, ruffle=1.7, flare=20),
 )
 WIDE_TROUSERS = OutfitDesign(
     meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, width=1.5, flare=1.2)

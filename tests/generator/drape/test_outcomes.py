@@ -65,9 +65,26 @@ def test_a_loose_component_falls_alone() -> None:
 
 
 def test_a_hem_below_the_floor_is_not_a_fall() -> None:
-    mesh = patch(4, 30, origin=(0.0, -10.0, 0.0))
+    mesh = patch(4, 30, origin=(0.0, -5.0, 0.0))
     assert not fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
     assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices - [0.0, 20.0, 0.0])
+
+
+def test_cloth_below_the_floor_is_a_fall_unless_it_hangs_from_hip_height() -> None:
+    heap, train = patch(4, 40, origin=(0.0, -20.0, 0.0)), patch(4, 140, origin=(0.0, -50.0, 0.0))
+    said = fell(DrapeJob(heap, far_ball(), SIZE), heap.vertices)
+    assert said == "51% of the cloth lies below the floor; it hangs from 20 to -20 cm"
+    assert not fell(DrapeJob(train, far_ball(), SIZE), train.vertices)
+
+
+def test_a_ring_round_both_ankles_has_slid_off_and_a_sock_has_not() -> None:
+    """Also if the panels were placed there."""
+    ring = tube(36, 3, radius=11.5, spacing=2.0, height=10.0)
+    sock = replace(ring, vertices=ring.vertices * [0.4, 1.0, 0.4] + [10.0, 0.0, 0.0])
+    assert (
+        off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices) == "its top lies at 16 cm, below the knees at 43 cm"
+    )
+    assert not off_body(DrapeJob(sock, far_ball(), SIZE), sock.vertices)
 
 
 def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
@@ -83,22 +100,27 @@ def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
     assert np.ptp(drape.vertices[:, 1]) < 8.0
     assert 6.0 < drape.vertices[:, 1].min() < drape.vertices[:, 1].max() < 20.0
     assert drape.outcome is Outcome.SLID_OFF
+    assert "below the knees" in drape.reason
 
 
-def test_a_neckline_belongs_above_the_waist() -> None:
+def test_a_neckline_belongs_above_the_armpits() -> None:
+    """At 131 cm for this size; and its mean above the waist, at 107 cm."""
     dress = patch(
         5, 5, spacing=2.0, origin=(0.0, SIZE.waist_level + 20.0, 0.0), labels={"left_collar": np.arange(30, 36)}
     )
     job = DrapeJob(dress, far_ball(), SIZE)
     assert not off_body(job, dress.vertices)
-    assert off_body(job, dress.vertices - [0.0, 40.0, 0.0])
+    assert (
+        off_body(job, dress.vertices - [0.0, 10.0, 0.0]) == "its neckline lies at 127 cm, below the armpits at 131 cm"
+    )
+    assert off_body(job, dress.vertices - [0.0, 40.0, 0.0]) == "its neckline lies at 97 cm, below the waist at 107 cm"
 
 
 @pytest.mark.parametrize("labels", [{}, {"left_collar": np.arange(36)}, {"lower_interface": np.arange(36)}])
 def test_every_piece_of_an_outfit_belongs_on_the_body(labels: dict[str, np.ndarray]) -> None:
     """A top that stays up, and a skirt that is not sewn to it and has dropped to the ankles."""
     waist = SIZE.waist_level
-    top = replace(tube(36, 3, radius=15.0, spacing=2.0, height=waist + 10.0), labels=labels)
+    top = replace(tube(36, 3, radius=15.0, spacing=2.0, height=waist + 30.0), labels=labels)
     outfit = joined(top, tube(36, 20, radius=15.0, spacing=2.0, height=waist - 42.0))
     job, of_skirt = DrapeJob(outfit, far_ball(), SIZE), np.arange(len(outfit.vertices)) >= len(top.vertices)
     dropped = outfit.vertices - np.outer(of_skirt, [0.0, 70.0, 0.0])

@@ -13,7 +13,7 @@ from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
 from gcd_dataset.generator.dressing.wearer import wearer_of
-from gcd_dataset.generator.fitting import drape_patterns
+from gcd_dataset.generator.fitting import Fitting, drape_patterns
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Outcome, Panel, Pattern, Placement, Seam
@@ -131,7 +131,7 @@ def test_a_garment_over_the_head_comes_down_to_the_waist(wearer: tuple[Body, Mea
     dressed = dress(tube(50.0, 40.0, y=200.0), *wearer)
     top = max(panel.placement.apply(panel.vertices)[:, 1].max() for panel in dressed.pattern.panels)
     assert top == pytest.approx(wearer[1].waist_level)
-    assert "over the head" in dressed.assumed[0]
+    assert "top edge hung 240 cm high" in dressed.assumed[0]
 
 
 def test_a_panel_without_seams_is_refused_by_name(wearer: tuple[Body, Measurements]) -> None:
@@ -176,6 +176,7 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
     pattern = Pattern("piece", panels, seams)
     assert not has_legs(pattern)
     [fitting] = drape_patterns([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
+    assert isinstance(fitting, Fitting)
     assert fitting.body is wearers[True][0]
 
 

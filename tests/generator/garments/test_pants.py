@@ -101,7 +101,7 @@ def test_centre_seams_hang_straight_and_meet_level_at_the_crotch(woman: Measurem
 
 def test_darts_take_in_the_rest_of_the_excess(woman: Measurements) -> None:
     front, back = halves(woman, PantsDesign())
-    for piece, darts in ((front, ("dart",)), (back, ("inner_dart", "outer_dart"))):
+    for piece, darts in ((front, ()), (back, ("inner_dart", "outer_dart"))):  # in front it is under half a centimetre
         mouths = 0.0
         for name in darts:
             into, out = piece.outline.edge(f"{name}.0"), piece.outline.edge(f"{name}.1")
@@ -185,7 +185,10 @@ def test_trousers_of_the_reference(name: str, body: str, examples: Path) -> None
     (path,) = folder.glob("*_specification.json")
     design = read_design(folder / "design_params.yaml")
     size = read_measurements(folder / "body_measurements.yaml")
-    reference, ours = read_pattern(path), assemble(pants(size, design.pants, rise=bottom_rise(design)), name)
+    reference, ours = (
+        read_pattern(path),
+        assemble(pants(size, design.pants, rise=bottom_rise(design, frozenset())), name),
+    )
     for panel in ours.panels:
         other = reference.panel(panel.name)
         assert shapely.hausdorff_distance(contour(panel), contour(other)) < OUTLINE

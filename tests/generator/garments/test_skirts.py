@@ -28,7 +28,7 @@ from tests.generator.garments.skirts import ends, errors, length, lengths, skirt
 
 OUTLINE, PLACED = 0.01, 1.0  # cm; the reference shifts a panel by the fractional part of its first corner
 
-UNMENDED = {"levels_skirt": frozenset({Mend.LEVEL_GIRTH}), "strapless_dress": frozenset({Mend.SLIT_LENGTH})}
+UNMENDED = {"levels_skirt": {Mend.LEVEL_GIRTH}, "strapless_dress": {Mend.SLIT_LENGTH}}
 SKIRTS = ("circle_skirt", "pencil_skirt", "godet_skirt", "levels_skirt")
 DRESSES = ("dress", "strapless_dress", "asymm_circle_skirt_lapel_dress")
 
@@ -175,9 +175,9 @@ def test_a_pencil_skirt_names_missing_measures(woman: Measurements) -> None:
 
 def test_darts_that_do_not_fit_are_refused(woman: Measurements) -> None:
     with pytest.raises(
-        PatternError, match=r"skirt_front: a dart of .* does not fit a top of .* cm: correct the measures"
+        PatternError, match=r"skirt_back: a dart of .* does not fit a top of .* cm: correct the measures"
     ):
-        skirt(replace(woman, bust_points=60.0), Bottom.PENCIL, {})
+        skirt(replace(woman, bum_points=60.0), Bottom.PENCIL, {})
 
 
 # ------------------------------------------------------------------------------------------------------- circle, panels
@@ -334,7 +334,7 @@ def test_skirts_equal_the_references(examples: Path, example: str, body: str) ->
     folder = examples / "patterns" / example / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     reference = read_pattern(next(folder.glob("*_specification.json")))
-    ours = outfit(size, design, mends=ALL_MENDS - UNMENDED.get(example, frozenset()))
+    ours = outfit(size, design, mends=ALL_MENDS - {Mend.WORN_LENGTH} - UNMENDED.get(example, set()))
     found = compare(ours, reference)
     names = [panel.name for panel in reference.panels if panel.name.removeprefix("ins_").startswith("skirt")]
     assert names

@@ -14,6 +14,13 @@ from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements, PanelRole, Pattern
 from tests.generator.worn import Worn, drawn, edges, sampled_wardrobe
 
+BARE, SLEEVE = {"enable_asym": True, "shirt": {"strapless": True}}, {"sleeveless": False, "length": 0.3}
+ALONE = (
+    {"strapless", "one-shoulder"},
+    {"sleeveless", "short sleeves", "long sleeves", "uneven sleeves"},
+    {"round neck", "v-neck", "square neck", "curved neck", "uneven neck"},
+)
+"""Tags of which a garment has at most one."""
 SKIRT, SHIRT = {"upper": None, "bottom": "SkirtCircle"}, {"upper": "Shirt", "bottom": None}
 
 
@@ -57,6 +64,15 @@ def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements) 
         ({"meta": SHIRT, "left": {"enable_asym": True}}, {"asymmetric"}),
         ({"meta": SHIRT, "sleeve": {"sleeveless": False, "length": 0.9}}, {"long sleeves"}),
         ({"meta": {"upper": "FittedShirt"}, "shirt": {"strapless": True}}, {"fitted bodice", "strapless"}),
+        ({"meta": {"upper": "FittedShirt"}, "left": BARE}, {"fitted bodice", "one-shoulder", "sleeveless"}),
+        ({"meta": {"upper": "FittedShirt"}, "left": BARE, "sleeve": SLEEVE}, {"one-shoulder", "uneven sleeves"}),
+        ({"meta": SHIRT, "left": {"enable_asym": True}, "sleeve": SLEEVE}, {"uneven sleeves", "round neck"}),
+        ({"meta": SHIRT, "left": {"enable_asym": True, "sleeve": SLEEVE}, "sleeve": SLEEVE}, {"short sleeves"}),
+        (
+            {"meta": SHIRT, "left": {"enable_asym": True, "sleeve": SLEEVE | {"length": 0.9}}, "sleeve": SLEEVE},
+            {"uneven sleeves"},
+        ),
+        ({"meta": SHIRT, "left": {"enable_asym": True, "collar": {"f_collar": "VNeckHalf"}}}, {"uneven neck"}),
         ({"meta": {"upper": "Shirt", "bottom": "Pants"}}, {"jumpsuit", "trousers"}),
         ({"meta": {"bottom": "Pants", "wb": "StraightWB"}}, {"trousers", "with waistband"}),
         ({"meta": {"bottom": "PencilSkirt"}}, {"pencil skirt"}),
@@ -89,6 +105,7 @@ def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(woman: Measuremen
         assert set(found) <= set(TAGS)
         assert list(found) == sorted(set(found), key=TAGS.index)
         assert len({"top", "dress", "jumpsuit", "skirt"} & set(found)) == (0 if found[0] == "trousers" else 1)
+        assert all(len(group & set(found)) <= 1 for group in ALONE)
         seen.update(found)
     assert seen == set(TAGS) - {Tag.CAPE.value, Tag.PONCHO.value}  # of weight 0
 
@@ -147,8 +164,7 @@ def test_an_arc_that_bulges_inwards_is_not_round(woman: Measurements) -> None:
 def test_a_shirt_with_one_sleeve_is_not_sleeveless(woman: Measurements) -> None:
     left = {"enable_asym": True, "sleeve": {"sleeveless": False, "length": 0.3}}
     found = tags(woman, meta=SHIRT, sleeve={"sleeveless": True}, left=left)
-    assert "short sleeves" in found
-    assert "sleeveless" not in found
+    assert found & ALONE[1] == {"uneven sleeves"}
 
 
 def test_halves_of_the_same_design_are_not_asymmetric(woman: Measurements) -> None:
@@ -201,6 +217,9 @@ def drawn_features(worn: Worn) -> Mapping[str, bool]:
     """Tag to whether the pattern has its feature, by panels, edges and seams alone."""
     names, found = " ".join(panel.name for panel in worn.pattern.panels), edges(worn.pattern)
     darts = {seam.left.panel for seam in worn.pattern.seams if seam.left.panel == seam.right.panel}
+    bare = {"shoulder" not in {edge.name for edge in panel.edges} for panel in worn.pattern.panels
+            if panel.name.endswith("ftorso")}  # fmt: skip
+    sleeves = names.count("sleeve_f")
     sleeve, torso, necks = "sleeve_f" in names, "torso" in names, front_necklines(worn.pattern)
     seams = longest_ratio(worn.pattern)
     return {
@@ -209,17 +228,18 @@ def drawn_features(worn: Worn) -> Mapping[str, bool]:
         "trousers": "pant_f_r" in names,
         "jumpsuit": "pant_f_r" in names and torso,
         "dress": "skirt" in names.replace("cuff_skirt", "") and torso,
-        "pencil skirt": any(name.startswith("skirt_") for name in darts),
+        "pencil skirt": bool(found & {"right_hip"}),
         "panelled skirt": "skirt_panel_3" in names,
         "godet skirt": "ins_skirt_front_0" in names,
         "tiered skirt": "skirt_front_0" in names,
         "slit": bool(found & {"slit", "right_slit", "left_slit", "hem_cut"}),
         "with waistband": "wb_front" in names and any(panel.label == PanelRole.LEG for panel in worn.pattern.panels),
-        "strapless": any("shoulder" not in {edge.name for edge in panel.edges} for panel in worn.pattern.panels
-                         if panel.name.endswith("ftorso")),
+        "strapless": bare == {True},
+        "one-shoulder": bare == {True, False},
         "sleeveless": not sleeve,
-        "short sleeves": sleeve,
-        "long sleeves": sleeve,
+        "short sleeves": sleeves == 2,
+        "long sleeves": sleeves == 2,
+        "uneven sleeves": sleeve,
         "with cuffs": "cuff" in names,
         "round neck": ("Arc",) in necks,
         "v-neck": ("Line",) in necks,
@@ -246,7 +266,9 @@ STATED = LENGTHS | {
     "circle skirt": "circle skirt", "pencil skirt": "pencil skirt", "straight skirt": "straight skirt",
     "gathered skirt": "gathered (A-line )?skirt", "panelled skirt": "-panel|panels", "godet skirt": "godets",
     "tiered skirt": "tiers?", "slit": "slits?|notch|V-shaped cut", "with waistband": "waistband",
-    "strapless": "strapless|one-shoulder", "short sleeves": "(cap|short|elbow-length) [a-z ]*sleeves?",
+    "strapless": "strapless", "one-shoulder": "one-shoulder",
+    "uneven sleeves": "sleeve[a-z, -]* on the (right|left)", "uneven neck": "on the right and",
+    "short sleeves": "(cap|short|elbow-length) [a-z ]*sleeves?",
     "long sleeves": "(three-quarter|three-quarter-length|long|full-length|extra-long) [a-z ]*sleeves?",
     "with cuffs": "cuffs?|frills?", "round neck": "round|scoop", "v-neck": "V-neckline|V-shaped",
     "square neck": "square|trapezoid", "curved neck": "U-shaped|curved|inward-curving|curved V|curved V-neckline",
@@ -256,7 +278,7 @@ STATED = LENGTHS | {
 """Tag to words of which the full caption has one."""
 MUTUAL = {
     "slit", "gathered skirt", "straight skirt", "godet skirt", "tiered skirt", "strapless", "lapel", "with waistband",
-    "hooded", "asymmetric", "panelled skirt", "pencil skirt", "dress", "short sleeves", "long sleeves", "with cuffs",
+    "hooded", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder", "with cuffs",
 }  # fmt: skip
 """Tags that a garment has if its full caption has one of the words."""
 
