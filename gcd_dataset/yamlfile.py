@@ -12,7 +12,7 @@ from gcd_dataset.errors import GcdError, shown
 from gcd_dataset.files import read_whole
 from gcd_dataset.jsonfile import DEEPEST, is_flat
 
-__all__ = ["read_yaml", "require_shallow", "require_small", "strict_yaml"]
+__all__ = ["PlainLoader", "read_yaml", "require_shallow", "require_small", "strict_yaml"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
@@ -73,12 +73,16 @@ def require_shallow(content: bytes) -> None:
         raise RecursionError(f"possibly more than {DEEPEST_BYTES} levels deep")
 
 
-class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
+class PlainLoader(LOADER):  # type: ignore[misc,valid-type]
+    """Refuses merge keys (``<<``), which can expand to millions of entries."""
+
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         for key, _ in node.value:
             if key.tag == "tag:yaml.org,2002:merge":
                 raise _refused("a merge key (<<): write the entries out", key)
 
+
+class _StrictLoader(PlainLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         table: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(table) < len(node.value):

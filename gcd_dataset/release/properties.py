@@ -16,7 +16,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
 from gcd_dataset.release.published_names import REMEDY
 from gcd_dataset.shards.access import read_file
-from gcd_dataset.yamlfile import require_shallow
+from gcd_dataset.yamlfile import PlainLoader, require_shallow
 
 __all__ = ["Facts", "Properties", "read_properties"]
 
@@ -83,7 +83,7 @@ def _parsed(path: Path) -> Properties:
         raise ShardError(f"{path}: not the properties of a batch ({found}): {REMEDY}") from error
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+class _Loader(PlainLoader):
     """Reads plain values, and skips Python objects in the file."""
 
 

@@ -21,11 +21,10 @@ from gcd_dataset.release.ply import Ply, read_ply, weld
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
-from gcd_dataset.yamlfile import require_shallow, require_small
+from gcd_dataset.yamlfile import PlainLoader, require_shallow, require_small
 
 __all__ = ["PublishedGarment"]
 
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # prefix of seam vertices in the segmentation file
 SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
@@ -284,7 +283,7 @@ class PublishedGarment:
         try:
             content = self._file(kind)
             require_shallow(content)
-            table = yaml.load(content, Loader=LOADER)
+            table = yaml.load(content, Loader=PlainLoader)
             require_small(table)
         except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error

@@ -13,6 +13,7 @@ __all__ = ["require_readable"]
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 MAX_NODES = 10_000  # a rigged figure has some hundred
+MAX_STEPS = 10_000_000  # of placing the meshes: trimesh takes the cube of a mesh's depth in the tree of nodes
 MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
 REMEDY = "export the mesh again"
 
@@ -60,10 +61,14 @@ def _require_tree(nodes: Sequence[Mapping[str, Any]], path: Path) -> None:
         raise BodyError(f"{path}: its nodes are not a tree: {REMEDY}")
     with_parent = set(flat)
     reached = [number for number in range(len(nodes)) if number not in with_parent]
+    depth = dict.fromkeys(reached, 1)
     for number in reached:
         reached += children[number]
+        depth |= dict.fromkeys(children[number], depth[number] + 1)
     if len(reached) < len(nodes):
         raise BodyError(f"{path}: its nodes contain each other: {REMEDY}")
+    if sum(depth[number] ** 3 for number, node in enumerate(nodes) if "mesh" in node) > MAX_STEPS:
+        raise BodyError(f"{path}: its meshes lie below too many nodes: export one mesh")
 
 
 def _corners(mesh: Mapping[str, Any], counts: Sequence[int]) -> int:

@@ -1,7 +1,7 @@
 """The box mesh of a pattern: panels triangulated flat, placed round the body, and joined along the seams."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +88,7 @@ class _MeshedPanels:
 def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
     counts = edge_counts(pattern, spacing)
     borders = tuple(sample_border(panel, counts) for panel in pattern.panels)
+    _require_room(pattern, borders, spacing)
     cache: Fillings = {}
     meshes = [_mesh_panel(panel, border, spacing, cache) for panel, border in zip(pattern.panels, borders, strict=True)]
     sizes = np.array([len(points) for points, _ in meshes])
@@ -124,7 +125,6 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
 
 def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -> Filling:
     """Points of a panel, border first, and triangles with the winding of its loop: counter-clockwise from outside."""
-    _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)
     try:
         return fill_outline(border.points, spacing, cache)
@@ -132,13 +132,16 @@ def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -
         raise MeshError(f"panel {panel.name}: {error}") from error
 
 
-def _require_room(panel: Panel, border: Border, spacing: float) -> None:
-    """Raise ``MeshError`` for a panel whose bounding box takes too many lattice points."""
-    size = lattice_size(border.points, spacing)
-    if size > MOST_POINTS:
+def _require_room(pattern: Pattern, borders: Sequence[Border], spacing: float) -> None:
+    """Raise ``MeshError`` for panels whose bounding boxes take too many lattice points together."""
+    sizes = {
+        panel.name: lattice_size(border.points, spacing) for panel, border in zip(pattern.panels, borders, strict=True)
+    }
+    if (total := sum(sizes.values())) > MOST_POINTS:
+        largest = max(sizes, key=lambda name: sizes[name])
         raise MeshError(
-            f"panel {panel.name} would get {size:.3g} points at {spacing:g} cm, over {MOST_POINTS:,}: "
-            "use a coarser spacing"
+            f"panel {largest} would get {sizes[largest]:.3g} points at {spacing:g} cm, all panels {total:.3g}, over "
+            f"{MOST_POINTS:,}: use a coarser spacing"
         )
 
 
