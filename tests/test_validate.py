@@ -51,7 +51,7 @@ def sewn(*seams: Seam, back: Panel | None = None) -> Pattern:
 
 def alone_sewn(panel: Panel, *pairs: tuple[int, int]) -> Pattern:
     """A panel alone, with pairs of its own edges sewn together."""
-    return Pattern("p", (panel,), tuple(Seam(*(EdgeRef(panel.name, edge) for edge in pair)) for pair in pairs))
+    return Pattern("p", (panel,), tuple(Seam(EdgeRef(panel.name, a), EdgeRef(panel.name, b)) for a, b in pairs))
 
 
 WITH_DART = polygon((0, 0), (20, 0), (20, 20), (10.2, 20), (10, 8), (9.8, 20), (0, 20))
