@@ -129,10 +129,10 @@ def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> 
 
 def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend]) -> Component:
     """The right leg; offers the edges that meet the left leg or the waistband."""
-    drawn = drawn_rise(size, rise)
-    below_hips = length_below_waist(size, design.length, rise=rise - drawn) - _cuff_length(size, design)
-    front_quarter = _front_quarter(size, drawn, mends)
-    back_quarter = _back_quarter(size, drawn, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
+    top = drawn_rise(size, rise)
+    below_hips = length_below_waist(size, design.length, rise=rise - top) - _cuff_length(size, design)
+    front_quarter = _front_quarter(size, top, mends)
+    back_quarter = _back_quarter(size, top, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
     front = _panel("pant_f_r", size, design, front_quarter, below_hips).moved((0, 0, FRONT))
     back = _panel("pant_b_r", size, design, back_quarter, below_hips).moved((0, 0, BACK))
     leg = (
