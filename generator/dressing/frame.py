@@ -22,6 +22,7 @@ OVER = 20.0  # cm above the height at which an edge is worn: the highest place o
 UNDER_NECK = 4.0  # cm below that: shoulders sewn lower slide under the arms
 UNDER_ARMPIT = 3.0  # cm below the armpits: the lowest place of a neckline off the shoulders
 UNDER_HIPS = 4.0  # cm below the hips: the lowest place of a waist
+TALLER = 10.0  # cm: a shift up to this one may only mean that the pattern was cut for a shorter wearer
 OVER_HEAD = 40.0  # cm above the head: the highest place of a hood, before it is sewn
 WIDE = 31.0  # cm: an opening or a garment that goes round the trunk is wider, a hat is not
 ABOVE_NECKLINE = ("hood", "collar", "lapel")  # parts of the names of panels above the neckline
@@ -56,8 +57,9 @@ def in_body_frame(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str,
     place = f"its {support.name} hung {support.height:.0f} cm high, and is worn at {support.level:.0f} cm"
     if not by[1]:
         place = f"it hung {np.linalg.norm(by):.0f} cm beside the body"
+    advice = "; the origin belongs on the floor, between the feet" if np.linalg.norm(by) > TALLER else ""
     return replace(pattern, panels=tuple(moved(panel, by) for panel in pattern.panels)), (
-        f"the garment is moved {' and '.join(steps)}: {place}; the origin belongs on the floor, between the feet",
+        f"the garment is moved {' and '.join(steps)}: {place}{advice}",
     )
 
 

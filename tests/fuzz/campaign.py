@@ -3,7 +3,7 @@
 import argparse
 import random
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, settings
@@ -87,9 +87,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _tallies(names: Sequence[str], count: int) -> Iterator[tuple[str, str, Tally]]:
     few = max(count // EXPENSIVE_SHARE, 1)
-    trials = {"bytes": (try_files, READERS, count), "documents": (try_documents, DOCUMENTS, count)}
+    trials: dict[str, tuple[Callable[[str, Path, int], Tally], Container[str], int]] = {
+        "bytes": (try_files, READERS, count),
+        "documents": (try_documents, DOCUMENTS, count),
+        "expensive": (try_expensive, EXPENSIVE, few),
+    }
     for name in names:
-        for kind, (trial, readers, tried) in (trials | {"expensive": (try_expensive, EXPENSIVE, few)}).items():
+        for kind, (trial, readers, tried) in trials.items():
             if name in readers:
                 with tempfile.TemporaryDirectory() as folder:
                     yield kind, name, trial(name, Path(folder), tried)
