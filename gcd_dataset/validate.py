@@ -30,6 +30,7 @@ LONGEST_OUTLINE = 10_000.0  # cm: a ruffle of 8 m has an outline of 20 m
 MOST_NAMES = 40  # most names listed in a message
 MOST_PANELS = 200  # per garment; published and sampled garments have up to 24, a quilt a hundred
 MOST_EDGES = 2000  # per panel: 10 m in steps of half a centimetre; published and sampled panels have up to 36
+MOST_EDGES_IN_ALL = 10_000  # per garment; published and sampled garments have up to 350
 WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment are shorter than LONG
 LONG = 60.0  # cm: between the median edge of a garment and the median edge of a garment scaled by ten
 HIGH = 400.0  # cm: higher than any panel hangs
@@ -127,6 +128,9 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     if len(pattern.panels) > MOST_PANELS:
         figure = f"{len(pattern.panels)}, more than {MOST_PANELS}: leave one garment in the file"
         return (Fault(Rule.MANY_PANELS, "", None, figure),)
+    if (count := sum(len(panel.edges) for panel in pattern.panels)) > MOST_EDGES_IN_ALL:
+        figure = f"{count}, more than {MOST_EDGES_IN_ALL}: draw curves instead of many lines"
+        return (Fault(Rule.MANY_EDGES, "", None, figure),)
     faults = {number: list(_loop_faults(panel)) for number, panel in enumerate(pattern.panels)}
     units = _units(pattern)
     drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}

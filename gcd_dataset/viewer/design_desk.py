@@ -135,6 +135,8 @@ class Desk:
             node = tree
             for section in sections:
                 node = node.setdefault(section, {})
+                if not isinstance(node, dict):
+                    raise ConfigError(f"parameter {path!r:.60}: {section} is given as a number too: leave it out")
             node[name] = value
         return design_from_dict(tree)
 

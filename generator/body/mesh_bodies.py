@@ -144,6 +144,8 @@ def _closed(
 ) -> Body:
     """The body in an upright mesh [cm], with its skin closed. Raises ``BodyError``."""
     skin = ClosedSkin.of(vertices, faces, parts, str(file.path))
+    if not len(skin.faces):
+        raise BodyError(f"{file.path}: no triangle with an area: export the mesh again")
     if skin.flipped:
         log.info("%s: some faces pointed inwards and were flipped", file.path)
     if len(skin.hole_widths):

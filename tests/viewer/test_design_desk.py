@@ -62,7 +62,13 @@ def test_sections_in_use_follow_the_garment(desk: Desk) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "measures"),
-    [({"meta.upper": "Toga"}, {}), ({"nonsense.x": 1}, {}), ({}, {"waist": "wide"}), ({}, {"tail": 3.0})],
+    [
+        ({"meta.upper": "Toga"}, {}),
+        ({"nonsense.x": 1}, {}),
+        ({"sleeve": 1, "sleeve.length": 1}, {}),
+        ({}, {"waist": "wide"}),
+        ({}, {"tail": 3.0}),
+    ],
 )
 def test_invalid_values_are_refused(changes: dict[str, object], measures: dict[str, object], desk: Desk) -> None:
     with pytest.raises(ConfigError):

@@ -251,6 +251,14 @@ def test_a_mesh_without_a_body_is_taken_as_it_stands(
     assert "height 190.0 (170.0)" in height
 
 
+def test_a_mesh_without_a_triangle_is_refused(mannequin: dict[str, Path]) -> None:
+    """Also with measures and parts: nothing could wear a garment."""
+    lines = [line for line in mannequin["mesh"].read_text().splitlines() if line.startswith("v ")]
+    mannequin["mesh"].write_text("\n".join([*lines, "f 1 1 1"]))
+    with pytest.raises(BodyError, match=mannequin["mesh"].name):
+        read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+
+
 def test_bodies_by_name() -> None:
     body, size, shape = named_body("neutral")
     assert shape == neutral_shape()
