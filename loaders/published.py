@@ -203,10 +203,10 @@ class PublishedGarmentCodeData(Garments):
 
 
 def _gathers(pattern: Pattern) -> tuple[float, ...]:
-    """The gathers of each seam; empty for a pattern with an edge that cannot be drawn."""
+    """The gathers of each seam; empty for a pattern with an edge that cannot be drawn, or without its corners."""
     try:
         return pattern.gather_ratios()
-    except PatternError:
+    except (PatternError, IndexError):
         return ()
 
 

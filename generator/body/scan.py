@@ -66,6 +66,8 @@ class Scan(Record):
                 f"{name}: {len(faces)} triangles with an area, a body needs at least {MIN_FACES}: give a finer mesh"
             )
         welded, faces, source, loose, beyond = _largest_piece(welded, faces, source)
+        if not np.ptp(welded[np.unique(faces)], axis=0).all():
+            raise BodyError(f"{name}: flat: give the closed skin of a body")
         unused = ~np.isin(np.arange(len(vertices)), used)
         holes = Holes.of(welded, faces)
         patched = np.concatenate([faces, holes.patches(len(welded))])
@@ -79,7 +81,7 @@ class Scan(Record):
             loose & ~unused,
             beyond | unused,
             holes.widths,
-            *_coarseness(welded, faces),
+            *_coarseness(welded, faces, name),
         )
 
 
@@ -150,11 +152,16 @@ def is_convex(points: Float[np.ndarray, "v 3"]) -> bool:
     return bool(depth.max() < CONVEX * np.ptp(points, axis=0).max())
 
 
-def _coarseness(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:
-    """Mean edge length, and area-weighted mean sagitta of the arcs through neighbouring triangles."""
+def _coarseness(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[float, float]:
+    """Mean edge length, and area-weighted mean sagitta of the arcs through neighbouring triangles.
+
+    Raises ``BodyError`` without neighbours.
+    """
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if not len(mesh.face_adjacency):
+        raise BodyError(f"{name}: triangles that do not touch each other: give the closed skin of a body")
     ends = vertices[mesh.face_adjacency_edges]
     edges = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
     areas = mesh.area_faces[mesh.face_adjacency].sum(axis=1)

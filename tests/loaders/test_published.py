@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, PatternError, ShardError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import MEASURES
@@ -250,6 +250,15 @@ def test_a_broken_file_is_named_with_a_remedy(
         PublishedGarmentCodeData(own)[0]
     assert str(path) in str(caught.value)
     assert str(caught.value).endswith(": extract or download it again")
+
+
+def test_an_edge_without_its_corner_is_named(own: Path) -> None:
+    path = file_of(own, TRAIN[0], "spec")
+    content = json.loads(path.read_bytes())
+    content["pattern"]["panels"]["front"]["edges"][2]["endpoints"][1] = 99
+    path.write_text(json.dumps(content))
+    with pytest.raises(PatternError, match="front, edge 2: no vertex 2 or 99"):
+        PublishedGarmentCodeData(own, fields=["meta"])[0]
 
 
 @pytest.mark.parametrize("kind", sorted(set(ENDINGS) - {"svg", "drawing", "rest_lengths", "texture"}))

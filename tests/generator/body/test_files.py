@@ -195,6 +195,17 @@ def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str
         read_body(mannequin["mesh"], mannequin["size"])
 
 
+def test_a_flat_mesh_and_loose_triangles_are_no_body(mannequin: dict[str, Path]) -> None:
+    flat = trimesh.creation.annulus(20.0, 80.0, 1e-9, sections=200)
+    flat.vertices[:, 2] = 0.0
+    corners = np.repeat(np.arange(600.0), 3)[:, None] * [0.0, 0.3, 0.0] + np.tile(np.eye(3), (600, 1))
+    loose = trimesh.Trimesh(corners, np.arange(1800).reshape(-1, 3), process=False)
+    for mesh, message in ((flat, "flat"), (loose, "do not touch each other")):
+        mesh.export(mannequin["mesh"])
+        with pytest.raises(BodyError, match=message):
+            read_body(mannequin["mesh"])
+
+
 def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
     with pytest.raises(BodyError, match="20 tall, no adult's height in centimetres, metres"):
