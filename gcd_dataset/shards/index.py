@@ -29,7 +29,6 @@ from gcd_dataset.shards.layout import (
     BODIES,
     FOREIGN,
     GARMENTS,
-    SCHEMAS,
     Layout,
     foreign_layout,
     index_name,
@@ -235,9 +234,8 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 def _require_known(schema: int, path: str) -> None:
     """Raise ``ShardError`` for an unknown schema."""
-    if schema not in SCHEMAS:
-        known = " and ".join(map(str, SCHEMAS))
-        raise ShardError(f"{path}: an index of schema {schema}, but this reader knows {known}: update gcd_dataset")
+    if schema != SCHEMA:
+        raise ShardError(f"{path}: an index of schema {schema}, but this reader knows {SCHEMA}: update gcd_dataset")
 
 
 def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ...], is_foreign: bool) -> ShardError:

@@ -13,7 +13,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import found
 from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, read_limited, reading
-from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
+from gcd_dataset.shards.layout import SCHEMA, shard_number
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import decode_json
 
@@ -151,10 +151,10 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
         entry = decode_json(content, limit=LARGEST_MANIFEST)
         if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
             raise ShardError("schema is missing")
-        if schema not in SCHEMAS:
+        if schema != SCHEMA:
             raise ShardError(
                 f"{path}: written as schema {schema} by gcd_dataset {shown(str(entry.get('generator')))}; gcd_dataset "
-                f"{gcd_dataset.__version__} reads schema {' and '.join(map(str, SCHEMAS))}: install the version that "
+                f"{gcd_dataset.__version__} reads schema {SCHEMA}: install the version that "
                 "wrote it"
             )
         values = _checked(entry, "the file", FILE_TYPES, {"recipe": None})

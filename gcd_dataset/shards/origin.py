@@ -9,7 +9,7 @@ import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.index import ShardTable, first_sample_format, whole_samples
-from gcd_dataset.shards.layout import GARMENTS, SCHEMAS, Layout, recipe_hash, shard_number, shards_in
+from gcd_dataset.shards.layout import GARMENTS, SCHEMA, Layout, recipe_hash, shard_number, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import read_meta
 
@@ -26,7 +26,7 @@ def require_schema(folder: Path, split: str, layout: Layout) -> None:
         parts = [path for path in folder.glob("*.tar.part") if _number(path, split) is not None]
         shards = [*shards_in(folder, split), *sorted(parts)]
     for path in shards[:1]:
-        if (first := first_sample_format(path)) is not None and first[0] in SCHEMAS:
+        if (first := first_sample_format(path)) is not None and first[0] == SCHEMA:
             schemas[path] = first[0]
     for path, schema in schemas.items():
         if schema != layout.schema:

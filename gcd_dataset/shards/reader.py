@@ -13,7 +13,7 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import FIRST_NAMES, FOREIGN, GARMENTS, MEMBERS, Layout
+from gcd_dataset.shards.layout import FOREIGN, GARMENTS, MEMBERS, Layout
 from gcd_dataset.shards.meta import read_sample_index
 from gcd_dataset.shards.store import MemberLocation, Store
 
@@ -122,8 +122,7 @@ class ShardReader:
 
         Raises ``ShardError`` naming shard and key for a damaged garment, ``ConfigError`` if the split lacks members.
         """
-        first = FIRST_NAMES if self.layout.schema == 1 else {}
-        members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])
+        members = dict.fromkeys([*MEMBERS, *self.layout.members])
         with self.naming(position):
             return decode_sample(self.read(position, members))
 
