@@ -54,6 +54,8 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
 from gcd_dataset.records import (
     MEASURES,
+    POSITION_STEP,
+    UV_STEP,
     BodyShape,
     BoxMesh,
     Drape,
@@ -131,10 +133,10 @@ SECTIONS: Mapping[str, tuple[str, ...]] = {
 }
 """Field to the sections of ``.z`` members that it is decoded from."""
 
-POSITION_STEP, UV_STEP = 2.0**-9, 2.0**-10  # cm
 NORMAL_STEPS = 511  # of an octahedral coordinate, from 0 to 1
-POSITION = Coding(2, step=-9)
-MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, step=-10), "box": Coding(1, step=-9)} | dict.fromkeys(
+POSITION_POWER, UV_POWER = round(math.log2(POSITION_STEP)), round(math.log2(UV_STEP))
+POSITION = Coding(2, POSITION_POWER)
+MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, UV_POWER), "box": Coding(1, POSITION_POWER)} | dict.fromkeys(
     ("uv_vertex", "labels", "seams", "faces", "panel_id"), Coding(1)
 )
 ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
@@ -275,7 +277,11 @@ def _points(points: Float32[np.ndarray, "n 6"] | None) -> bytes:
         flat = normals[:, :2] / np.abs(normals).sum(axis=1, keepdims=True)
     folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat >= 0, 1, -1)
     octahedral = np.rint(np.where(normals[:, 2:] < 0, folded, flat) * NORMAL_STEPS)
-    return pack({"xyz": ordered[:, :3], "normals": octahedral}, {"xyz": Coding(1, step=-9), "normals": Coding(1)})
+    edge = np.abs(octahedral[:, ::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
+    octahedral = np.where(edge, np.abs(octahedral), octahedral)
+    return pack(
+        {"xyz": ordered[:, :3], "normals": octahedral}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
+    )
 
 
 def spread(count: int) -> Int[np.ndarray, " n"]:
@@ -283,8 +289,8 @@ def spread(count: int) -> Int[np.ndarray, " n"]:
 
     The step is the first number from ``STRIDE`` mod n on that has no factor in common with n.
 
-    >>> spread(5).tolist()
-    [0, 2, 4, 1, 3]
+    >>> spread(7).tolist()
+    [0, 5, 3, 1, 6, 4, 2]
     """
     step = STRIDE % count if count else 0
     while math.gcd(step, count) > 1:
