@@ -1,7 +1,8 @@
 """Made-to-measure garments with their sewing patterns, for PyTorch.
 
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
-line; ``decode`` decodes tars that other libraries read. The records are imported on first use, with NumPy alone; torch and Warp are imported by the modules that use them.
+line; ``decode`` decodes tars that other libraries read. The names are imported on first use, with NumPy alone; torch
+and Warp are imported by the modules that use them.
 """
 
 from typing import TYPE_CHECKING

@@ -28,9 +28,9 @@ def decode(sample: Any, data: Bytes | None = None, /) -> Any:
     ``panel_id`` and ``box`` included. Entries of the same names that are no bytes were decoded by the caller, and stay
     as they are. Other entries, such as pictures, are left out.
 
-    A member, such as ``".verts.z"``, and its bytes: returns the fields in it as a dict; for JSON the parsed value, for a
-    caption the text; ``None`` for other members, which webdataset passes to the next handler: ``.decode(decode,
-    "torchrgb")`` decodes pictures. ``box`` needs two members, and is left out.
+    A member, such as ``".verts.z"``, and its bytes: returns the fields in it as a dict; for JSON the parsed value, for
+    a caption the text. For other members it returns ``None``, and webdataset asks the next handler: pictures are
+    decoded by ``.decode(decode, "torchrgb")``. ``box`` needs two members, and is left out.
 
     Raises ``ShardError`` with the member's name for damaged content.
     """
