@@ -10,7 +10,6 @@ that are mapped stay readable, others are made again. Two processes that make on
 
 import contextlib
 import hashlib
-import itertools
 import mmap
 import os
 import shutil
@@ -24,7 +23,7 @@ import numpy as np
 from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import make_folder, write_pieces
+from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
@@ -142,17 +141,18 @@ class Columns:
             if not chosen:
                 continue
             path = self._store.path(self._split, shard, views=views)
-            with _mapped(path) as content:
-                if self._verify:
-                    _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
-                columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
-                try:
-                    for key, members in _samples(content, numbers):
-                        for field, rows in _rows_of(chosen, members, key).items():
-                            columns[field].append(rows)
-                except ShardError as error:
-                    raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
-            make_room(self._store.cache, sum(rows.nbytes for column in columns.values() for rows in column), self._limit)
+            content = _mapped(path)
+            if self._verify:
+                _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
+            try:
+                for key, members in _samples(content, numbers):
+                    for field, rows in _rows_of(chosen, members, key).items():
+                        columns[field].append(rows)
+            except ShardError as error:
+                raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
+            size = sum(rows.nbytes for column in columns.values() for rows in column)
+            make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
                 _write_column(folder / _file(field), column)
 
@@ -224,13 +224,10 @@ def _is_column(path: Path) -> bool:
 # -------------------------------------------------------------------------------------------------------------- making
 
 
-@contextlib.contextmanager
-def _mapped(path: Path) -> Iterator[memoryview]:
+def _mapped(path: Path) -> memoryview:
     """The content of a file, mapped. Raises ``ShardError``."""
     with reading(path), path.open("rb") as file:
-        memory = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
-    with memory, memoryview(memory) as view:
-        yield view
+        return memoryview(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
 
 
 def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> None:
@@ -240,12 +237,14 @@ def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> 
 
 def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str, Mapping[str, Bytes]]]:
     """Key and members of each sample of a tar. Raises ``ShardError`` for other samples than the index has."""
-    found = 0
-    for (key, members), number in itertools.zip_longest(samples_in(content), numbers, fillvalue=("", {})):
-        if number == ("", {}) or key != key_of(number):  # type: ignore[arg-type]
-            raise ShardError(f"holds {key or 'no sample'} where the index has sample {number}: delete the index")
+    samples = samples_in(content)
+    for number in numbers:
+        key, members = next(samples, ("no sample", {}))
+        if key != key_of(number):
+            raise ShardError(f"holds {key} where the index has {key_of(number)}")
         yield key, members
-        found += 1
+    if (more := next(samples, None)) is not None:
+        raise ShardError(f"holds {more[0]}, which the index lacks")
 
 
 def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> dict[str, np.ndarray]:
@@ -272,5 +271,8 @@ def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
     starts = np.cumsum([0, *map(len, rows)], dtype=np.int64)
     columns = first.shape[1] if first.ndim > 1 else 0
     head = HEAD.pack(MAGIC, first.dtype.str[1:].encode(), columns, 0, len(rows), int(starts[-1])) + starts.tobytes()
-    pieces = (np.ascontiguousarray(value).data for value in rows if value.size)
-    write_pieces(path, itertools.chain([head + bytes(-len(head) % ALIGNED)], pieces))
+    with open_whole(path) as file:
+        file.write(head + bytes(-len(head) % ALIGNED))
+        for value in rows:
+            if value.size:
+                file.write(np.ascontiguousarray(value).data)
