@@ -41,6 +41,7 @@ __all__ = [
     "garments_layout",
     "index_name",
     "is_extra",
+    "is_picture",
     "is_view_field",
     "joint_fields",
     "key_of",
@@ -175,6 +176,15 @@ def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
     views = [member for member in members if VIEW.fullmatch(member)]
     of_ending = {ending: tuple(view for view in views if view.endswith(f".{ending}")) for ending in ("jpg", "json")}
     return {field: found for field, ending in JOINT.items() if (found := of_ending[ending])}
+
+
+def is_picture(member: str) -> bool:
+    """Whether a member lies in the tar of the pictures: a picture, or the facts of a view.
+
+    >>> is_picture("front.jpg"), is_picture("view_0.json"), is_picture("meta.json")
+    (True, True, False)
+    """
+    return member.endswith(".jpg") or VIEW.fullmatch(member) is not None
 
 
 def is_view_field(field: str) -> bool:
