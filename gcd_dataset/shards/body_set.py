@@ -18,7 +18,6 @@ Vertices are stored: rebuilding them from the weights takes 8 ms of CPU time, an
 that wrote the shards.
 """
 
-import contextlib
 import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping
@@ -33,15 +32,24 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import POSITION_STEP, BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, read_limited, reading
+from gcd_dataset.shards.access import REMEDY, read_limited
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.meta import read_meta, write_meta
 from gcd_dataset.shards.sections import Coding, pack, unpack
-from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
+from gcd_dataset.shards.writer import ShardWriter
 
-__all__ = ["MEMBER_OF", "BodyWriter", "decode_body_fields", "decode_person", "encode_person", "read_set_mesh"]
+__all__ = [
+    "MEMBER_OF",
+    "BodyWriter",
+    "decode_body_fields",
+    "decode_person",
+    "encode_mesh",
+    "encode_person",
+    "read_set_mesh",
+    "require_on_mesh",
+]
 
 MEMBER_OF: Mapping[str, str] = {
     "name": "meta.json",
@@ -62,10 +70,7 @@ POSITION = Coding(2, step=round(math.log2(POSITION_STEP)))
 
 
 class BodyWriter:
-    """Writes the people of one split, all on one mesh, into a folder; used like ``ShardWriter``.
-
-    Raises as ``ShardWriter`` does, and ``ConfigError`` for a folder of people on another mesh.
-    """
+    """Writes the people of a new split, all on one mesh, into a folder; used like ``ShardWriter``."""
 
     def __init__(
         self,
@@ -76,34 +81,23 @@ class BodyWriter:
         seed: int,
         recipe: Mapping[str, Any],
         versions: Mapping[str, str] | None = None,
-        shard_size: int = SHARD_SIZE,
+        count: int | None = None,
+        shard_size: int | None = None,
     ) -> None:
-        self._mesh, self._recipe = mesh, {**recipe, "mesh": mesh.sha256}
+        self._path, self._mesh, self._recipe = Path(folder) / mesh_name(split), mesh, {**recipe, "mesh": mesh.sha256}
         self._origin = {"seed": seed, "versions": {"gcd_dataset": __version__, **(versions or {})}}
-        with contextlib.ExitStack() as on_error:
-            self._shards = on_error.enter_context(
-                ShardWriter(folder, split=split, seed=seed, recipe=self._recipe, shard_size=shard_size, layout=BODIES)
-            )
-            _write_mesh(Path(folder) / mesh_name(split), mesh)
-            on_error.pop_all()
-
-    @property
-    def done(self) -> frozenset[int]:
-        """Indices of the people on disk."""
-        return self._shards.done
+        self._shards = ShardWriter(
+            folder, split=split, seed=seed, recipe=self._recipe, count=count, shard_size=shard_size, layout=BODIES
+        )
 
     def write(self, index: int, person: Person) -> None:
         """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
-        for pose in POSES:
-            if len(getattr(person, pose)) != self._mesh.n_vertices:
-                raise ShardError(
-                    f"person {person.name} cannot be stored: {len(getattr(person, pose))} vertices in pose {pose}, "
-                    f"but the mesh of this set has {self._mesh.n_vertices}"
-                )
+        require_on_mesh(person, self._mesh)
         self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
 
     def close(self) -> None:
-        """Finish the open shards and write the index. Raises ``OutputError``."""
+        """Write the mesh, finish the shards, and write manifest and index. Raises ``OutputError``."""
+        write_whole(self._path, encode_mesh(self._mesh))
         self._shards.close()
 
     def __enter__(self) -> Self:
@@ -112,7 +106,20 @@ class BodyWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._shards.__exit__(kind, error, trace)
+        if kind is None:
+            self.close()
+        else:
+            self._shards.__exit__(kind, error, trace)
+
+
+def require_on_mesh(person: Person, mesh: BodyMesh) -> None:
+    """Raise ``ShardError`` for a person with another number of vertices than the mesh."""
+    for pose in POSES:
+        if (count := len(getattr(person, pose))) != mesh.n_vertices:
+            raise ShardError(
+                f"person {person.name} cannot be stored: {count} vertices in pose {pose}, but the mesh of this set has "
+                f"{mesh.n_vertices}"
+            )
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
@@ -148,14 +155,10 @@ def _content(person: Person) -> dict[str, bytes]:
     }
 
 
-def _write_mesh(path: Path, mesh: BodyMesh) -> None:
-    """Write the mesh to ``path`` unless the file holds it already. Raises ``OutputError``."""
+def encode_mesh(mesh: BodyMesh) -> bytes:
+    """The content of the file ``mesh_name``."""
     parts = np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts
-    content = pack({"faces": np.asarray(mesh.faces), "parts": parts}, {"faces": Coding(1)})
-    with reading(path):
-        before = path.read_bytes() if path.exists() else b""
-    if before != content:
-        write_whole(path, content)
+    return pack({"faces": np.asarray(mesh.faces), "parts": parts}, {"faces": Coding(1)})
 
 
 # -------------------------------------------------------------------------------------------------------------- reading

@@ -89,7 +89,7 @@ def points(xyz, normals):
     fold = np.minimum(z, 0)
     normal = np.stack([x + np.where(x < 0, -fold, fold), y + np.where(y < 0, -fold, fold), z], axis=1)
     rows = np.concatenate([xyz, normal / np.linalg.norm(normal, axis=1, keepdims=True)], axis=1)
-    step = 0x9E3779B1 % max(len(rows), 1)
+    step = len(rows) * 0x9E3779B1 >> 32
     while math.gcd(step, len(rows)) > 1:
         step += 1
     return rows[np.arange(len(rows)) * step % max(len(rows), 1)].astype(np.float32)

@@ -125,12 +125,12 @@ def test_points_of_a_diverged_drape_are_nan(sample: Sample) -> None:
     assert np.isnan(decode_fields(encode_sample(replace(sample, points=points)), ["points"])["points"]).all()
 
 
-@pytest.mark.parametrize("count", [1, 2, 97, 4096, 8192])
-def test_the_first_points_lie_all_over_the_surface(count: int) -> None:
-    order = spread(count)
-    assert np.array_equal(np.sort(order), np.arange(count))
-    first = np.sort(order[: count // 8])
-    assert np.diff(first, append=count, prepend=0).max(initial=0) <= max(2 * 8, count // 100) or count < 97
+def test_the_first_points_lie_all_over_the_surface() -> None:
+    for count in (0, 1, 2, 1240, 6770, 8192):
+        assert np.array_equal(np.sort(spread(count)), np.arange(count))
+    for count in (1240, 6770, 8192):
+        gaps = np.diff(np.sort(spread(count)[: count // 8]))
+        assert gaps.max() < 4 * 8  # of 8 on average
 
 
 # ---------------------------------------------------------------------------------------------------------- derived
@@ -340,14 +340,21 @@ def test_damaged_and_hostile_members_are_one_sentence(sample: Sample, data: byte
 
 
 @pytest.mark.parametrize("member", [member for member in MEMBERS if member.endswith(".z")])
-def test_a_flipped_bit_is_found(sample: Sample, member: str) -> None:
+def test_a_flipped_bit_is_found_or_changes_nothing(sample: Sample, member: str) -> None:
     members = encode_sample(sample)
+    true, found = decode_fields(members), 0
     rng = np.random.default_rng(0)
     for place in rng.integers(0, len(members[member]), 60).tolist():
         damaged = bytearray(members[member])
         damaged[place] ^= 1 << int(rng.integers(8))
-        with pytest.raises(ShardError, match=rf"^member {member.replace('.', '[.]')}: "):
-            decode_fields({**members, member: bytes(damaged)})
+        try:
+            read = decode_fields({**members, member: bytes(damaged)})
+        except ShardError as error:
+            assert str(error).startswith(f"member {member}: ")
+            found += 1
+        else:
+            assert all(same(read[field], true[field]) for field in true)
+    assert found > 50
 
 
 def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) -> None:
