@@ -127,7 +127,7 @@ class CheckedTar:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._position, self._next, self._rest = file, 0, 0, b""
-        self._key, self._count = "", 0
+        self._key, self._names = "", set[str]()  # of the sample that is being read
 
     def read(self, size: int) -> bytes:
         """The next ``size`` bytes, fewer at the end of the file."""
@@ -145,10 +145,12 @@ class CheckedTar:
         name, size = _parse(header, self._next)
         if size > LARGEST_SAMPLE:
             raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
-        key = name.partition(".")[0]
-        self._count = self._count + 1 if key == self._key else 1
-        self._key = key
-        if self._count > MOST_MEMBERS:
+        if (key := name.partition(".")[0]) != self._key:
+            self._key, self._names = key, set()
+        if name in self._names:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {self._next}")
+        self._names.add(name)
+        if len(self._names) > MOST_MEMBERS:
             raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
         return BLOCK + padded(size)
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, IterableDataset
+
+from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
-from gcd_dataset.shards import FIELDS, MEMBERS, ShardWriter, read_index
-from gcd_dataset.shards.reader import Quality, Verify
-from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.shards import FIELDS, ShardWriter, read_index
+from gcd_dataset.shards.reader import Quality
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -94,57 +94,12 @@ def test_workers_change_nothing(folder: Path, workers: int, context: str) -> Non
     assert_all_same(alone, shared)
 
 
-def test_a_stream_holds_the_same_garments(folder: Path) -> None:
-    stream = GarmentDataset(folder, streaming=True)
-    assert isinstance(stream, IterableDataset)
-    ds = GarmentDataset(folder)
-    assert_all_same(stream, [ds[i] for i in range(COUNT)])
-    assert_all_same(stream, [ds[i] for i in range(COUNT)])  # a second epoch
-
-
-@pytest.mark.parametrize("count", [COUNT, 3])  # three shards, or one, for two workers
-def test_workers_split_a_stream(tmp_path: Path, count: int) -> None:
-    stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
-    loader = DataLoader(stream, batch_size=None, num_workers=2)
-    assert sorted(item["meta"]["index"] for item in loader) == list(range(count))
-
-
 @pytest.mark.parametrize("streaming", [False, True])
 def test_a_shard_may_grow_while_it_is_read(tmp_path: Path, streaming: bool) -> None:
     """A resumed ``gcd generate`` may write during the training."""
     ds = GarmentDataset(fill(tmp_path, range(2)), streaming=streaming)
     fill(tmp_path, range(2, COUNT))
     assert_all_same(ds, [FakeGarments(COUNT)[i] for i in range(2)])
-
-
-def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
-    folder = fill(tmp_path, range(3))
-    index, shard = read_index(folder), tmp_path / "train-00000.tar"
-    content = bytearray(shard.read_bytes())
-    place = int(index.table.offset[1, MEMBERS.index("verts.npy")])
-    content[place + 200] ^= 1
-    shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"gcd_000000001, member verts\.npy"):
-        list(GarmentDataset(folder, fields=["verts"], streaming=True))
-    content[place - 500] ^= 1  # the header
-    shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(no tar header at byte \d+\): copy"):
-        list(GarmentDataset(folder, fields=["faces"], streaming=True))
-
-
-def test_a_truncated_stream_is_named(tmp_path: Path) -> None:
-    stream = GarmentDataset(fill(tmp_path, range(3)), fields=["meta"], streaming=True)
-    shard = tmp_path / "train-00000.tar"
-    content = shard.read_bytes()
-    for broken in (b"\1" + content[1:], content[: len(content) // 2], b""):
-        shard.write_bytes(broken)
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*: copy"):
-            list(stream)
-
-
-@pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_stream_without_fields_has_an_item_for_each_garment(folder: Path, verify: Verify) -> None:
-    assert list(GarmentDataset(folder, fields=[], streaming=True, verify=verify)) == COUNT * [{}]
 
 
 def test_an_unreadable_folder_is_named() -> None:
