@@ -8,7 +8,6 @@ Repo(name='org/garments', revision='v1.0')
 'https://example.org/garments'
 """
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +16,9 @@ from urllib.parse import unquote, urlsplit
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import user_path
-from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target", "slug"]
+__all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target"]
 
 MAIN = "main"
 WEB = ("http://", "https://")
@@ -46,18 +44,6 @@ class Url:
     """A folder of a web server, or a prefix in an object store."""
 
     url: str
-    revision: str = ""
-    """SHA-256 of its manifest; empty for the current one."""
-
-    @property
-    def is_web(self) -> bool:
-        """Whether this is a web server, not an object store."""
-        return self.url.startswith(WEB)
-
-    @property
-    def slug(self) -> str:
-        """Name of its cache folder."""
-        return slug(re.sub(r"[^\w.-]+", "-", self.url)[:80], self.url)
 
     def __str__(self) -> str:
         return self.url
@@ -133,11 +119,6 @@ def parse_target(out: str | Path) -> Folder | Url:
     return Folder(user_path(out))
 
 
-def slug(name: str, address: str) -> str:
-    """A folder name: ``name`` with a hash of the address, so that equal names at other addresses differ."""
-    return safe_name(f"{name}-{hashlib.sha256(address.encode()).hexdigest()[:8]}")
-
-
 def _without_revision(source: Folder | Url, revision: str | None) -> Folder | Url:
     """``source``. Raises ``ConfigError`` if a revision is given."""
     if revision is not None:
@@ -147,12 +128,12 @@ def _without_revision(source: Folder | Url, revision: str | None) -> Folder | Ur
 
 def _is_store_url(text: str) -> bool:
     """Whether this is the URL of an object store; not for chained URLs, ``a::b://c``: they invoke other protocols."""
-    from gcd_dataset.hub.objects import is_store
+    import fsspec
 
     match = STORE.fullmatch(text)
     if match is None or text.startswith((*WEB, "hf://")) or "::" in text or not text.isprintable():
         return False
-    return is_store(match["protocol"])
+    return match["protocol"] in fsspec.available_protocols()
 
 
 def _require_address(url: str) -> None:

@@ -1,30 +1,30 @@
-"""Reads samples of a split by position: only the requested members, with their CRC-32 checked."""
+"""Reads samples of a split by position, and checks them when they are first read."""
 
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import FOREIGN, GARMENTS, MEMBERS, Layout
-from gcd_dataset.shards.meta import read_sample_index
-from gcd_dataset.shards.store import MemberLocation, Store
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, key_of
+from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import META, is_view
+from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.tar import BLOCK, padded
 
 __all__ = ["Quality", "ShardReader", "Verify", "naming_sample"]
 
-META = 0  # column of meta.json in our layouts
+MAIN, VIEWS = 1, 2  # bits of the tars of a sample that were checked
 Verify = Literal["lazy", "full", "off"]
 Quality = Literal["clean", "paper"]
-Rows: TypeAlias = Int[np.ndarray, " n"]
-Request: TypeAlias = tuple[str, int, list[MemberLocation]]
-"""Shard, number of a sample in it, and the locations of the requested members."""
 
 
 class naming_sample:  # noqa: N801 -- a context manager, named as functions are
@@ -45,13 +45,14 @@ class naming_sample:  # noqa: N801 -- a context manager, named as functions are
 
 
 class ShardReader:
-    """The samples of one split of a folder or another store, in the order of their indices.
+    """The samples of one split of a folder or another store, in the order of the shards.
 
-    ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all members
-    on opening, ``off`` none. ``settled_only`` leaves out samples without a drape, or with one that did not settle.
+    ``verify``: ``lazy`` checks a sample the first time that this process reads it, ``full`` all samples on opening,
+    ``off`` none. A check compares the CRC-32 of every member with that in ``meta.json``, the seal of ``meta.json``, and
+    the key with the index. ``settled_only`` leaves out samples without a drape, or with one that did not settle.
     ``quality`` leaves out samples of a lower grade. May be pickled, forked, and read from several threads.
 
-    Raises ``ShardError`` where the split is missing, broken, incomplete, or of another layout.
+    Raises ``ShardError`` where the split is missing, broken, or of another kind than ``layout``.
     """
 
     def __init__(
@@ -73,157 +74,165 @@ class ShardReader:
         self.store = where if isinstance(where, Store) else FolderStore(where)
         self.split, self._verify = split, verify
         self.manifest = self.store.manifest()
-        self.index = self.store.index(split, layout)
-        self.layout = self.index.layout
-        # Samples of shards filled out of order, and of foreign tars, may not be sorted by index.
-        order = np.argsort(self.index.table.sample, kind="stable")
-        self._row = order[self.index.table.settled[order]] if settled_only else order
-        self._require_rows(f"none of the {len(order)} samples of split {split} has settled", "settled_only")
-        if quality is not None:
-            self._row = self._row[self.index.table.grade[self._row] >= GRADES.index(quality)]
-            self._require_rows(f"none of the {len(order)} samples of split {split} has the grade {quality}", "quality")
-        self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards))).tolist()
-        self._columns_of: dict[tuple[str, ...], list[int]] = {}
-        self._unchecked = self._all_unchecked()
+        self.index = self.store.index(split)
+        self.record = self.index.record
+        self._require_kind(layout)
+        self.layout = layout.of(self.record.members)
+        self._first = self.index.first
+        self._row = self._chosen(settled_only=settled_only, quality=quality)
+        self._checked = bytearray(len(self.index))
         if verify == "full":
             for position in range(len(self)):
-                self.read(position, self.layout.members)
+                self.check(position)
 
     def __len__(self) -> int:
         return len(self._row)
 
-    def rows(self, positions: Iterable[int]) -> Rows:
+    def rows(self, positions: Iterable[int]) -> Int[np.ndarray, " n"]:
         """The rows of ``index`` for positions."""
         return self._row[np.fromiter(positions, np.int64)]
+
+    def number(self, position: int) -> int:
+        """The index of the sample at a position."""
+        return int(self.index.number[self._row[position]])
+
+    def key(self, position: int) -> str:
+        """The name of the sample at a position."""
+        return key_of(self.number(position))
+
+    def naming(self, position: int) -> "naming_sample":
+        """A context in which errors about a member also name shard and sample."""
+        return naming_sample(lambda: self._named(int(self._row[position])))
 
     def read(self, position: int, members: Iterable[str]) -> dict[str, memoryview]:
         """Member to content, in buffers that the caller owns and may write to.
 
-        Raises ``ShardError`` with shard, key and member for a CRC-32 mismatch.
+        Raises ``ShardError`` with shard, key and member for a damaged sample, ``ConfigError`` for a member that the
+        samples lack.
         """
         return next(self.read_many([position], members))
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
         """As ``read``, for several samples; a remote store requests them in parallel."""
-        rows, columns = self.rows(positions), self._columns(tuple(members))
-        requests = self._requests(rows, columns)
-        return self._checked(rows, columns, requests, self.store.read_many(requests))
-
-    def number(self, position: int) -> int:
-        """The index of the sample at a position."""
-        return int(self.index.table.sample[self._row[position]])
-
-    def naming(self, position: int) -> "naming_sample":
-        """A context in which errors about a member also name shard and sample."""
-        return naming_sample(lambda: self._named(int(self._row[position])))
+        wanted = dict.fromkeys(members)
+        if lacking := [member for member in wanted if member not in self.layout.members]:
+            raise ConfigError(
+                f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
+            )
+        views = any(map(is_view, wanted))
+        main = views and not all(map(is_view, wanted))
+        rows = self.rows(positions).tolist()
+        tars = [tar for tar, is_wanted in ((False, main or not views), (True, views)) if is_wanted]
+        mask = sum(VIEWS if tar else MAIN for tar in tars)
+        parts = iter(self.store.parts(self.split, [(*self._span(row, tar), tar) for row in rows for tar in tars]))
+        for row in rows:
+            found: dict[str, memoryview] = {}
+            for _ in tars:
+                found |= self._members(row, next(parts))
+            if self._verify != "off" and mask & ~self._checked[row]:
+                self._check(row, found)
+                self._checked[row] |= mask
+            yield {member: self._member(row, found, member) for member in wanted}
 
     def sample(self, position: int) -> Sample:
         """A garment with all its members.
 
         Raises ``ShardError`` naming shard and key for a damaged garment, ``ConfigError`` if the split lacks members.
         """
-        members = dict.fromkeys([*MEMBERS, *self.layout.members])
         with self.naming(position):
-            return decode_sample(self.read(position, members))
-
-    def _require_rows(self, fault: str, option: str) -> None:
-        """Raise ``ShardError`` where ``option`` has left no sample, with the reason."""
-        if len(self._row):
-            return
-        table, remedy = self.index.table, f"leave out {option}, or make garments with a drape"
-        record = None if self.manifest is None else self.manifest.splits.get(self.split)
-        if not table.grade.any() and table.settled.any():
-            remedy = f"leave out {option}, or make the garments again: samples of older versions have no grade"
-        elif not table.grade.any():
-            stage = "" if record is None or "stage" not in record.recipe else f"end with stage {record.recipe['stage']}"
-            fault += f": they {stage or 'have no drapes'}, and only drapes settle and have a grade"
-        raise ShardError(f"{self.store.location()}: {fault}: {remedy}")
-
-    def _named(self, row: int) -> str:
-        return f"{self.store.location(self.index.shards[self.index.shard[row]])}: sample {self.index.key(row)}"
+            return decode_sample(self.read(position, self.layout.members))
 
     def check(self, position: int) -> None:
-        """Check all members of a sample again. Raises ``ShardError`` for a CRC-32 mismatch."""
-        rows = self._row[[position]]
-        for column, data in self.store.read(*self._requests(rows, self._columns(self.layout.members))[0]).items():
-            self._require_same(int(rows[0]), column, data)
-            if column == META:
-                self._require_index(int(rows[0]), data)
+        """Check a whole sample, even if it was checked before. Raises ``ShardError``."""
+        row = int(self._row[position])
+        self._checked[row] = 0
+        next(self.read_many([position], self.layout.members))
 
-    def _columns(self, members: tuple[str, ...]) -> list[int]:
-        """Columns of members in file order. Raises ``ConfigError`` for a member that the samples lack."""
-        if members not in self._columns_of:
-            if lacking := [member for member in members if member not in self.layout.members]:
-                raise ConfigError(
-                    f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
+    def _chosen(self, *, settled_only: bool, quality: Quality | None) -> Int[np.ndarray, " n"]:
+        rows, count = np.arange(len(self.index), dtype=np.int32), len(self.index)
+        if settled_only:
+            rows = rows[self.index.settled]
+        self._require(rows, f"none of the {count} samples of split {self.split} has settled", "settled_only")
+        if quality is not None:
+            rows = rows[self.index.grade[rows] >= GRADES.index(quality)]
+        self._require(rows, f"none of the {count} samples of split {self.split} has the grade {quality}", "quality")
+        return rows
+
+    def _require(self, rows: Sequence[int] | np.ndarray, fault: str, option: str) -> None:
+        """Raise ``ShardError`` where ``option`` has left no sample, with the reason."""
+        if len(rows):
+            return
+        if not self.index.grade.any():
+            stage = self.record.plan.recipe.get("stage")
+            fault += f": they {f'end with stage {stage}' if stage else 'have no drapes'}, and only drapes settle and "
+            fault += "have a grade"
+        remedy = f"leave out {option}, or make garments with a drape"
+        raise ShardError(f"{self.store.location()}: {fault}: {remedy}")
+
+    def _require_kind(self, layout: Layout) -> None:
+        kind = self.record.plan.kind
+        if kind != layout.kind:
+            known = {one.kind: one.reader for one in (GARMENTS, BODIES)}
+            remedy = f"read them with {known[kind]}" if kind in known else "update gcd_dataset"
+            raise ShardError(f"{self.store.location()}: holds {kind}, not {layout.kind}: {remedy}")
+
+    def _named(self, row: int) -> str:
+        shard, _, _ = self._span(row, False)
+        return f"{self.store.location(shard.name(self.split))}: sample {key_of(int(self.index.number[row]))}"
+
+    def _span(self, row: int, views: bool) -> tuple[ShardRecord, int, int]:
+        """The shard of a sample, and its first and last byte in the tar, or in that of the pictures."""
+        number = int(np.searchsorted(self._first, row, side="right")) - 1
+        shard, blocks = self.record.shards[number], self.index.views_blocks if views else self.index.blocks
+        is_last = row + 1 == self._first[number + 1]
+        end = (shard.views_size if views else shard.size) - 2 * BLOCK if is_last else int(blocks[row + 1]) * BLOCK
+        return shard, int(blocks[row]) * BLOCK, end
+
+    def _members(self, row: int, data: Bytes) -> dict[str, memoryview]:
+        """Member to content of a sample, from its part of a tar. Raises ``ShardError``."""
+        view, position, key = memoryview(data), 0, key_of(int(self.index.number[row])).encode()
+        if view.readonly:
+            view = memoryview(bytearray(view))
+        found: dict[str, memoryview] = {}
+        while position < len(view):
+            head = bytes(view[position : position + 136])
+            own, _, member = head[:100].rstrip(b"\0").partition(b".")
+            size = int(head[124:135], 8) if head[124:135].isdigit() else len(view)
+            start = position + BLOCK
+            if own != key or start + size > len(view):
+                raise ShardError(
+                    f"{self._named(row)}: {own[:30]!r} lies there: the data set has changed since it was opened, or "
+                    f"this shard is damaged: {self.store.remedy}"
                 )
-            self._columns_of[members] = sorted({self.layout.members.index(member) for member in members})
-        return self._columns_of[members]
+            found[member.decode(errors="replace")] = view[start : start + size]
+            position = start + padded(size)
+        return found
 
-    def _requests(self, rows: Rows, columns: list[int]) -> list[Request]:
-        """A request for each row, its members in file order."""
-        table, shards = self.index.table, self.index.shard[rows].tolist()
-        # Indexed once for all rows: indexing an array takes as long for one row as for a hundred.
-        offset, size, crc = (array[rows].take(columns, 1).tolist() for array in (table.offset, table.size, table.crc))
-        parts = [list(map(MemberLocation, columns, *entry)) for entry in zip(offset, size, crc, strict=True)]
-        if self.layout.kind == FOREIGN:  # a sample may lack members, or have them in another order
-            parts = [sorted((part for part in row if part.offset >= 0), key=lambda part: part.offset) for row in parts]
-        return [
-            (self.index.shards[shard], row - self._first[shard], entry)
-            for row, shard, entry in zip(rows.tolist(), shards, parts, strict=True)
-        ]
+    def _check(self, row: int, found: dict[str, memoryview]) -> None:
+        """Compare the members with the checksums in ``meta.json``. Raises ``ShardError``."""
+        if META not in found:  # the pictures alone were requested
+            shard, start, end = self._span(row, False)
+            found = {**found, META: self._members(row, self.store.part(self.split, shard, start, end))[META]}
+        try:
+            meta = read_meta(found[META])
+        except ShardError as error:
+            raise ShardError(f"{self._named(row)}, member {META}: {error}: {self.store.remedy}") from error
+        if meta["index"] != self.index.number[row]:
+            raise ShardError(f"{self._named(row)}: its {META} is of {key_of(meta['index'])}: {self.store.remedy}")
+        for member, data in found.items():
+            if member != META and zlib.crc32(data) != meta["crc32"].get(member):
+                raise ShardError(
+                    f"{self._named(row)}, member {member}: bytes differ from the written ones: {self.store.remedy}"
+                )
 
-    def _checked(
-        self, rows: Rows, columns: list[int], requests: Sequence[Request], content: Iterable[dict[int, memoryview]]
-    ) -> Iterator[dict[str, memoryview]]:
-        """Member to content of each sample, with unchecked members verified."""
-        members = self.layout.members
-        # Copied before the loop: a sample requested twice is read twice, and both reads are checked.
-        unchecked = self._unchecked[rows]
-        needs_check = unchecked.take(columns, 1).any(axis=1).tolist()
-        for row, check, flags, request, sample in zip(
-            rows.tolist(), needs_check, unchecked, requests, content, strict=True
-        ):
-            if check:
-                self._check_unchecked(row, flags, request, sample)
-            yield {members[column]: data for column, data in sample.items()}
-
-    def _check_unchecked(
-        self, row: int, unchecked: Bool[np.ndarray, " m"], request: Request, content: dict[int, memoryview]
-    ) -> None:
-        """Verify unchecked members; fetch damaged ones again."""
-        shard, number, parts = request
-        for part in parts:
-            if unchecked[part.column]:
-                if zlib.crc32(content[part.column]) != part.crc:
-                    content[part.column] = self.store.refetch(shard, number, part) or content[part.column]
-                self._require_same(row, part.column, content[part.column])
-                if part.column == META:
-                    self._require_index(row, content[part.column])
-
-    def _require_index(self, row: int, meta: memoryview) -> None:
-        """Raise ``ShardError`` where ``meta.json`` and its row of the index name different samples."""
-        if self.layout.kind != FOREIGN and read_sample_index(meta) != self.index.table.sample[row]:
-            shard = self.index.shards[self.index.shard[row]]
-            raise ShardError(
-                f"{self.store.location(shard)}: holds sample {read_sample_index(meta)} where the index has "
-                f"{self.index.key(row)}: delete the index: it is rebuilt from the shards"
-            )
-
-    def _require_same(self, row: int, column: int, data: memoryview) -> None:
-        if zlib.crc32(data) != self.index.table.crc[row, column]:
-            raise ShardError(
-                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from the written ones: "
-                f"{self.store.remedy}"
-            )
-        self._unchecked[row, column] = False
-
-    def _all_unchecked(self) -> Bool[np.ndarray, "n m"]:
-        return np.full(self.index.table.crc.shape, self._verify != "off")
+    def _member(self, row: int, found: dict[str, memoryview], member: str) -> memoryview:
+        if member not in found:
+            raise ShardError(f"{self._named(row)}: no member {member}: {self.store.remedy}")
+        return found[member]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_unchecked": None}
+        return {**self.__dict__, "_checked": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._unchecked = self._all_unchecked()
+        self._checked = bytearray(len(self.index))

@@ -3,11 +3,12 @@
 import logging
 import shlex
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import Manifest, ShardRecord
 
 __all__ = ["Store", "command_of"]
@@ -39,8 +40,13 @@ class Store(ABC):
         """The whole tar of a shard, or of its pictures, on this machine. Raises ``ShardError``."""
 
     @abstractmethod
-    def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> bytes:
+    def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> Bytes:
         """Bytes ``start`` to ``end`` of a shard, or of the tar of its pictures. Raises ``ShardError``."""
+
+    def parts(self, split: str, wanted: Sequence[tuple[ShardRecord, int, int, bool]]) -> Iterable[Bytes]:
+        """As ``part``, for several samples: shard, start, end and whether of the pictures. Raises ``ShardError``."""
+        # One by one: each sample is checked while it is in the CPU cache.
+        return (self.part(split, shard, start, end, views=views) for shard, start, end, views in wanted)
 
     @property
     @abstractmethod

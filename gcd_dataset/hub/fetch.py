@@ -1,0 +1,382 @@
+"""Fetches files through ``fsspec``: into memory, or as whole verified tars into a folder.
+
+    .train-00012.tar.part   a download in progress, or stopped: locked while a process fills it, continued by the next
+
+``fsspec`` knows the protocols, credentials and proxies. Added here: continuation, retries for a limited time, limits on
+what a server may send, hashes.
+"""
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import functools
+import hashlib
+import logging
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
+from gcd_dataset.files import make_folder
+from gcd_dataset.shards.access import writing
+
+__all__ = ["PATIENCE", "Files", "fetch", "first_line"]
+
+T = TypeVar("T")
+Take = Callable[[bytes], None]
+"""Called with the bytes of a file in order."""
+
+PATIENCE = 300.0  # s of attempts without a received byte
+FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s between attempts: each wait is twice the last
+ANSWER = 10.0  # s until an answer begins, and between its pieces
+LITTLE = 1 << 16  # bytes: attempts that bring fewer do not renew the patience
+MOST_REDIRECTS = 5  # the Hub and its storage take three
+PIECE = 1 << 26  # bytes of one request to an object store
+
+WEB = ("http://", "https://")
+S3 = ("s3://", "s3a://")
+BUSY, REFUSED, GONE = frozenset({408, 425, 429, 500, 502, 503, 504}), frozenset({401, 403}), frozenset({404, 410})
+NO_CREDENTIALS = re.compile("Credential|NoAuth")
+"""Class names of errors about missing credentials in botocore, google.auth and azure.identity."""
+INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
+"""Errors of ``fsspec`` back ends for an invalid request."""
+PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
+"""``errno`` of other such errors: s3fs sets them for HTTP status 301, 400, 405, 416 and 501."""
+
+log = logging.getLogger(__name__)
+
+
+class Passing(Exception):  # noqa: N818 -- a state of the server
+    """An error that may pass; ``wait``: seconds that the server asks for."""
+
+    def __init__(self, message: str, wait: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait = wait
+
+
+class Files:
+    """The files below a URL. May be pickled, forked and used by several threads.
+
+    ``headers`` makes the headers of requests to a web server; ``Authorization`` is not sent on to other hosts.
+    ``patience``: seconds since the last received byte after which a request is given up, whatever the server asks for.
+
+    Methods raise ``MissingError`` for a missing file, ``RefusedError`` where the credentials lack the right,
+    ``RemoteError`` for any other failure, and ``ConfigError`` where the package of an object store is not installed.
+    """
+
+    def __init__(
+        self, url: str, *, headers: Callable[[], Mapping[str, str]] = dict, patience: float | None = None
+    ) -> None:
+        self.url, self.patience, self._headers = url.rstrip("/"), PATIENCE if patience is None else patience, headers
+        self.stopped = False
+        """Set by another thread: running requests raise ``RemoteError`` soon."""
+
+    def address(self, name: str) -> str:
+        """The URL of a file."""
+        return f"{self.url}/{name}"
+
+    def read(self, name: str, start: int = 0, end: int | None = None, *, limit: int) -> tuple[bytes, Mapping[str, str]]:
+        """Bytes ``start`` to ``end`` of a file, by default the whole, and the headers of the answer.
+
+        Raises ``RemoteError`` for more than ``limit`` bytes, before they are received, and for a server that sends
+        whole files only.
+        """
+        content = bytearray()
+        headers = self._receive(name, content.extend, start, end, limit)
+        return bytes(content), headers
+
+    def append(self, name: str, file: Path, size: int, on_progress: Callable[[int], None] | None = None) -> None:
+        """Append the missing bytes of a file of ``size`` bytes to ``file``. Raises ``OutputError`` too."""
+        with writing(file), file.open("ab", buffering=0) as opened:
+            start = opened.tell()
+
+            def take(piece: bytes) -> None:
+                with writing(file):
+                    rest = memoryview(piece)
+                    while rest:
+                        rest = rest[opened.write(rest) :]
+                if on_progress is not None:
+                    on_progress(opened.tell())
+
+            if start < size:
+                self._receive(name, take, start, size, None)
+            os.fsync(opened.fileno())
+
+    def _receive(self, name: str, take: Take, start: int, end: int | None, limit: int | None) -> Mapping[str, str]:
+        """Pass the bytes to ``take``; continues after a lost connection. Without ``limit`` bytes may be skipped."""
+        address, offset, attempts, progress = self.address(name), start, 0, time.monotonic()
+
+        def counted(piece: bytes) -> None:
+            nonlocal offset
+            take(piece)
+            offset += len(piece)
+            self._require_wanted(address)
+            if offset - before < LITTLE and time.monotonic() - begun > self.patience + ANSWER:
+                raise Passing(f"sent {offset - before} bytes in {time.monotonic() - begun:.0f} s")
+
+        while True:
+            before, begun = offset, time.monotonic()
+            try:
+                if self.url.startswith(WEB):
+                    return _from_web(address, self._headers(), counted, offset, end, limit)
+                return _from_store(address, counted, offset, end, limit)
+            except Passing as error:
+                if offset - before >= LITTLE:
+                    attempts, progress = 0, time.monotonic()
+                attempts += 1
+                self._wait(address, error, attempts, progress)
+
+    def _wait(self, address: str, error: Passing, attempts: int, progress: float) -> None:
+        """Sleep after ``attempts`` attempts since ``progress``. Raises ``RemoteError`` when the patience is over."""
+        left = progress + self.patience - time.monotonic()
+        if left <= 0:
+            raise RemoteError(
+                f"{address}: {error}, after {attempts} attempt{'s' * (attempts > 1)} in {self.patience:.0f} s: try "
+                "again later, or with more patience (--patience, patience=); received data are kept"
+            )
+        log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", address, error)
+        until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
+        while (left := until - time.monotonic()) > 0:
+            self._require_wanted(address)
+            time.sleep(min(left, FIRST_WAIT))
+
+    def _require_wanted(self, address: str) -> None:
+        if self.stopped:
+            raise RemoteError(f"{address}: stopped: start again to continue")
+
+
+# ---------------------------------------------------------------------------------------------------------- web servers
+
+
+def _from_web(
+    address: str, headers: Mapping[str, str], take: Take, start: int, end: int | None, limit: int | None
+) -> Mapping[str, str]:
+    """One attempt of ``Files._receive`` on a web server. Raises ``Passing`` for an error that may pass."""
+    import aiohttp
+    from fsspec.asyn import sync
+
+    try:
+        web = _web(os.getpid())
+        answered: Mapping[str, str] = sync(web.loop, _stream, web, address, headers, take, start, end, limit)
+    except (aiohttp.TooManyRedirects, aiohttp.RedirectClientError) as error:
+        raise RemoteError(
+            f"{address}: redirects to {shown(first_line(error))}: up to {MOST_REDIRECTS} redirects to http and https "
+            "are followed: check the address, or tell its publisher"
+        ) from error
+    except (aiohttp.InvalidURL, aiohttp.ClientConnectorCertificateError) as error:
+        raise RemoteError(f"{address}: cannot be read ({first_line(error)}): check the address") from error
+    except (aiohttp.ClientError, TimeoutError, OSError) as error:
+        raise Passing(f"no answer ({first_line(error)})") from error
+    return answered
+
+
+async def _stream(
+    web: Any, address: str, headers: Mapping[str, str], take: Take, start: int, end: int | None, limit: int | None
+) -> Mapping[str, str]:
+    """Pass the bytes of one answer to ``take``; its headers."""
+    asked = {**headers, "Accept-Encoding": "identity"}  # ranges of a compressed answer could not be counted
+    if start or end is not None:
+        asked["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
+    session = await web.set_session()
+    async with asyncio.timeout(ANSWER):
+        response = await session.get(web.encode_url(address), headers=asked, max_redirects=MOST_REDIRECTS)
+    async with response:
+        _require(address, response, start)
+        skip = start if response.status == 200 else 0
+        left = None if end is None else end - start
+        if limit is not None and skip:
+            raise RemoteError(
+                f"{address}: this server sends whole files only, and each garment would cost a whole shard: use "
+                "gcd download"
+            )
+        if limit is not None and left is None and (response.content_length or 0) > limit - start:
+            raise _too_long(address, f"{response.content_length} bytes", limit)
+        async for piece in response.content.iter_any():
+            part = piece[skip:] if left is None else piece[skip : skip + left]
+            skip -= min(skip, len(piece))
+            start += len(part)
+            if limit is not None and left is None and start > limit:
+                raise _too_long(address, f"more than {limit} bytes", limit)
+            if part:
+                take(part)
+            if left is not None and (left := left - len(part)) == 0:
+                break
+        if left:
+            raise Passing(f"ends at byte {start} of {end}")
+        return {**(response.history[0] if response.history else response).headers}
+
+
+def _require(address: str, response: Any, start: int) -> None:
+    """Raise ``Passing`` or ``RemoteError`` unless the answer holds the bytes from ``start`` on."""
+    status = response.status
+    if status in BUSY:
+        requested = response.headers.get("Retry-After", "")
+        raise Passing(f"the server is busy ({status})", float(requested) if requested.isdecimal() else 0.0)
+    if status in GONE:
+        raise MissingError(f"{address}: not found ({status}): check the name, and the token if it is private")
+    if status in REFUSED:
+        raise RefusedError(f"{address}: refused ({status}): ask for access, then run hf auth login or set HF_TOKEN")
+    if status == 416:
+        raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher, or pin another revision")
+    span = response.headers.get("Content-Range", "")
+    if status not in (200, 206) or (status == 206 and not span.startswith(f"bytes {start}-")):
+        raise RemoteError(f"{address}: answered with status {status} {shown(span)}: check the address")
+
+
+def _too_long(address: str, size: str, limit: int) -> RemoteError:
+    return RemoteError(
+        f"{address}: has {size}, over the limit of {limit} for this kind of file: check the address, or tell its "
+        "publisher"
+    )
+
+
+@functools.cache
+def _web(process: int) -> Any:
+    """The HTTP file system of a process: a forked child must not use its parent's connections."""
+    import aiohttp
+    import fsspec
+
+    timeout = aiohttp.ClientTimeout(total=None, sock_connect=ANSWER, sock_read=ANSWER)
+    options = {"trust_env": True, "timeout": timeout}  # proxies from the environment
+    return fsspec.filesystem("http", client_kwargs=options, skip_instance_cache=True)
+
+
+# -------------------------------------------------------------------------------------------------------- object stores
+
+
+def _from_store(address: str, take: Take, start: int, end: int | None, limit: int | None) -> Mapping[str, str]:
+    """One attempt of ``Files._receive`` on an object store. Raises ``Passing`` for an error that may pass."""
+    with _asking(address):
+        store = _store(os.getpid(), "/".join(address.split("/")[:3]))
+        path = store._strip_protocol(address)
+        if end is None:
+            content = store.cat_file(path, start=start, end=(limit or PIECE) + 1)
+            if limit is not None and start + len(content) > limit:
+                raise _too_long(address, f"more than {limit} bytes", limit)
+            take(content)
+        while end is not None and start < end:
+            stop = min(start + PIECE, end)
+            content = store.cat_file(path, start=start, end=stop)
+            if len(content) != stop - start:
+                raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher")
+            take(content)
+            start = stop
+    return {}
+
+
+@contextlib.contextmanager
+def _asking(address: str) -> Iterator[None]:
+    """Turn errors of ``fsspec`` and of a store's library into ``Passing`` or errors of this package."""
+    try:
+        yield
+    except (GcdError, Passing):
+        raise
+    except ImportError as error:
+        extra = "S3 needs the package s3fs: pip install 'gcd-dataset[s3]'" if address.startswith(S3) else error
+        raise ConfigError(f"{address}: a package is missing: {extra}") from error
+    except FileNotFoundError as error:
+        raise MissingError(f"{address}: not found ({first_line(error)}): check bucket and name") from error
+    # Each store raises errors of its own library, which may not be installed.
+    except Exception as error:
+        kinds, message = " ".join(kind.__name__ for kind in type(error).__mro__), first_line(error)
+        if NO_CREDENTIALS.search(kinds):
+            raise RefusedError(
+                f"{address}: no credentials ({message}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the "
+                """variables of your store; for a public bucket FSSPEC_S3='{"anon": true}'"""
+            ) from error
+        if isinstance(error, PermissionError):
+            raise RefusedError(
+                f"{address}: refused ({message}): ask for the rights to read and list there, or set other credentials"
+            ) from error
+        if isinstance(error, INVALID) or "Validation" in kinds or getattr(error, "errno", None) in PERMANENT:
+            raise RemoteError(f"{address}: the store rejects the request ({message}): check the address") from error
+        raise Passing(f"no answer ({message})") from error
+
+
+@functools.cache
+def _store(process: int, root: str) -> Any:
+    """The file system of a bucket or host, one per process: a forked child must not use its parent's connections."""
+    from fsspec.config import conf
+    from fsspec.core import url_to_fs
+
+    options: dict[str, Any] = {}
+    if root.startswith(S3):
+        # No retries in s3fs and botocore: this module retries.
+        config = {"retries": {"total_max_attempts": 1}, "connect_timeout": ANSWER, "read_timeout": ANSWER}
+        options["config_kwargs"] = config | dict(conf.get("s3", {}).get("config_kwargs", {}))
+    store = url_to_fs(root, skip_instance_cache=True, **options)[0]
+    if root.startswith(S3):
+        store.retries = 1
+    return store
+
+
+# --------------------------------------------------------------------------------------------------------- whole shards
+
+
+def fetch(
+    files: Files,
+    name: str,
+    target: Path,
+    size: int,
+    sha256: str,
+    *,
+    part: Path | None = None,
+    on_progress: Callable[[int], None] | None = None,
+) -> None:
+    """Fetch a file of known size and hash as ``target``, unless it exists: one process does, others wait for it.
+
+    ``part``: the file for the bytes received so far, by default beside ``target``. Raises ``RemoteError`` after two
+    wrong hashes and keeps nothing; ``OutputError`` where the file cannot be written.
+    """
+    part = target.with_name(f".{target.name}.part") if part is None else part
+    while not target.exists():
+        make_folder(part.parent)
+        with _claimed(part) as is_mine:
+            if is_mine and not target.exists():
+                _complete(files, name, part, size, sha256, on_progress)
+                make_folder(target.parent)
+                with writing(target):
+                    part.replace(target)
+            elif is_mine:
+                part.unlink()  # made by this call, after another process had finished
+
+
+def _complete(
+    files: Files, name: str, part: Path, size: int, sha256: str, on_progress: Callable[[int], None] | None
+) -> None:
+    for _ in range(2):
+        if part.stat().st_size > size:
+            os.truncate(part, 0)
+        files.append(name, part, size, on_progress)
+        with part.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() == sha256:
+                return
+        os.truncate(part, 0)
+    part.unlink()
+    raise RemoteError(
+        f"{files.address(name)}: received bytes do not match the published hash; none are kept: try again later, or "
+        "tell its publisher"
+    )
+
+
+@contextlib.contextmanager
+def _claimed(part: Path) -> Iterator[bool]:
+    """Hold the lock of ``part``, made if missing; false if another process has finished or removed it meanwhile."""
+    with writing(part):
+        file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        fcntl.flock(file, fcntl.LOCK_EX)
+    try:
+        yield part.exists() and os.path.samestat(os.fstat(file), part.lstat())
+    finally:
+        # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
+        fcntl.flock(file, fcntl.LOCK_UN)
+        os.close(file)
+
+
+def first_line(error: object) -> str:
+    """The first line of an error's message; its type where the message is empty."""
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

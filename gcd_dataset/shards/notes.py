@@ -1,0 +1,432 @@
+"""The producer's note of a shard, ``train-00012.json``, and what is gathered from all notes of a data set.
+
+A note holds all that manifest and index say of its shard, so that gathering reads no tars. It is a function of the
+plan and the samples: a lost note is made again from the tar.
+
+``rejects.jsonl`` lists the rejected attempts of the data set, one JSON object per line, by design and attempt:
+
+==============  ====================================================================================================
+``seed``        of the data set
+``design``      number of the design: index of its first sample // wearers per design
+``attempt``     0 for the first attempt at this design
+``index``       the sample for which the attempt failed: the design did not fit its wearer, or its drape failed
+``rule``        the rule that rejected it, as counted in ``manifest.json``; ``drape`` for a failed drape
+``reason``      a sentence; for a drape its outcome
+``figures``     the numbers behind the rule; names end in their units: ``{"cuff_cm": 29.9, "limb_cm": 35.5}``
+==============  ====================================================================================================
+"""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from gcd_dataset.errors import ConfigError, ShardError, shown
+from gcd_dataset.files import open_regular
+from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes
+from gcd_dataset.shards.limits import LARGEST_MANIFEST
+from gcd_dataset.shards.manifest import (
+    MANIFEST,
+    Manifest,
+    Plan,
+    RecipeRecord,
+    ShardRecord,
+    SplitRecord,
+    other_schema,
+    parse_manifest,
+    ranked,
+)
+from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta
+from gcd_dataset.shards.pattern_arrays import stored_pattern
+from gcd_dataset.shards.place import Place
+from gcd_dataset.shards.tar import BLOCK, TarMember, padded, tar_entries
+
+__all__ = [
+    "EARLIER",
+    "REJECTS",
+    "Gathered",
+    "Note",
+    "Row",
+    "StoredSample",
+    "gather",
+    "is_view",
+    "note_name",
+    "note_of",
+    "plan_of_sample",
+    "read_note",
+    "row_of",
+    "samples_in",
+    "shards_named",
+]
+
+REJECTS = "rejects.jsonl"
+EARLIER = ".earlier"
+"""Folder of the shards of a smaller data set, whose samples are copied while it grows."""
+VIEW = re.compile(r".*\.jpg|view_\d+\.json")
+SHARD = re.compile(r"(.+)-(\d{5,9})\.tar")
+OLD = re.compile(r"index-.+\.npz")  # written before schema 3
+KEY = re.compile(r"gcd_\d{9,18}")
+META = "meta.json"
+
+
+def is_view(member: str) -> bool:
+    """Whether a member is a picture or its camera, which lie in the tar of the pictures.
+
+    >>> is_view("front.jpg"), is_view("view_3.json"), is_view("meta.json")
+    (True, True, False)
+    """
+    return VIEW.fullmatch(member) is not None
+
+
+def note_name(split: str, number: int) -> str:
+    """The file name of a shard's note."""
+    return f"{split}-{number:05d}.json"
+
+
+def shards_named(names: Iterable[str]) -> list[tuple[str, int]]:
+    """Split and number of the shards among files, sorted."""
+    matches = (SHARD.fullmatch(name) for name in names if "/" not in name and not name.startswith("."))
+    return sorted((match[1], int(match[2])) for match in matches if match is not None)
+
+
+# ------------------------------------------------------------------------------------------------------------- samples
+
+
+class StoredSample(NamedTuple):
+    """A sample in a tar."""
+
+    number: int
+    start: int
+    """First byte, of the head of its first member."""
+    end: int
+    members: dict[str, bytes]
+
+
+def samples_in(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
+    """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
+    with reading(path), open_regular(path) as file:
+        found: list[TarMember] = []
+        try:
+            found.extend(tar_entries(file.fileno()))
+        except ShardError as error:
+            if not damaged:
+                raise ShardError(f"{path}: {error}: {REMEDY}") from error
+        for key, entries in groupby(found, key=lambda entry: entry.name.partition(".")[0]):
+            if KEY.fullmatch(key) is None:
+                raise ShardError(f"{path}: holds {shown(key)}, not a sample of this package: move it elsewhere")
+            own = list(entries)
+            content = {}
+            for entry in own:
+                file.seek(entry.offset)
+                content[entry.name.partition(".")[2]] = file.read(entry.size)
+            yield StoredSample(int(key[4:]), own[0].offset - BLOCK, own[-1].offset + padded(own[-1].size), content)
+
+
+class Row(NamedTuple):
+    """What a note says of a sample."""
+
+    number: int
+    start: int
+    """[512 bytes]"""
+    views_start: int
+    """[512 bytes]; -1 without pictures"""
+    grade: str
+    outcome: str
+    rejects: list[dict[str, Any]]
+    """Lines of ``rejects.jsonl``."""
+    redraws: Mapping[str, int]
+    patterns: PatternHash
+    """Of its pattern; empty for a data set without a published recipe."""
+
+
+def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: int | None) -> Row:
+    """What the note says of a sample that begins at ``start`` and ``views_start`` [bytes]. Raises ``ShardError``."""
+    meta = read_meta(members[META])
+    number, drape = meta["index"], meta.get("drape")
+    patterns = PatternHash()
+    if plan.named is not None and plan.kind == GARMENTS.kind:
+        patterns = hash_pattern(number, stored_pattern(members))
+    return Row(
+        number,
+        start // BLOCK,
+        -1 if views_start is None else views_start // BLOCK,
+        meta.get("grade") or "",
+        drape["outcome"] if drape else "",
+        [*_lines(plan, number, meta.get("rejects") or ())],
+        meta.get("redraws") or {},
+        patterns,
+    )
+
+
+def _lines(plan: Plan, number: int, rejects: Sequence[Any]) -> Iterator[dict[str, Any]]:
+    wearers = plan.recipe.get("bodies_each", 1) + (plan.recipe.get("bodies") == "both")
+    design = number // wearers
+    for attempt, reject in enumerate(rejects):
+        if isinstance(reject, str):
+            rule, _, reason = reject.partition(": ")
+            reject = {"index": design * wearers, "rule": rule, "reason": reason, "figures": {}}
+        figures = reject["figures"]
+        figures = decode_json(figures.encode()) if isinstance(figures, str) else figures
+        line = {name: reject[name] for name in ("index", "rule", "reason")}
+        yield {"seed": plan.seed, "design": design, "attempt": attempt, **line, "figures": dict(figures)}
+
+
+def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
+    """``plan`` with the seed, recipe and version that a sample was made with."""
+    generator = meta["versions"].get("gcd_dataset", plan.generator)
+    return replace(plan, seed=meta["seed"], recipe=meta["recipe"], generator=generator)
+
+
+# --------------------------------------------------------------------------------------------------------------- notes
+
+
+@dataclass(frozen=True)
+class Note:
+    """The note of a shard."""
+
+    split: str
+    plan: Plan
+    record: ShardRecord
+    members: tuple[str, ...]
+    """The members of every sample in file order, pictures last."""
+    rows: Sequence[Sequence[Any]]
+    """Number, start, start of its pictures, grade and outcome of each sample, as in ``Row``."""
+    rejects: Sequence[Mapping[str, Any]] = ()
+    """Lines of ``rejects.jsonl``."""
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    """Rule to the number of rejected attempts, counted for each sample of their design."""
+    redraws: Mapping[str, int] = field(default_factory=dict)
+    patterns: PatternHash = field(default_factory=PatternHash)
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    """Number to fault of the samples that could not be made."""
+
+    @classmethod
+    def of(
+        cls,
+        split: str,
+        plan: Plan,
+        record: ShardRecord,
+        members: Iterable[str],
+        rows: Sequence[Row],
+        skipped: Mapping[int, str] | None = None,
+    ) -> Self:
+        """The note of a shard with these samples."""
+        lines = {(line["design"], line["attempt"]): line for row in rows for line in row.rejects}
+        rejected = Counter(line["rule"] for row in rows for line in row.rejects)
+        redraws: Counter[str] = Counter()
+        for row in rows:
+            redraws.update(row.redraws)
+        return cls(
+            split,
+            plan,
+            record,
+            tuple(sorted(members, key=is_view)),
+            [row[:5] for row in rows],
+            [line for _, line in sorted(lines.items())],
+            ranked(rejected),
+            ranked(redraws),
+            sum((row.patterns for row in rows), PatternHash()),
+            {str(number): fault for number, fault in sorted((skipped or {}).items())},
+        )
+
+    @property
+    def done(self) -> set[int]:
+        """Numbers of the samples, those included that could not be made."""
+        return {row[0] for row in self.rows} | set(map(int, self.skipped))
+
+    def to_bytes(self) -> bytes:
+        """The content of the note's file."""
+        patterns = [self.patterns.text, [f"{tie:x}" for tie in self.patterns.ties], self.patterns.count]
+        own = {"plan": self.plan.to_json(), "record": self.record.to_json(), "patterns": patterns}
+        return json_bytes({**self.__dict__, **own}) + b"\n"
+
+    @classmethod
+    def from_bytes(cls, content: bytes, path: str) -> Self:
+        """The note in a file. Raises ``ShardError``."""
+        try:
+            entry = decode_json(content, limit=LARGEST_MANIFEST)
+            value, ties, count = entry["patterns"]
+            own = {
+                "plan": Plan.from_json(entry["plan"], "plan"),
+                "record": ShardRecord.from_json(entry["record"], "record"),
+                "members": tuple(entry["members"]),
+                "patterns": PatternHash(int(value, 16), tuple(int(tie, 16) for tie in ties), count),
+            }
+            note = cls(**{**entry, **own})
+            if len(note.rows) != note.record.count:
+                raise ShardError(f"{len(note.rows)} rows for {note.record.count} samples")
+            return note
+        except (ShardError, KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
+
+
+def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
+    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
+    starts = {} if views is None else {sample.number: sample for sample in samples_in(views)}
+    rows, members = [], dict[str, None]()
+    for sample in samples_in(path):
+        pictures = starts.get(sample.number)
+        content = sample.members | ({} if pictures is None else pictures.members)
+        members |= dict.fromkeys(content)
+        rows.append(row_of(plan, content, sample.start, None if pictures is None else pictures.start))
+    return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
+
+
+def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
+    """The record of a shard, from its files. Raises ``ShardError``."""
+    sizes = [hashed(file) for file in (path, views) if file is not None]
+    return ShardRecord(number, count, *(value for size in sizes for value in size))
+
+
+def hashed(path: Path) -> tuple[int, str]:
+    """Size [bytes] and SHA-256 of a file. Raises ``ShardError``."""
+    with reading(path), open_regular(path) as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return file.tell(), digest
+
+
+def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -> Note:
+    """The note of a shard; made again where it is lost. Raises ``ShardError``.
+
+    ``plan``: the plan of a lost note; by default that of the first sample, as far as its ``meta.json`` tells.
+    """
+    name = note_name(split, number)
+    if place.exists(name):
+        return Note.from_bytes(next(place.read([name])), place.location(name))
+    record = ShardRecord(number, 0, 0, "")
+    path = place.fetch(record.name(split))
+    views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
+    if plan is None:
+        if (first := next(samples_in(path), None)) is None:
+            raise ShardError(f"{place.location(name)}: no such file: run gcd generate again")
+        kind = BODIES.kind if BODIES.members[-1] in first.members else GARMENTS.kind
+        plan = plan_of_sample(read_meta(first.members[META]), Plan(kind, 0, {}, 0, 1))
+    return note_of(path, views, split, number, plan)
+
+
+# ----------------------------------------------------------------------------------------------------------- gathering
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What the notes of a data set say together."""
+
+    manifest: Manifest
+    indices: Mapping[str, SplitIndex]
+    rejects: bytes
+    """Content of ``rejects.jsonl``."""
+    patterns: PatternHash
+    """Of all patterns, for a data set with a published recipe."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all planned samples are made."""
+        return all(self.manifest.missing(split) is None for split in self.manifest.splits)
+
+    def write(self, place: Place) -> None:
+        """Write indices, ``rejects.jsonl`` and, last, the manifest. Raises ``OutputError``."""
+        for split, index in self.indices.items():
+            place.write(index_name(split), index.to_bytes())
+        place.write(REJECTS, self.rejects)
+        place.write(MANIFEST, self.manifest.to_bytes())
+
+
+def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha256: "") -> Gathered:
+    """Manifest, indices and rejects of the finished shards; nothing is written.
+
+    ``published``: from the name and SHA-256 of a recipe to the hash of its patterns, if it is known. Raises
+    ``ShardError`` for a place without shards, and for shards that do not belong together.
+    """
+    names = place.names()
+    if any(map(OLD.fullmatch, names)):
+        raise ShardError(other_schema(place.location(), 2, None))
+    if not (shards := shards_named(names)):
+        raise ShardError(f"{place.location()}: no shards: give a folder made by gcd generate")
+    notes = _notes(place, names, shards)
+    for note in notes[1:]:
+        try:
+            note.plan.require_same(notes[0].plan, place.location(note_name(note.split, note.record.number)))
+        except ConfigError as error:
+            raise ShardError(str(error)) from error
+    splits, indices = {}, {}
+    for split, of_split in groupby(notes, key=lambda note: note.split):
+        splits[split], indices[split] = _gathered_split(place, list(of_split))
+    patterns = sum((note.patterns for note in notes), PatternHash())
+    manifest = Manifest(splits, notes[0].plan.generator)
+    if (named := notes[0].plan.named) is not None:
+        known = "" if any(manifest.missing(split) for split in splits) else published(*named) or patterns.text
+        is_whole = patterns.count == sum(manifest.counts.values())
+        text = (known if patterns.agrees(known) else patterns.text) if known and is_whole else ""
+        manifest = replace(manifest, recipe=RecipeRecord(*named, text))
+    lines = {(line["design"], line["attempt"]): line for note in notes for line in note.rejects}
+    rejects = b"".join(json_bytes(line) + b"\n" for _, line in sorted(lines.items()))
+    return Gathered(manifest, indices, rejects, patterns)
+
+
+def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:
+    """The notes of shards, in order."""
+    there = [shard for shard in shards if note_name(*shard) in names]
+    content = place.read([note_name(*shard) for shard in there])
+    notes = {
+        shard: Note.from_bytes(data, place.location(note_name(*shard)))
+        for shard, data in zip(there, content, strict=True)
+    }
+    plans = {split: note.plan for (split, _), note in notes.items()}
+    if len(there) < len(shards) and MANIFEST in names:
+        manifest = parse_manifest(next(place.read([MANIFEST])), place.location(MANIFEST))
+        plans = {split: record.plan for split, record in manifest.splits.items()} | plans
+    for split, number in shards:
+        if (split, number) not in notes:
+            plan = plans.get(split) or next(iter(plans.values()), None)
+            notes[split, number] = read_note(place, split, number, plan)
+    return [_with_count(notes[shard], notes) for shard in shards]
+
+
+def _with_count(note: Note, notes: Mapping[tuple[str, int], Note]) -> Note:
+    """The note; one whose plan is lost gets the number of samples that there are."""
+    if note.plan.count:
+        return note
+    count = sum(len(other.done) for other in notes.values())
+    size = max(other.record.count for other in notes.values())
+    return replace(note, plan=replace(note.plan, count=max(count, 1), shard_size=max(size, 1)))
+
+
+def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, SplitIndex]:
+    """Record and index of a split from its notes, by number."""
+    filled = [note for note in notes if note.rows]
+    for note in filled:
+        if note.members != filled[0].members:
+            path = place.location(note.record.name(note.split))
+            raise ShardError(f"{path}: its samples have other members than the first shard: delete it, make it again")
+    rejected, redraws = Counter[str](), Counter[str]()
+    for note in notes:
+        rejected.update(note.rejected)
+        redraws.update(note.redraws)
+    record = SplitRecord(
+        replace(notes[0].plan, count=max(note.plan.count for note in notes)),
+        tuple(note.record for note in notes),
+        filled[0].members if filled else (),
+        ranked(rejected),
+        ranked(redraws),
+        skipped=sum(len(note.skipped) for note in notes),
+    )
+    rows = [row for note in notes for row in note.rows]
+    index = SplitIndex(
+        record,
+        np.array([row[0] for row in rows], np.int32),
+        np.array([row[1] for row in rows], np.int32),
+        np.array([row[2] for row in rows if row[2] >= 0], np.int32),
+        np.array([GRADES.index(row[3]) for row in rows], np.uint8),
+        np.array([OUTCOMES.index(row[4]) for row in rows], np.uint8),
+    )
+    record = replace(record, index_sha256=hashlib.sha256(index.to_bytes()).hexdigest())
+    return record, replace(index, record=record)
