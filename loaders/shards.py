@@ -1,41 +1,42 @@
-"""``GarmentDataset``: garments from shards, by index or as a stream."""
+"""``GarmentDataset``: garments from shards, by index."""
 
 import bisect
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
-from gcd_dataset.files import open_regular, user_path
-from gcd_dataset.hub.remote import Remote, open_store
-from gcd_dataset.loaders.available import absent_when_empty
-from gcd_dataset.loaders.base import Garments, Transform, note_items, recipe_from_meta
+from gcd_dataset.files import user_path
+from gcd_dataset.hub.remote import Remote, RemoteStore, open_store
+from gcd_dataset.loaders.available import absent_at_stage, absent_when_empty
+from gcd_dataset.loaders.base import Garments, Transform, note_items, recipe_from_meta, require_integer
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.splits import parse_splits
+from gcd_dataset.loaders.stored import StoredItems
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.codec import NO_PICTURE, decode_field
+from gcd_dataset.shards.cache import SIZE, size_in_bytes
+from gcd_dataset.shards.codec import NO_PICTURE, decode_fields
+from gcd_dataset.shards.columns import Columns
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, fields_of, members_of
-from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.layout import MEMBERS, Bytes, fields_of, is_picture, is_view_field, joint_fields, members_of
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
 from gcd_dataset.shards.store import Store
-
-if TYPE_CHECKING:
-    from gcd_dataset.loaders.streamed import StreamedTar
 
 __all__ = ["GarmentDataset"]
 
 META = MEMBERS[0]
 RECIPE = "recipe:"
-SERVER = ("revision", "endpoint", "token", "max_cache_size", "patience")
+SERVER = ("revision", "endpoint", "token", "patience")
 """Options of remote sources."""
+WINDOW = 32  # shards of a server, or of a set larger than the cache, among which an order moves freely
+GROWTH = 5  # columns of all fields take about five times as many bytes as the tars
+
+log = logging.getLogger("gcd_dataset")
 
 
 class GarmentDataset(Garments):
@@ -68,7 +69,7 @@ class GarmentDataset(Garments):
     - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
       everything on opening, ``off`` nothing; remote data is checked in any case.
     - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
-      garments over ranks and workers.
+      garments over ranks and workers; remote data is not cached.
 
     Remote data:
 
@@ -81,6 +82,9 @@ class GarmentDataset(Garments):
       for no limit.
     - ``endpoint``, ``token``: address and token of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
 
+    Foreign tars for ``webdataset`` are read too. Their fields are the extensions of their files, such as ``seg.png``;
+    the last extension decides the decoding. A sample without such a file has ``None``.
+
     Raises ``ShardError`` for a missing split, or a damaged or newer source, ``RemoteError`` for a server that does not
     answer, and ``ConfigError`` for options that contradict each other and for a field that no garment of the split
     holds, such as ``verts`` of garments made up to stage ``mesh``.
@@ -89,11 +93,11 @@ class GarmentDataset(Garments):
     reads_only = True
 
     def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":
-        if streaming:
-            from gcd_dataset.loaders.streamed import StreamedGarments
+        if not streaming:
+            return super().__new__(cls)
+        from gcd_dataset.loaders.streamed import StreamedGarments
 
-            cls = StreamedGarments
-        return super().__new__(cls)
+        return super().__new__(StreamedGarments)
 
     def __init__(
         self,
@@ -106,7 +110,7 @@ class GarmentDataset(Garments):
         streaming: bool = False,
         revision: str | None = None,
         cache_dir: str | Path | None = None,
-        max_cache_size: int | str | None = None,
+        max_cache_size: int | str | None = SIZE,
         endpoint: str | None = None,
         token: str | None = None,
         patience: float | None = None,
@@ -116,13 +120,15 @@ class GarmentDataset(Garments):
         settled_only: bool = False,
         quality: Quality | None = None,
         dtype: torch.dtype | None = torch.float32,
+        window: int | None = None,
     ) -> None:
         parts = parse_splits(split)
         fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
         remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download, patience=patience)
         splits = tuple(dict.fromkeys(part.name for part in parts))
         if isinstance(source, str) and source.startswith(RECIPE):
-            store: Store = FolderStore(_recipe_folder(source, remote, root, splits))
+            folder = _recipe_folder(source, remote, root, splits)
+            store: Store = FolderStore(folder, cache_dir=cache_dir)
         else:
             store = open_store(source, remote, root=root, splits=splits)
         readers = {
@@ -132,11 +138,22 @@ class GarmentDataset(Garments):
             store.warn_unfinished(splits)
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
-        self._member_of = _member_of([part.reader for part in self._parts])
-        super().__init__(fields, transform, available=self._member_of, absent=self._absent_fields(), dtype=dtype)
-        self._check_stream = verify != "off"
+        shared = [
+            m for m in self._parts[0].reader.layout.members if all(m in r.layout.members for r in readers.values())
+        ]
+        super().__init__(fields, transform, available=fields_of(shared), absent=_absent(self._parts), dtype=dtype)
         self.source = store.source
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
+        limit = size_in_bytes(max_cache_size)
+        single = dtype not in (None, torch.float64)
+        self._columns = {
+            name: Columns(store, name, reader.index, limit=limit, single=single, verify=verify != "off")
+            for name, reader in readers.items()
+        }
+        self._stored_fields = _stored_fields(self.fields, shared)
+        self._is_remote, self._told = isinstance(store, RemoteStore), False
+        self.window = self._window(window, limit)
+        """Number of shards among which a random order moves freely; ``None``: all."""
 
     @property
     def revision(self) -> str | None:
@@ -146,26 +163,72 @@ class GarmentDataset(Garments):
     def __len__(self) -> int:
         return self._ends[-1]
 
+    def shard_lengths(self) -> list[int]:
+        """Number of garments in each shard, in order: they are read together."""
+        return [length for part in self._parts for length in part.shard_lengths()]
+
+    def _window(self, window: int | None, limit: int | None) -> int | None:
+        """The window in shards: the given one, else ``WINDOW`` for a server or a set larger than the cache."""
+        if window is not None:
+            return require_integer("window", window, least=0) or None
+        size = sum(shard.size for part in self._parts for shard in part.reader.record.shards)
+        return WINDOW if self._is_remote or (limit is not None and GROWTH * size > limit) else None
+
     def _load(self, position: int) -> Any:
         part, row = self._locate(position)
+        columns, rows = self._columns[part.reader.split], part.reader.rows([row])
+        if columns.has(int(rows[0]), self._stored_fields):
+            return self._transformed(self._stored(columns, rows)[0], position)
         with part.reader.naming(row):
             return self._item(part.reader.read(row, self._member_names), position)
 
-    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """The items of a batch, in one request to a server; a ``DataLoader`` calls this."""
-        requests: dict[ShardReader, list[int]] = {}
-        locations = []
-        for index in indices:
-            part, position = self._locate(self._position(index))
-            requests.setdefault(part.reader, []).append(position)
-            locations.append((part.reader, position))
-        replies = {reader: reader.read_many(positions, self._member_names) for reader, positions in requests.items()}
+    def __getitems__(self, indices: Sequence[int]) -> Any:
+        """The items of a batch; a ``DataLoader`` calls this. Makes the columns of their shards."""
+        positions = np.fromiter(map(self._position, indices), np.int64, len(indices))
+        parts = np.searchsorted(self._ends, positions, "right")
+        if not len(positions) or (parts != parts[0]).any():
+            return self._items_one_by_one(indices, positions.tolist())
+        part, columns, begin = self._parts[parts[0]], *self._columns_of(int(parts[0]))
+        if not self._fit(columns):
+            return self._items_one_by_one(indices, positions.tolist())
+        items = self._stored(columns, part.reader.rows(positions - begin))
+        if self.transform is None:
+            return items
+        return [self._transformed(item, position) for item, position in zip(items, positions.tolist(), strict=True)]
+
+    def _columns_of(self, part: int) -> tuple[Columns, int]:
+        """The columns of a part, and the index of its reader's first garment."""
+        positions = self._parts[part].positions
+        return self._columns[self._parts[part].reader.split], self._ends[part] - len(positions) - positions.start
+
+    def _items_one_by_one(self, indices: Sequence[int], positions: Sequence[int]) -> list[Any]:
+        """The items of a batch out of several splits, or of a set whose columns do not fit into the cache."""
         items = []
-        for index, (reader, position) in zip(indices, locations, strict=True):
-            members = next(replies[reader])
-            with note_items(self, index), reader.naming(position):
-                items.append(self._item(members, self._position(index)))
+        for index, position in zip(indices, positions, strict=True):
+            with note_items(self, index):
+                part, row = self._locate(position)
+                columns, rows = self._columns[part.reader.split], part.reader.rows([row])
+                fits = self._fit(columns)
+                items.append(
+                    self._transformed(self._stored(columns, rows)[0], position) if fits else self._load(position)
+                )
         return items
+
+    def _fit(self, columns: Columns) -> bool:
+        """Whether columns serve: in windows always, else if those of the whole split fit into the cache."""
+        fits = self.window is not None or columns.fit(self._stored_fields)
+        if not fits and not self._told:
+            self._told = True
+            log.warning(
+                "%s: its columns would exceed the cache, so every garment is decoded from its tar: give window=%d, or "
+                "raise max_cache_size",
+                self._parts[0].reader.store.location(),
+                WINDOW,
+            )
+        return fits
+
+    def _stored(self, columns: Columns, rows: np.ndarray) -> StoredItems:
+        return StoredItems(self.fields, columns.views(rows, self._stored_fields), self.dtype, len(rows))
 
     def sample(self, index: int | str) -> Sample:
         part, position = self._locate(self._position(index))
@@ -188,23 +251,13 @@ class GarmentDataset(Garments):
         splits = dict.fromkeys(part.reader.split for part in self._parts)
         return [f"{' + '.join(splits)} of {self._parts[0].reader.store.location()}"]
 
-    def _absent_fields(self) -> dict[str, str]:
-        """Field to the reason for its absence, judged by the first garment."""
-        part = self._parts[0]
-        members = part.reader.read(part.positions[0], part.reader.layout.members)
-        return absent_when_empty(
-            lambda field: members[FIELDS[field]] == NO_PICTURE or not len(decode_field(field, members)),
-            self._member_of,
-        )
-
     def _find_key(self, key: str) -> int | None:
         number = index_from_key(key)
         if number is None:
             return None
         found: dict[str, int] = {}
         for part, end in zip(self._parts, self._ends, strict=True):
-            row = part.row_of_number(number)
-            if row is not None:
+            if (row := part.row_of_number(number)) is not None:
                 found.setdefault(part.reader.split, end - len(part.positions) + row)
         if len(found) > 1:
             raise UnknownKeyError(f"garment {key} is in {' and in '.join(found)}: open one split, or give its index")
@@ -218,27 +271,6 @@ class GarmentDataset(Garments):
     def _member_names(self) -> tuple[str, ...]:
         return members_of(self.fields, self._member_of)
 
-    def _tars(self) -> "Iterator[StreamedTar]":
-        """The garments by shard, in order, to be streamed."""
-        from gcd_dataset.loaders.streamed import StreamedTar
-
-        for part in self._parts:
-            reader, index = part.reader, part.reader.index
-            rows = reader.rows(part.positions)
-            for place in np.unique(index.shard[rows]).tolist():
-                shard, own = reader.record.shards[place], rows[index.shard[rows] == place]
-
-                def tar(views: bool, shard: ShardRecord = shard, own: np.ndarray = own) -> StreamedTar:
-                    return StreamedTar(
-                        reader.store.location(shard.name(reader.split, views=views)),
-                        partial(_opened, reader.store, reader.split, shard, views),
-                        index.number[own],
-                        (index.views_start if views else index.start)[own],
-                        remedy=reader.store.remedy,
-                    )
-
-                yield replace(tar(False), views=tar(True) if shard.views_size else None)
-
     def _locate(self, position: int) -> tuple["_Part", int]:
         """The part that holds a garment, and its position in the part's reader."""
         number = bisect.bisect_right(self._ends, position)
@@ -248,34 +280,6 @@ class GarmentDataset(Garments):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         part, position = self._locate(position)
         return part.reader.read(position, members)
-
-
-def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:
-    """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
-
-    The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
-    recipe or split, and for options of remote sources; ``ShardError`` for a missing data set with ``download=False``.
-    """
-    # Imported here: other sources do not need the generator.
-    from gcd_dataset.generator.recipes import find_recipe
-    from gcd_dataset.verbs.recipes import ensure_recipe
-    from gcd_dataset.verbs.seal import is_sealed
-
-    if given := [name for name in SERVER if getattr(remote, name) is not None]:
-        raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
-    recipe = find_recipe(source.removeprefix(RECIPE))
-    for split in splits:
-        if split not in recipe.splits:
-            known = list(recipe.splits)
-            raise ConfigError(
-                f"{recipe.name} has no split {split}: there are {', '.join(known)}{did_you_mean(split, known)}"
-            )
-    base = remote.folder / "recipes" if root is None else user_path(root)
-    folder = base / recipe.name
-    if not remote.allowed and not is_sealed(folder, recipe):
-        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
-    ensure_recipe(recipe, folder)
-    return folder
 
 
 class _Part(NamedTuple):
@@ -289,14 +293,63 @@ class _Part(NamedTuple):
         numbers = self.reader.index.number[self.reader.rows(self.positions)]
         return next(iter(np.flatnonzero(numbers == number).tolist()), None)
 
+    def shard_lengths(self) -> list[int]:
+        """Numbers of samples of this part in each shard, in order."""
+        rows = self.reader.rows(self.positions)
+        shards = np.searchsorted(self.reader.index.first, rows, "right")
+        return np.diff(np.flatnonzero(np.diff(shards, prepend=-1, append=-1))).tolist()
 
-def _opened(store: Store, split: str, shard: ShardRecord, views: bool) -> BinaryIO:
-    path = store.path(split, shard, views=views)
-    with reading(path):
-        return open_regular(path)
+
+def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, ...]:
+    """The fields to read from columns; fields that join views are joined from those of each view."""
+    joint, field_of = joint_fields(members), {member: field for field, member in fields_of(members).items()}
+    return tuple(
+        dict.fromkeys(single for field in fields for single in map(field_of.get, joint.get(field, ())) or (field,))
+    )
 
 
-def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
-    """Field to member, for members that all splits have."""
-    layouts = [reader.layout for reader in readers]
-    return fields_of(member for member in layouts[0].members if all(member in layout.members for layout in layouts))
+def _absent(parts: Sequence[_Part]) -> dict[str, str]:
+    """Field to the reason why no garment has it: from the recipe, or else from the first garment."""
+    plans, views = [part.reader.record.plan for part in parts], any(part.reader.index.has_views for part in parts)
+    if all("stage" in plan.recipe for plan in plans):
+        recipes = [plan.recipe for plan in plans]
+        stage = max((str(recipe["stage"]) for recipe in recipes), key=("pattern", "mesh", "drape").index)
+        empty = [] if any(recipe.get("points", 1) for recipe in recipes) else ["points"]
+        return absent_at_stage(stage, empty if views else [*empty, "front", "back"])
+    part = next((part for part in parts if len(part.positions)), None)
+    if part is None:
+        return {}
+    members = part.reader.read(part.positions[0], part.reader.layout.members)
+    stored = {field: member for field, member in fields_of(members).items() if not is_view_field(field)}
+    pictures = [field for field, member in stored.items() if is_picture(member)]
+    found = decode_fields(members, [field for field in stored if field not in pictures])
+    empty = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
+    empty |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
+    return absent_when_empty(empty.__contains__, stored)
+
+
+def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:
+    """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
+
+    The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
+    recipe or split, and for options of remote sources; ``ShardError`` for a missing data set with ``download=False``.
+    """
+    # Imported here: other sources do not need the generator.
+    from gcd_dataset.generator.recipes import find_recipe
+    from gcd_dataset.making.recipes import ensure_recipe, is_made
+
+    if given := [name for name in SERVER if getattr(remote, name) is not None]:
+        raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
+    recipe = find_recipe(source.removeprefix(RECIPE))
+    for split in splits:
+        if split not in recipe.splits:
+            known = list(recipe.splits)
+            raise ConfigError(
+                f"{recipe.name} has no split {split}: there are {', '.join(known)}{did_you_mean(split, known)}"
+            )
+    base = remote.folder / "recipes" if root is None else user_path(root)
+    folder = base / recipe.name
+    if not remote.allowed and not is_made(folder, recipe):
+        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
+    ensure_recipe(recipe, folder)
+    return folder

@@ -45,7 +45,7 @@ __all__ = [
     "BodyWriter",
     "decode_body_fields",
     "decode_person",
-    "encode_mesh",
+    "mesh_bytes",
     "encode_person",
     "read_set_mesh",
     "require_on_mesh",
@@ -97,7 +97,7 @@ class BodyWriter:
 
     def close(self) -> None:
         """Write the mesh, finish the shards, and write manifest and index. Raises ``OutputError``."""
-        write_whole(self._path, encode_mesh(self._mesh))
+        write_whole(self._path, mesh_bytes(self._mesh))
         self._shards.close()
 
     def __enter__(self) -> Self:
@@ -155,7 +155,7 @@ def _content(person: Person) -> dict[str, bytes]:
     }
 
 
-def encode_mesh(mesh: BodyMesh) -> bytes:
+def mesh_bytes(mesh: BodyMesh) -> bytes:
     """The content of the file ``mesh_name``."""
     parts = np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts
     return pack({"faces": np.asarray(mesh.faces), "parts": parts}, {"faces": Coding(1)})

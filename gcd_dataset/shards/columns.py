@@ -14,8 +14,8 @@ import mmap
 import os
 import shutil
 import struct
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,6 +40,7 @@ MAGIC = b"gcdcol1\0"
 ALIGNED = 64  # bytes: the rows begin at a multiple of this
 MOST_OPEN = 16_384  # mapped files of a process, of the 65,530 maps that Linux allows
 MEASURES_FIELD = "measures"
+DOUBLE = ("panels", "edges")  # fields of float64
 
 
 class Column(NamedTuple):
@@ -55,15 +56,24 @@ class Columns:
     """The columns of a split. May be pickled, forked, and read from several threads.
 
     ``limit``: most bytes of the cache, ``None`` for no limit; the shards used longest ago are removed first.
-    ``verify=False`` does not compare the SHA-256 of the tars.
+    ``single``: floating numbers of 8 bytes are kept as float32. ``verify=False`` does not compare the SHA-256 of tars.
     """
 
     def __init__(
-        self, store: Store, split: str, index: SplitIndex, *, limit: int | None = None, verify: bool = True
+        self,
+        store: Store,
+        split: str,
+        index: SplitIndex,
+        *,
+        limit: int | None = None,
+        single: bool = False,
+        verify: bool = True,
     ) -> None:
         self._store, self._split, self._index, self._limit, self._verify = store, split, index, limit, verify
+        self._single = single
         self._first = index.first
-        self._open: dict[tuple[int, str], Column] = {}
+        self._starts: list[int] = self._first.tolist()
+        self._open: dict[str, dict[int, Column]] = {}
         self._bytes_of: dict[tuple[str, ...], float] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -74,23 +84,24 @@ class Columns:
 
         ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
-        shards = np.searchsorted(self._first, rows, "right") - 1
-        places = list(zip(shards.tolist(), (rows - self._first[shards]).tolist(), strict=True))
+        opened, places = self._open, []
+        for row in rows.tolist():
+            shard = bisect_right(self._starts, row) - 1
+            places.append((shard, row - self._starts[shard]))
         found: dict[str, list[np.ndarray]] = {}
         for field in fields:
-            columns = self._open
+            columns = opened.get(field) or opened.setdefault(field, {})
             found[field] = views = []
             for shard, row in places:
-                column = columns.get((shard, field)) or self._column(shard, field, fields)
-                starts = column.starts
-                views.append(column.rows[starts[row] : starts[row + 1]])
+                stored, starts = columns.get(shard) or self._column(shard, field, fields)
+                views.append(stored[starts[row] : starts[row + 1]])
         return found
 
     def has(self, row: int, fields: Iterable[str]) -> bool:
         """Whether the columns of a sample are made."""
         shard = self._shard_of(row)
         folder = self._folder(self._index.record.shards[shard])
-        return all((shard, field) in self._open or (folder / _file(field)).exists() for field in fields)
+        return all(shard in self._open.get(field, ()) or (folder / self._file(field)).exists() for field in fields)
 
     def fit(self, fields: Sequence[str]) -> bool:
         """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
@@ -107,6 +118,11 @@ class Columns:
             self._bytes_of[key] = size / counts[shard] * len(self._index)
         return self._bytes_of[key] <= self._limit
 
+    def _file(self, field: str) -> str:
+        """The file name of a field's column."""
+        name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
+        return f"{name}.f4" if self._single and field in DOUBLE else name
+
     def _shard_of(self, row: int) -> int:
         return int(np.searchsorted(self._first, row, "right")) - 1
 
@@ -116,19 +132,20 @@ class Columns:
     def _column(self, number: int, field: str, together: Sequence[str]) -> Column:
         """The column of a field, made with those of ``together`` that are missing too."""
         folder = self._folder(self._index.record.shards[number])
-        path = folder / _file(field)
+        path = folder / self._file(field)
         try:
             column = _open_column(path)
         except (OSError, ValueError):
-            missing = [name for name in together if not _is_column(folder / _file(name))]
+            missing = [name for name in together if not _is_column(folder / self._file(name))]
             self._make(number, missing)
             with reading(path):
                 column = _open_column(path)
         with contextlib.suppress(OSError):
             os.utime(folder)  # used now
-        if len(self._open) >= MOST_OPEN:
-            self._open.pop(next(iter(list(self._open))), None)
-        self._open[number, field] = column
+        columns = self._open.setdefault(field, {})
+        if len(columns) >= MOST_OPEN // 8:
+            columns.pop(next(iter(list(columns))), None)
+        columns[number] = column
         return column
 
     def _make(self, number: int, fields: Sequence[str]) -> None:
@@ -148,13 +165,13 @@ class Columns:
             try:
                 for key, members in _samples(content, numbers):
                     for field, rows in _rows_of(chosen, members, key).items():
-                        columns[field].append(rows)
+                        columns[field].append(_as_single(field, rows) if self._single and field in DOUBLE else rows)
             except ShardError as error:
                 raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
             size = sum(rows.nbytes for column in columns.values() for rows in column)
             make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
-                _write_column(folder / _file(field), column)
+                _write_column(folder / self._file(field), column)
 
 
 def value_of(field: str, rows: np.ndarray) -> Any:
@@ -190,12 +207,6 @@ def _last_use(folder: Path) -> float:
     with contextlib.suppress(FileNotFoundError):
         return folder.stat().st_mtime
     return 0.0
-
-
-@lru_cache(maxsize=1024)
-def _file(field: str) -> str:
-    """The file name of a field's column."""
-    return field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
@@ -263,6 +274,14 @@ def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> d
     except ShardError as error:
         raise ShardError(f"sample {key}, {error}") from error
     return rows
+
+
+def _as_single(field: str, rows: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        narrow = rows.astype(np.float32)
+    if not np.isfinite(narrow).all():
+        raise ShardError(f"field {field}: numbers beyond the range of float32: dtype=None keeps the stored type")
+    return narrow
 
 
 def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
