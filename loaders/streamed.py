@@ -1,4 +1,4 @@
-"""``GarmentDataset(..., streaming=True)``: garments in the order of the shards, read from start to end by webdataset."""
+"""``GarmentDataset(..., streaming=True)``: garments in the order of the shards, read from end to end by webdataset."""
 
 import sys
 import tarfile
@@ -15,12 +15,16 @@ from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_work
 from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
 from gcd_dataset.loaders.shards import GarmentDataset
+from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.layout import MEMBERS, is_picture, key_of
+from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.reader import naming_sample
+from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
+from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import CheckedTar
 
 __all__ = ["StreamedGarments", "StreamedTar"]
@@ -40,8 +44,8 @@ class StreamedTar:
     """Indices of the samples."""
     start: Int[np.ndarray, " n"]
     """Their first bytes."""
+    remedy: str
     views: "StreamedTar | None" = None
-    remedy: str = "copy it again"
 
     def __len__(self) -> int:
         return len(self.number)
@@ -97,6 +101,10 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     _ranks: tuple[int, int] | None = None
     """Rank and world size of the process that spawned this worker."""
 
+    def __init__(self, *source: Any, verify: Verify = "lazy", **options: Any) -> None:
+        super().__init__(*source, verify=verify, **options)
+        self._checks = verify != "off"
+
     def select(self, indices: Iterable[int]) -> Garments:
         raise ConfigError("a stream has no indices: leave out streaming=True, or slice the split")
 
@@ -143,6 +151,16 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
         return range(*(edge * len(self) // ranks for edge in (rank, rank + 1)))
 
+    def _tars(self) -> Iterator[StreamedTar]:
+        """All garments, shard by shard, in their order."""
+        for part in self._parts:
+            reader, index = part.reader, part.reader.index
+            rows = reader.rows(part.positions)
+            for row in np.unique(index.shard[rows]).tolist():
+                own = rows[index.shard[rows] == row]
+                main, views = (_tar(reader, reader.record.shards[row], own, views) for views in (False, True))
+                yield replace(main, views=views) if index.has_views else main
+
     def _samples(self, tar: StreamedTar) -> Iterator[dict[str, bytes]]:
         """The members of each sample of a tar that the fields need, checked."""
         names = {META, *self._member_names}
@@ -152,10 +170,25 @@ class StreamedGarments(GarmentDataset, IterableDataset):
             members = {**main, **of_views}
             if missing := sorted(names - members.keys()):
                 raise ShardError(f"{_label(tar.name, number)} has no {missing[0]}: {tar.remedy}")
-            if self._check_stream:
+            if self._checks:
                 with naming_sample(partial(_label, tar.name, number)):
                     _check(members, number, tar.remedy)
             yield members
+
+
+def _tar(reader: ShardReader, shard: ShardRecord, rows: Int[np.ndarray, " n"], views: bool) -> StreamedTar:
+    """Some samples of a shard, or their pictures; ``rows``: of the index."""
+    name = reader.store.location(shard.name(reader.split, views=views))
+    start = reader.index.views_start if views else reader.index.start
+    opens = partial(_open, reader.store, reader.split, shard, views)
+    return StreamedTar(name, opens, reader.index.number[rows], start[rows] if len(start) else rows, reader.store.remedy)
+
+
+def _open(store: Store, split: str, shard: ShardRecord, views: bool) -> BinaryIO:
+    """The tar of a shard, or of its pictures; a server's is fetched whole, and verified."""
+    path = store.path(split, shard, views=views)
+    with reading(path):
+        return open_regular(path)
 
 
 def _requested_batch() -> int:

@@ -45,10 +45,9 @@ __all__ = [
     "BodyWriter",
     "decode_body_fields",
     "decode_person",
-    "mesh_bytes",
     "encode_person",
+    "mesh_bytes",
     "read_set_mesh",
-    "require_on_mesh",
 ]
 
 MEMBER_OF: Mapping[str, str] = {
@@ -92,7 +91,12 @@ class BodyWriter:
 
     def write(self, index: int, person: Person) -> None:
         """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
-        require_on_mesh(person, self._mesh)
+        for pose in POSES:
+            if (count := len(getattr(person, pose))) != self._mesh.n_vertices:
+                raise ShardError(
+                    f"person {person.name} cannot be stored: {count} vertices in pose {pose}, but the mesh of this set "
+                    f"has {self._mesh.n_vertices}"
+                )
         self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
 
     def close(self) -> None:
@@ -110,16 +114,6 @@ class BodyWriter:
             self.close()
         else:
             self._shards.__exit__(kind, error, trace)
-
-
-def require_on_mesh(person: Person, mesh: BodyMesh) -> None:
-    """Raise ``ShardError`` for a person with another number of vertices than the mesh."""
-    for pose in POSES:
-        if (count := len(getattr(person, pose))) != mesh.n_vertices:
-            raise ShardError(
-                f"person {person.name} cannot be stored: {count} vertices in pose {pose}, but the mesh of this set has "
-                f"{mesh.n_vertices}"
-            )
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
