@@ -129,7 +129,7 @@ SECTIONS: Mapping[str, tuple[str, ...]] = {
     "faces": ("faces", "corners", "uv_vertex"),
     "panel_id": ("panel_id", "faces_of"),
     "box": ("box", "uv", "uv_vertex", "rows_of", "panels"),
-    "points": ("xyz", "normals"),
+    "points": ("points", "xyz", "normals"),
 }
 """Field to the sections of ``.z`` members that it is decoded from."""
 
@@ -371,8 +371,9 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     ``pattern.z`` too. Raises ``ConfigError`` for an unknown field, ``ShardError`` with the
     member's name for invalid content.
     """
-    available = fields_of(member for member in members if not member.startswith("__"))  # webdataset adds __key__
-    return _decoded(members, select_fields(fields, available))
+    names = [member for member in members if not member.startswith("__")]  # webdataset adds __key__
+    joint = () if fields is None else joint_fields(names)
+    return _decoded(members, select_fields(fields, (*fields_of(names), *joint)))
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
@@ -444,19 +445,17 @@ def _reading(member: str) -> Iterator[None]:
 
 def _array(field: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """A field from its sections, its type and row shape checked. Raises ``ShardError``."""
-    for section in SECTIONS[field]:
-        if section not in arrays and section != field:
-            raise ShardError(f"section {section} is missing")
-        if section in WIDTHS and section in arrays:
-            _require_form(section, arrays[section])
     derive = DERIVED.get(field)
+    for section in SECTIONS[field] if derive and field not in arrays else (field,):
+        if section in arrays and section in WIDTHS:
+            _require_form(section, arrays[section])
+        elif section not in arrays and section != field:
+            raise ShardError(f"section {section} is missing")
     if field in arrays:
-        array = arrays[field]
-    elif derive is None:
+        return arrays[field]
+    if derive is None:
         raise ShardError(f"section {field} is missing")
-    else:
-        array = derive(arrays)
-    return array
+    return derive(arrays)
 
 
 def _require_form(section: str, array: np.ndarray) -> None:

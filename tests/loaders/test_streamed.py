@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader, IterableDataset
@@ -59,9 +60,9 @@ def test_pictures_come_from_their_own_tars(tmp_path: Path) -> None:
     with open_writer(tmp_path) as writer:
         for index in range(6):
             sample = fake_sample(0, index)
-            view = View(sample.back or b"", {"number": index})
+            view = View(sample.back or b"", {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}})
             writer.write(replace(sample, views=(view,), caption=f"skirt {index}"))
-    for fields in (["front"], ["verts", "view_0_json", "caption"], ["view_0"], None):
+    for fields in (["front"], ["verts", "view_0_json", "caption"], ["view_0"], ["views", "camera_k"], None):
         ds = GarmentDataset(tmp_path, "train[2:]", fields)
         assert_all_same(GarmentDataset(tmp_path, "train[2:]", fields, streaming=True), [ds[i] for i in range(4)])
     (tmp_path / "views" / "train-00001.tar").unlink()
