@@ -169,6 +169,8 @@ def _from_web(
         ) from error
     except (aiohttp.InvalidURL, aiohttp.ClientConnectorCertificateError) as error:
         raise RemoteError(f"{address}: cannot be read ({first_line(error)}): check the address") from error
+    except aiohttp.ClientPayloadError as error:
+        raise Passing("the connection was lost") from error
     except (aiohttp.ClientError, TimeoutError, OSError) as error:
         raise Passing(f"no answer ({first_line(error)})") from error
     return answered

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gcd_dataset.hub.cache import COUNTER, Cache, CachedMember
 
 from gcd_dataset.hub import cache as cache_module
-from gcd_dataset.hub.cache import COUNTER, Cache, CachedMember
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards import read_index
 from gcd_dataset.shards.store import MemberLocation

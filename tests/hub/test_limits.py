@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gcd_dataset.hub.web import Web
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, RemoteError
 from gcd_dataset.hub import remote, site, web
-from gcd_dataset.hub.web import Web
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.index import ShardIndex
 from tests.hub.server import Fault, Hub
