@@ -26,7 +26,7 @@ from gcd_dataset.loaders.indexing import (
 from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import decode_field, decode_sample, read_meta
+from gcd_dataset.shards.codec import decode_fields, decode_sample, read_meta
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
 
 __all__ = [
@@ -453,8 +453,7 @@ def require_float_dtype(dtype: Any) -> torch.dtype | None:
 def decode_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dtype | None = None) -> GarmentItem:
     """Decode members: arrays to tensors (floating ones as ``dtype``), JSON to values, pictures to uint8 tensors."""
     item = GarmentItem()
-    for field in fields:
-        value = decode_field(field, members)
+    for field, value in decode_fields(members, fields).items():
         try:
             item[field] = tensor_of(value, dtype) if isinstance(value, np.ndarray) else value
         except ShardError as error:

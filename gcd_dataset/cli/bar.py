@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from gcd_dataset.cli.verb import Stopped
-from gcd_dataset.verbs.progress import SETTLED, Progress
+from gcd_dataset.making.progress import SETTLED, Progress
 
 if TYPE_CHECKING:
     from tqdm import tqdm

@@ -40,9 +40,17 @@ from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, 
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.meta import read_meta, write_meta
 from gcd_dataset.shards.npy import read_npy, write_npy
-from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
+from gcd_dataset.shards.writer import ShardWriter
 
-__all__ = ["MEMBER_OF", "BodyWriter", "decode_body_fields", "decode_person", "encode_person", "read_set_mesh"]
+__all__ = [
+    "MEMBER_OF",
+    "BodyWriter",
+    "decode_body_fields",
+    "decode_person",
+    "encode_person",
+    "mesh_bytes",
+    "read_set_mesh",
+]
 
 MEMBER_OF: Mapping[str, str] = {
     "name": "meta.json",
@@ -74,7 +82,7 @@ class BodyWriter:
         seed: int,
         recipe: Mapping[str, Any],
         versions: Mapping[str, str] | None = None,
-        shard_size: int = SHARD_SIZE,
+        shard_size: int | None = None,
     ) -> None:
         self._mesh, self._recipe = mesh, {**recipe, "mesh": mesh.sha256}
         self._origin = {"seed": seed, "versions": {"gcd_dataset": __version__, **(versions or {})}}
@@ -82,13 +90,8 @@ class BodyWriter:
             self._shards = on_error.enter_context(
                 ShardWriter(folder, split=split, seed=seed, recipe=self._recipe, shard_size=shard_size, layout=BODIES)
             )
-            _write_mesh(Path(folder) / mesh_name(split), mesh)
+            write_whole(Path(folder) / mesh_name(split), mesh_bytes(mesh))
             on_error.pop_all()
-
-    @property
-    def done(self) -> frozenset[int]:
-        """Indices of the people on disk."""
-        return self._shards.done
 
     def write(self, index: int, person: Person) -> None:
         """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
@@ -145,15 +148,12 @@ def _content(person: Person) -> dict[str, bytes]:
     return {"measures.json": measures_json(person.measurements), **content}
 
 
-def _write_mesh(path: Path, mesh: BodyMesh) -> None:
-    """Write the mesh to ``path`` unless the file holds it already. Raises ``OutputError``."""
+def mesh_bytes(mesh: BodyMesh) -> bytes:
+    """The content of the file of a mesh; equal meshes give equal bytes."""
     file = io.BytesIO()
     faces = np.asarray(mesh.faces, np.uint16 if mesh.n_vertices <= 1 << 16 else np.uint32)
     np.savez(file, faces=faces, parts=np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts)
-    with reading(path):
-        before = path.read_bytes() if path.exists() else b""
-    if before != file.getvalue():
-        write_whole(path, file.getvalue())
+    return file.getvalue()
 
 
 # -------------------------------------------------------------------------------------------------------------- reading

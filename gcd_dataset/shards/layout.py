@@ -26,14 +26,12 @@ __all__ = [
     "CAPTION",
     "FAILED",
     "FIELDS",
-    "FIRST_NAMES",
     "FOREIGN",
     "GARMENTS",
     "JOINT",
     "MEMBERS",
     "MOST_VIEWS",
     "SCHEMA",
-    "SCHEMAS",
     "TRAIN",
     "WAITING",
     "Bytes",
@@ -43,13 +41,14 @@ __all__ = [
     "garments_layout",
     "index_name",
     "is_extra",
+    "is_picture",
     "is_view_field",
     "joint_fields",
     "key_of",
     "layout_of",
     "lock_name",
-    "member_content",
     "member_name",
+    "member_of",
     "members_of",
     "mesh_name",
     "part_path",
@@ -62,24 +61,14 @@ __all__ = [
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
-SCHEMA = 2
-"""The schema of new shards; incremented whenever old readers would misread new shards."""
-
-SCHEMAS = (1, SCHEMA)
-"""The schemas that this version reads.
-
-In schema 1 specification and design were ``.json`` members, and points f16 in cm.
-"""
+SCHEMA = 3
+"""The schema of the format; incremented whenever old readers would misread new shards."""
 
 MEMBERS: tuple[str, ...] = (
-    "meta.json", "spec.txt", "design.txt", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
-    "faces.npy", "uv.npy", "panel_id.npy", "labels.npy", "seams.npy", "corners.npy", "uv_vertex.npy", "box.npy",
-    "verts.npy", "points.npy", "front.jpg", "back.jpg",
+    "meta.json", "spec.txt", "design.txt", "measures.json", "pattern.z", "mesh.z", "verts.z", "points.z",
+    "front.jpg", "back.jpg",
 )  # fmt: skip
-"""The members of every sample in file order; small members, and members read together, are neighbours."""
-
-FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design.json"}
-"""Member to its name in schema 1, where it differed."""
+"""The members of every sample in file order, small members first."""
 
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
@@ -94,7 +83,17 @@ VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 JOINT: Mapping[str, str] = {"views": "jpg", "camera_k": "json", "camera_rt": "json"}
 """Field decoded from a member of each view, with the ending of these members."""
 
-FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
+ARRAYS: Mapping[str, tuple[str, ...]] = {
+    "pattern.z": ("panels", "edges", "stitches", "body"),
+    "mesh.z": ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box"),
+    "verts.z": ("verts",),
+    "points.z": ("points",),
+}
+"""Member to the arrays in it."""
+
+FIELDS: Mapping[str, str] = {
+    field: member for member in MEMBERS for field in ARRAYS.get(member, (member.split(".")[0],))
+}
 """Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
@@ -117,7 +116,7 @@ class Layout:
         Garments may also have a caption and views.
         """
         known = self.members
-        if self.kind == "garments" and self.schema > 1:
+        if self.kind == "garments":
             views = [int(match[1]) for member in members if (match := VIEW.fullmatch(member))]
             known = garments_layout(caption=CAPTION in members, views=max(views, default=-1) + 1).members
         return list(members) == [m for m in known if m in members] and list(members[:1]) == list(known[:1])
@@ -131,9 +130,9 @@ def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
     """The layout of garments; with a caption, or a number of views, in every sample.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
-    (('caption.txt', 'panels.npy'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
+    (('caption.txt', 'pattern.z'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
     """
-    first_array = MEMBERS.index("panels.npy")
+    first_array = MEMBERS.index("pattern.z")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
     members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *MEMBERS[first_array:], *pictures)
     return Layout("garments", members, "GarmentDataset")
@@ -141,7 +140,7 @@ def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
 
 GARMENTS = garments_layout()
 FOREIGN = "foreign"
-BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
+BODIES = Layout("bodies", ("meta.json", "measures.json", "person.z"), "BodyDataset")
 
 
 def is_extra(member: str) -> bool:
@@ -150,39 +149,42 @@ def is_extra(member: str) -> bool:
 
 
 def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
-    """``layout`` in ``schema``, reduced to these members; ``None`` for an unknown schema, or other members."""
-    if schema == layout.schema:
-        full = layout
-    elif schema in SCHEMAS:
-        full = replace(layout, schema=schema, members=tuple(FIRST_NAMES.get(m, m) for m in layout.members))
-    else:
-        return None
-    return full.of(members) if full.holds(members) else None
+    """``layout`` reduced to these members; ``None`` for another schema, or other members."""
+    return layout.of(members) if schema == SCHEMA and layout.holds(members) else None
 
 
 def fields_of(members: Iterable[str]) -> dict[str, str]:
     """Field to member, for garments with these members.
 
-    >>> fields_of(["spec.json", "verts.npy", "view_0.jpg", "view_0.json"])
-    {'spec': 'spec.json', 'verts': 'verts.npy', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
+    >>> fields_of(["spec.txt", "verts.z", "view_0.jpg", "view_0.json"])
+    {'spec': 'spec.txt', 'verts': 'verts.z', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
     """
     return {
-        member.replace(".", "_")
-        if VIEW.fullmatch(member) and member.endswith(".json")
-        else member.split(".")[0]: member
+        field: member
         for member in members
+        for field in ARRAYS.get(member)
+        or (member.replace(".", "_") if VIEW.fullmatch(member) and member.endswith(".json") else member.split(".")[0],)
     }
 
 
 def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """The fields of ``JOINT`` that these members hold, each with its members: those of all views.
 
-    >>> joint_fields(["verts.npy", "view_0.jpg", "view_1.jpg"])
+    >>> joint_fields(["verts.z", "view_0.jpg", "view_1.jpg"])
     {'views': ('view_0.jpg', 'view_1.jpg')}
     """
     views = [member for member in members if VIEW.fullmatch(member)]
     of_ending = {ending: tuple(view for view in views if view.endswith(f".{ending}")) for ending in ("jpg", "json")}
     return {field: found for field, ending in JOINT.items() if (found := of_ending[ending])}
+
+
+def is_picture(member: str) -> bool:
+    """Whether a member lies in the tar of the pictures: a picture, or the facts of a view.
+
+    >>> is_picture("front.jpg"), is_picture("view_0.json"), is_picture("meta.json")
+    (True, True, False)
+    """
+    return member.endswith(".jpg") or VIEW.fullmatch(member) is not None
 
 
 def is_view_field(field: str) -> bool:
@@ -194,22 +196,20 @@ def is_view_field(field: str) -> bool:
     return field in JOINT or re.fullmatch(r"view_\d+(_json)?", field) is not None
 
 
-def members_of(fields: Iterable[str], member_of: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
-    """The members that decoding these fields needs; ``member_of``: field to member."""
-    joint = joint_fields(member_of.values())
-    wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (member_of[field],))
-    if "points" in member_of and member_of["points"] in wanted:  # meta.json holds their scale and centre
-        wanted[member_of["meta"]] = None
+def members_of(fields: Iterable[str], available: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
+    """The members that decoding these fields needs; ``available``: field to member."""
+    joint = joint_fields(available.values())
+    wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (available[field],))
+    if "box" in fields:  # derived from the places of the panels
+        wanted[FIELDS["panels"]] = None
     return tuple(wanted)
 
 
-def member_content(field: str, members: Mapping[str, Bytes]) -> Bytes:
-    """The content of a field's member, under its name in any schema. Raises ``KeyError``."""
-    member = FIELDS.get(field)
-    if member is None:
-        member = field.removesuffix("_json") + ".json" if field.endswith("_json") else f"{field}.jpg"
-        member = CAPTION if field == "caption" else member
-    return members[member] if member in members else members[FIRST_NAMES[member]]
+def member_of(field: str) -> str:
+    """The member of a field; ``view_0_json`` is in ``view_0.json``."""
+    if field in FIELDS:
+        return FIELDS[field]
+    return CAPTION if field == "caption" else f"{field.removesuffix('_json')}.{'json' if '_json' in field else 'jpg'}"
 
 
 def foreign_layout(members: Sequence[str]) -> Layout:

@@ -8,14 +8,14 @@ list with one such entry, and a loaded item has ``None`` or an empty list; ``gra
 ====================  =========  ===============================================================  =====================
 garments              JSON type  holds                                                            if missing
 ====================  =========  ===============================================================  =====================
-``schema``            int        version of the format: 2
+``schema``            int        version of the format: 3
 ``key``               text       name of the sample in its shard
 ``index``             int        number of the sample
-``points``            object     ``scale`` [cm] of ``points.npy``, ``normal_scale``, both         scale 1.0
-                                 floats, and ``centre`` [cm], 3 floats
 ``seed``              int
 ``attempts``          int        designs tried, this one included
-``rejects``           texts      rule and reason of each rejected design                          ``[""]``
+``rejects``           objects    a rejected design each: ``index`` (int) of the sample that       one of -1, ``""``
+                                 failed, ``rule``, ``reason`` (texts), ``figures`` (JSON text);
+                                 in items a text each, ``rule: reason``
 ``redraws``           objects    ``rule`` (text), ``count`` (int): parameters, parts and designs  one of ``""``, 0
                                  drawn again
 ``versions``          JSON text  package to version, of all packages that affect the bytes
@@ -25,9 +25,9 @@ garments              JSON type  holds                                          
 ``body``              text       name of the body
 ``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether it has one
 ``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
-``panel_names``       texts      rows of ``panels.npy``
+``panel_names``       texts      rows of ``panels``
 ``panel_labels``      texts      labels that its column ``LABEL`` refers to
-``edge_labels``       texts      labels that the column of ``edges.npy`` refers to
+``edge_labels``       texts      labels that the column of ``edges`` refers to
 ``vertex_labels``     texts      labels of vertices                                               ``[""]``
 ``drape``             object     ``outcome`` (text), ``frames``, ``self_crossings``,              ``""``, 0, -1, -1.0
                                  ``body_crossings`` (cloth edges through the body),
@@ -46,8 +46,7 @@ garments              JSON type  holds                                          
 (*) missing where it was not computed, such as ``grade`` without a drape, or ``tags`` of a published garment.
 
 In a body set each body has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
-``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float). In schema 1 there was no
-``crc32_before``, and missing values were null or left out.
+``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float).
 """
 
 import json
@@ -55,21 +54,21 @@ import math
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, Bytes
+from gcd_dataset.records import Rejected
+from gcd_dataset.shards.layout import SCHEMA, Bytes
 from gcd_dataset.shards.limits import LARGEST_JSON
 
 __all__ = [
-    "NO_QUANTIZATION",
-    "Quantization",
     "decode_json",
     "json_bytes",
     "read_meta",
-    "read_quantization",
+    "read_rejects",
     "read_sample_index",
+    "reject_entry",
     "sealed",
     "write_meta",
 ]
@@ -83,27 +82,8 @@ STRICT = json.JSONDecoder(parse_constant=_no_constant)
 
 SEAL = "crc32_before"
 SEALED = re.compile(rb',"crc32_before":(\d{1,10})\}')
-NUMBER = rb"\s*(-?\d[\d.eE+-]{0,30})\s*"
 HEAD = re.compile(rb'\{\s*"schema":\s*\d+,\s*"key":\s*"[^"\\]*",\s*"index":\s*(\d{1,18})\s*,')
-FRAME = re.compile(
-    HEAD.pattern
-    + rb'\s*"points":\s*\{\s*"scale":%b,\s*"normal_scale":%b,\s*"centre":\s*\[%b,%b,%b\]\s*\}' % (5 * (NUMBER,))
-)
 LONGEST = 1 << 62  # exceeds every sample number and byte count in an index
-
-
-class Quantization(NamedTuple):
-    """The encoding of ``points.npy``: position = ``centre`` + ``scale`` · integer, normal = ``normal`` · integer."""
-
-    scale: float
-    """[cm]"""
-    normal: float
-    centre: tuple[float, float, float]
-    """[cm]"""
-
-
-NO_QUANTIZATION = Quantization(1.0, 1.0, (0.0, 0.0, 0.0))
-"""For a sample without points."""
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
@@ -125,6 +105,16 @@ def json_bytes(value: Any) -> bytes:
     return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
 
 
+def reject_entry(reject: Rejected) -> dict[str, Any]:
+    """A rejected attempt as an entry of ``rejects``; ``figures`` are rounded to four decimals."""
+    figures = {name: _rounded(value) for name, value in reject.figures.items()}
+    return {"index": reject.index, "rule": reject.rule, "reason": reject.reason, "figures": _text(figures)}
+
+
+def _rounded(value: float) -> float:
+    return value if isinstance(value, int) else round(float(value), DIGITS)
+
+
 def _text(value: Any) -> str:
     return json_bytes(value).decode()
 
@@ -141,11 +131,13 @@ def _stored_fabric(fabric: Mapping[str, Any] | None) -> dict[str, Any]:
 
 COUNTS = ("self_crossings", "body_crossings", "body_through")
 STRETCHES = ("stretch_median", "stretch_p99")
+NO_REJECT: Mapping[str, Any] = {"index": -1, "rule": "", "reason": "", "figures": "{}"}
+DIGITS = 4  # decimals of a figure of a reject
 NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
 NO_POSE: Mapping[str, Any] = {"arm_angle": 0.0, "legs_apart": False}
 
 STORED: Mapping[str, Callable[[Any], Any]] = {
-    "rejects": lambda words: list(words) or [""],
+    "rejects": lambda rejects: list(rejects) or [NO_REJECT],
     "redraws": lambda rules: [{"rule": rule, "count": count} for rule, count in (rules or {"": 0}).items()],
     "versions": _text,
     "recipe": _text,
@@ -175,18 +167,15 @@ def decode_json(data: Bytes, *, constants: bool = False, limit: int = LARGEST_JS
 
 
 def read_meta(data: Bytes) -> dict[str, Any]:
-    """The ``meta`` of an item, from any known schema: the same keys, with ``None`` for missing values.
+    """The ``meta`` of an item: ``rejects`` as texts, ``rule: reason``; ``None`` for missing values.
 
-    Raises ``ShardError`` for an unknown schema, a wrong seal, or a missing or invalid key.
+    Raises ``ShardError`` for another schema, a wrong seal, or a missing or invalid key.
     """
     meta = _mapping(decode_json(data), "the file")
-    schema = meta.get("schema")
-    if schema not in SCHEMAS or isinstance(schema, bool):
-        known = " and ".join(map(str, SCHEMAS))
-        raise ShardError(f"of schema {found(schema)}, but this reader knows {known}: update gcd_dataset")
-    if schema == SCHEMA:
-        _require_seal(data)
-    meta = _loaded(meta) if schema == SCHEMA else _of_first_schema(meta)
+    if meta.get("schema") != SCHEMA or isinstance(meta["schema"], bool):
+        raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
+    _require_seal(data)
+    meta = _loaded(meta)
     forms = PERSON if "name" in meta else GARMENT
     for name, form in forms.items():
         if name not in meta:
@@ -196,23 +185,18 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     return meta
 
 
+def read_rejects(data: Bytes) -> list[dict[str, Any]]:
+    """The entries of ``rejects`` in a ``meta.json``. Raises ``ShardError``."""
+    entries = _list(_mapping(decode_json(data), "the file").get("rejects"), "rejects")
+    if not all(map(IS_REJECT, entries)):
+        raise ShardError(f"rejects is {found(entries)}")
+    return [entry for entry in entries if entry["rule"]]
+
+
 def read_sample_index(data: Bytes) -> int:
     """The sample index in a ``meta.json``, read from its head where possible. Raises ``ShardError``."""
     match = HEAD.match(data)
     return int(match[1]) if match else int(read_meta(data)["index"])
-
-
-def read_quantization(data: Bytes) -> Quantization:
-    """The encoding of the points, from the head of ``meta.json`` where possible. Raises ``ShardError``."""
-    match = FRAME.match(data)
-    try:
-        if match is not None:
-            scale, normal, x, y, z = map(float, match.groups()[1:])
-            return Quantization(scale, normal, (x, y, z))
-    except ValueError as error:
-        raise ShardError(f"points: {error}") from error
-    points = read_meta(data)["points"]
-    return Quantization(points["scale"], points["normal_scale"], tuple(points["centre"]))
 
 
 def _require_seal(data: Bytes) -> None:
@@ -233,7 +217,9 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
     if "name" in meta:
         return loaded
     holds = _mapping(meta.get("holds"), "holds")
-    for name in ("rejects", "vertex_labels", "tags"):
+    rejects = [_mapping(entry, "rejects") for entry in _list(meta.get("rejects"), "rejects")]
+    loaded["rejects"] = [f"{entry.get('rule')}: {entry.get('reason')}" for entry in rejects if entry.get("rule")]
+    for name in ("vertex_labels", "tags"):
         loaded[name] = [word for word in _list(meta.get(name), name) if word != ""]
     redraws = [_mapping(entry, "redraws") for entry in _list(meta.get("redraws"), "redraws")]
     loaded["redraws"] = {str(entry.get("rule")): entry.get("count") for entry in redraws if entry.get("rule") != ""}
@@ -244,29 +230,6 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
     for name, step in {"pose": "shape", "vertex_labels": "mesh"}.items():
         loaded[name] = loaded.get(name) if holds.get(step) else None
     return loaded
-
-
-def _of_first_schema(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``meta`` of an item, from one of schema 1."""
-    if "name" in meta:
-        return dict(meta)
-    drape = meta.get("drape")
-    added = {
-        "points": {"scale": 1.0, "normal_scale": 1.0, "centre": [0.0, 0.0, 0.0]},
-        "redraws": {},
-        "holds": {
-            "shape": meta.get("pose") is not None,
-            "mesh": meta.get("vertex_labels") is not None,
-            "drape": drape is not None,
-        },
-        "strain": None,
-        "grade": "",
-        "fabric": None,
-        "gathers": [],
-        "tags": [],
-    }
-    drape = None if drape is None else {"body_through": -1, **_mapping(drape, "drape")}
-    return {**added, "source": "", **meta, "drape": drape}
 
 
 def _loaded_fabric(fabric: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -354,7 +317,6 @@ PERSON: Mapping[str, Callable[[Any], bool]] = {**_ORIGIN, "name": _is_word, "arm
 _PAIR = _are(_is_number, 2)
 GARMENT: Mapping[str, Callable[[Any], bool]] = {
     **_ORIGIN,
-    "points": _has(scale=_is_number, normal_scale=_is_number, centre=_are(_is_number, 3)),
     "attempts": _is_count,
     "rejects": _are(_is_word),
     "redraws": _maps_to(_is_count),
@@ -381,3 +343,4 @@ GARMENT: Mapping[str, Callable[[Any], bool]] = {
     "source": _is_word,
 }
 """Key to the check of an item's value."""
+IS_REJECT = _has(index=_is_whole, rule=_is_word, reason=_is_word, figures=_is_word)

@@ -58,7 +58,7 @@ class Coding(NamedTuple):
 RAW = Coding(0)
 
 
-def pack(sections: Mapping[str, np.ndarray], codings: Mapping[str, Coding] = {}) -> bytes:  # noqa: B006 -- never changed
+def pack(sections: Mapping[str, np.ndarray], codings: Mapping[str, Coding] = {}) -> bytes:
     """The container of arrays with one or two axes; equal arrays give equal bytes with one version of Zstandard.
 
     An array without a coding is stored as it is. One with NaN, infinities or numbers too large for its coding is stored
@@ -204,7 +204,7 @@ def _summed(columns: Int[np.ndarray, "k n"], head: _Head) -> np.ndarray:
             numbers = first + values
         else:
             for _ in range(2 if head.order == 2 else 1):
-                values = np.cumsum(values, dtype=np.int32)  # noqa: PLW2901 -- summed once or twice
+                values = np.cumsum(values, dtype=np.int32)
             numbers = first = values
         np.multiply(numbers, factor, out=out[:, column], casting="unsafe")
     return out if head.columns else out.reshape(-1)

@@ -8,7 +8,17 @@ from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = ["BLOCK", "END", "TarMember", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
+__all__ = [
+    "BLOCK",
+    "END",
+    "TarMember",
+    "padded",
+    "require_header",
+    "samples_in",
+    "stream_samples",
+    "tar_entries",
+    "tar_entry",
+]
 
 BLOCK = 512
 END = 2 * BLOCK  # bytes of zeros at the end of an archive
@@ -70,6 +80,31 @@ def tar_entries(file: int) -> Iterator[TarMember]:
             raise ShardError(f"member {name} is cut off at byte {end}")
         yield TarMember(name, position + BLOCK, size)
         position += BLOCK + padded(size)
+
+
+def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]]]:
+    """Key and members of each sample of one of our archives in memory, or of a run of whole samples cut out of one.
+
+    Raises ``ShardError`` for a damaged header, a member that is cut off, and a duplicate member or sample.
+    """
+    key, members, past, position = "", dict[str, memoryview](), set[str](), 0
+    while position < len(content) and (header := bytes(content[position : position + BLOCK])) != bytes(BLOCK):
+        name, size = _parse(header, position)
+        next_key, _, member = name.partition(".")
+        if next_key != key:
+            if key:
+                yield key, members
+            past.add(key)
+            key, members = next_key, {}
+        position += BLOCK
+        if position + padded(size) > len(content):
+            raise ShardError(f"member {shown(name)} is cut off at byte {len(content)}")
+        if member in members or key in past:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {position}")
+        members[member] = content[position : position + size]
+        position += padded(size)
+    if key:
+        yield key, members
 
 
 def _require_zeros(file: int, position: int, end: int) -> None:

@@ -42,7 +42,7 @@ from gcd_dataset.shards.notes import (
 from gcd_dataset.shards.place import FolderPlace, Place
 from gcd_dataset.shards.tar import END, tar_entry
 
-__all__ = ["Draft", "ShardWriter", "draft_name", "remove_drafts", "shard_size_of"]
+__all__ = ["DRAFT", "Draft", "ShardWriter", "draft_name", "remove_drafts", "shard_size_of"]
 
 LARGE, SHARDS, MOST = 8192, 20, 32
 DRAFT = re.compile(r"\..+-\d{5,}\.part")

@@ -24,7 +24,7 @@ from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, FOREIGN, GARMENTS, key_of
 from gcd_dataset.shards.published import is_published
-from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 
 __all__ = ["doctor"]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from gcd_dataset.errors import ConfigError, did_you_mean
-from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 
 __all__ = ["Form", "export"]
 

@@ -13,20 +13,19 @@ from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
 from gcd_dataset.generator.recipes.hashing import made_patterns
+from gcd_dataset.making.garments import CPU_SECONDS, generate_recipe, work_of
+from gcd_dataset.making.progress import Progress
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.access import locked
-from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord, read_manifest
 from gcd_dataset.shards.pattern_arrays import stored_patterns
+from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.verbs.making import CPU_SECONDS, generate_recipe
-from gcd_dataset.verbs.progress import Progress
-from gcd_dataset.verbs.seal import is_sealed
 from gcd_dataset.workers import without_main_module
 
-__all__ = ["ensure_recipe", "recipe_faults", "recipe_lines"]
+__all__ = ["ensure_recipe", "is_made", "recipe_faults", "recipe_lines"]
 
 SAMPLED = 32  # designs generated again to verify a recipe that has no hash of all its patterns
 LOCK = ".recipe.lock"
@@ -63,7 +62,7 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
     seed and options on any device; the patterns have the recipe's hash. For a recipe without a hash, some patterns are
     made again and compared. Raises ``ShardError`` for a folder that cannot be read.
     """
-    manifest = read_manifest(folder) or Manifest()
+    manifest = FolderStore(folder).manifest()
     stored = manifest.recipe or RecipeRecord("", "")
     if (stored.name, stored.sha256) != (recipe.name, recipe.sha256):
         named = f"{stored.name} ({stored.sha256})" if stored.name else "none"
@@ -92,26 +91,25 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
 
 def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[str]:
     """Samples that are missing or in the wrong split, and splits made with another seed or other options."""
-    stored_splits = splits_in(folder)
-    for split in sorted(set(stored_splits) - set(recipe.splits)):
+    for split in sorted(set(manifest.splits) - set(recipe.splits)):
         yield f"{folder}: split {split} does not belong to {recipe.name}: remove it"
     asked = recipe_of(recipe.config)
     for split in recipe.splits:
-        if split not in stored_splits:
+        if split not in manifest.splits:
             yield f"{folder}: no split {split}: run gcd generate --recipe {recipe.name} again"
             continue
-        record = manifest.splits.get(split)
-        if record is None or record.seed != recipe.seed:
+        plan = manifest.splits[split].plan
+        if plan.seed != recipe.seed:
             yield f"{folder / MANIFEST}: split {split} was not made with seed {recipe.seed}"
         elif other := [
             name
-            for name in sorted((asked.keys() | record.recipe.keys()) - {"device"})
-            if recipe_hash({name: asked.get(name)}) != recipe_hash({name: record.recipe.get(name)})
+            for name in sorted((asked.keys() | plan.recipe.keys()) - {"device"})
+            if recipe_hash({name: asked.get(name)}) != recipe_hash({name: plan.recipe.get(name)})
         ]:
-            met, wanted = record.recipe.get(other[0]), asked.get(other[0])
+            met, wanted = plan.recipe.get(other[0]), asked.get(other[0])
             yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, but the recipe has {wanted!r}"
         reader = ShardReader(FolderStore(folder), split)
-        stored = reader.index.table.sample[reader.rows(range(len(reader)))]
+        stored = reader.index.number
         wanted = recipe.indices_in(split)
         if missing := len(np.setdiff1d(wanted, stored)):
             yield f"{folder}: split {split} lacks {missing} of {len(wanted)} samples: run gcd generate again"
@@ -139,9 +137,9 @@ def ensure_recipe(recipe: Recipe, folder: Path) -> None:
     Concurrent calls wait for each other. Raises ``ConfigError`` for a folder that holds something else, or a data
     set whose patterns another version of this package drew; otherwise as ``generate_recipe``.
     """
-    if not is_sealed(folder, recipe):
+    if not is_made(folder, recipe):
         with _lock_folder(make_folder(folder), recipe):
-            if not is_sealed(folder, recipe):
+            if not is_made(folder, recipe):
                 _make(recipe, folder)
     stored = (read_manifest(folder) or Manifest()).recipe
     if recipe.patterns and stored is not None and stored.patterns != recipe.patterns:
@@ -149,6 +147,12 @@ def ensure_recipe(recipe: Recipe, folder: Path) -> None:
             f"{folder}: holds {recipe.name} with patterns drawn by another version of the package: delete the "
             "folder to generate it again, or read it by its path"
         )
+
+
+def is_made(folder: Path, recipe: Recipe) -> bool:
+    """Whether the manifest of a folder names the recipe and has the hash of its patterns: the data set is complete."""
+    stored = (read_manifest(folder) or Manifest()).recipe
+    return stored is not None and (stored.name, stored.sha256) == (recipe.name, recipe.sha256) and bool(stored.patterns)
 
 
 def _make(recipe: Recipe, folder: Path) -> None:
@@ -169,8 +173,9 @@ def _log_estimate(recipe: Recipe, folder: Path) -> None:
     from gcd_dataset.generator.drape import seconds_to_drape
     from gcd_dataset.generator.drape.device import cores
 
-    manifest = read_manifest(folder) or Manifest()
-    stored = sum(shard.count for split in manifest.splits.values() for shard in split.shards)
+    names = FolderPlace(folder).names()
+    work = work_of(folder, {split: recipe.indices_in(split) for split in recipe.splits}, recipe.seed, recipe.config)
+    stored = sum(len(task.indices) for task in work.tasks() if task.tar in names)
     missing, config = recipe.count - stored, recipe.config
     seconds = CPU_SECONDS[config.stage] * missing / cores()
     if config.stage == "drape":

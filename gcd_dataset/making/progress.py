@@ -53,15 +53,16 @@ class Progress:
         """Number of drapes of this call that did not settle."""
         return self.outcomes.total() - self.outcomes[SETTLED]
 
-    def with_sample(self, *, rejects: Iterable[str] = (), outcome: str | None = None) -> Self:
-        """The progress after one more sample; ``rejects``: ``rule: reason`` of each rejected attempt."""
+    def with_made(self, rejects: Iterable[str] = (), outcome: str | None = None, fault: str = "") -> Self:
+        """The progress after one more sample, or one that was skipped for a ``fault``.
+
+        ``rejects``: ``rule: reason`` of each rejected attempt.
+        """
+        if fault:
+            return replace(self, skipped=(*self.skipped, fault))
         by_rule = self.rejects + Counter(reason.partition(":")[0] for reason in rejects)
         outcomes = self.outcomes if outcome is None else self.outcomes + Counter([outcome])
         return replace(self, made=self.made + 1, rejects=by_rule, outcomes=outcomes)
-
-    def with_skipped(self, fault: str) -> Self:
-        """The progress after a sample that could not be made."""
-        return replace(self, skipped=(*self.skipped, fault))
 
 
 class _Mark(NamedTuple):

@@ -33,8 +33,8 @@ from typing import Any
 from gcd_dataset.errors import OutputError
 from gcd_dataset.files import make_folder, user_path, writing_to
 from gcd_dataset.generator.recipe import versions
+from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.verbs.progress import Progress, ProgressCallback
 
 __all__ = ["run_log"]
 

@@ -1,0 +1,200 @@
+"""Generating garments: the data set of a seed and a config, or of a recipe."""
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.making.log import run_log
+from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.run import Made, Maker, Wanted, place_for, run
+from gcd_dataset.making.tasks import Job, Work, check_count
+from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards.layout import GARMENTS, TRAIN
+from gcd_dataset.shards.manifest import Plan
+from gcd_dataset.waits import take_waits
+
+__all__ = ["CPU_SECONDS", "Engine", "encoded", "generate", "generate_recipe", "maker_of", "work_of", "workers_for"]
+
+Engine = Literal["local", "ray"]
+
+STARTUP = 4.0  # s for a worker to start
+CPU_SECONDS: Mapping[str, float] = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}
+"""Stage to a worker's CPU time per garment [s], without draping."""
+
+
+def generate(
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    config: MakeConfig | None = None,
+    job: Job | None = None,
+    workers: int | None = None,
+    engine: Engine = "local",
+    on_progress: ProgressCallback = ignore_progress,
+    log: Path | str | None = None,
+) -> Progress:
+    """Generate samples 0 … ``count`` - 1 of ``seed`` in ``out``; samples that it already holds are not made again.
+
+    out
+        A folder, or the URL of a store: ``s3://BUCKET/PREFIX`` or any other of ``fsspec``.
+    job
+        Make every N-th shard only, such as those of ``Job(2, 8)``. Jobs may run at the same time, on any machines; the
+        last one to finish writes manifest and index.
+    workers
+        Processes that make samples, by default ``workers_for``; on each GPU of the config two draping processes serve
+        them. With engine ``ray`` the number of shards in work at a time.
+    engine
+        This machine, or the Ray cluster that ``making.ray`` finds.
+    on_progress
+        Called with the progress before the first sample and after each.
+    log
+        A file to which ``gcd_dataset.making.log`` appends.
+
+    A stopped call can be repeated, with either engine, also with a larger ``count``; the bytes of the shards depend
+    neither on that nor on ``workers`` and ``job``. Raises ``ConfigError`` if ``out`` holds another data set,
+    ``OutputError`` if it cannot be written, ``GcdError`` if a process is killed.
+    """
+    check_count(count)
+    return _generate(
+        out, {TRAIN: range(count)}, seed, config or MakeConfig(), None, job, workers, engine, on_progress, log
+    )
+
+
+def generate_recipe(
+    out: Path | str,
+    recipe: Recipe | str,
+    *,
+    device: str = "auto",
+    job: Job | None = None,
+    workers: int | None = None,
+    engine: Engine = "local",
+    on_progress: ProgressCallback = ignore_progress,
+    log: Path | str | None = None,
+) -> Progress:
+    """Generate the data set of a recipe, with its splits, in the folder or store ``out``.
+
+    ``recipe``: a recipe of ``find_recipe``, or its name. The other options, resumption and errors as for ``generate``;
+    raises as ``find_recipe`` does, too. The manifest names the recipe, with the hash of all patterns.
+    """
+    recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
+    config = replace(recipe.config, device=device)
+    splits = {split: recipe.indices_in(split).tolist() for split in recipe.splits}
+    named = (recipe.name, recipe.sha256)
+    return _generate(out, splits, recipe.seed, config, named, job, workers, engine, on_progress, log)
+
+
+def _generate(
+    out: Path | str,
+    splits: Mapping[str, Sequence[int]],
+    seed: int,
+    config: MakeConfig,
+    named: tuple[str, str] | None,
+    job: Job | None,
+    workers: int | None,
+    engine: str,
+    on_progress: ProgressCallback,
+    log: Path | str | None,
+) -> Progress:
+    if engine not in (known := get_args(Engine)):
+        raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
+    count = sum(map(len, splits.values()))
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine}
+    options |= _as_json(config) | {"job": job and str(job), "name": named and named[0]}
+    with contextlib.ExitStack() as opened:
+        if engine == "ray":
+            from gcd_dataset.making.ray import ray_cluster
+
+            cluster = opened.enter_context(ray_cluster(config, workers))
+            config, make = cluster.config, cluster.make
+        else:
+            _require_devices(config)
+            make = partial(run, maker=maker_of(seed, config, workers, keeps_all=named is not None))
+        drapes_here = engine == "local" and config.stage == "drape"
+        devices = devices_of(config) if drapes_here else ()
+        logging = run_log(log, on_progress, options=options, recipe=recipe_of(config), devices=devices)
+        on_progress = opened.enter_context(logging)
+        return make(work_of(out, splits, seed, config, named), job=job, on_progress=on_progress)
+
+
+def work_of(
+    out: Path | str,
+    splits: Mapping[str, Sequence[int]],
+    seed: int,
+    config: MakeConfig,
+    named: tuple[str, str] | None = None,
+) -> Work:
+    """The data set to make. ``splits``: split to indices; ``named``: name and SHA-256 of its recipe."""
+    count = sum(map(len, splits.values()))
+    plan = Plan(GARMENTS.kind, seed, recipe_of(config), count, 1, named=named)
+    return Work(place_for(out), plan, splits, config.wearers)
+
+
+def maker_of(
+    seed: int, config: MakeConfig, workers: int | None = None, *, keeps_all: bool = False, **options: Any
+) -> Maker:
+    """The maker of garments. ``keeps_all``: failed drapes stay in their split; ``options``: of ``produce``."""
+
+    def make(wanted: Wanted) -> Iterator[Made]:
+        indices = [index for _, left in wanted for index in left]
+        if not indices:
+            return iter(())
+        if config.stage == "drape" and not options:
+            from gcd_dataset.generator.drape import log_drape_time
+
+            log_drape_time(len(indices), config.device, config.resolution)
+        processes = workers_for(config, len(indices)) if workers is None else workers
+        finished = partial(encoded, config.wearers, keeps_all)
+        return produce(seed, indices, config, workers=processes, finished=finished, **options)
+
+    return make
+
+
+def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
+    """A sample, encoded for its shard. Raises ``ShardError`` where the format cannot hold it."""
+    made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
+    failed = outcome not in (None, Outcome.SETTLED) and not keeps_all
+    rejects = tuple(map(str, made.turned_down)) if made.index % wearers == 0 else ()  # once for each design
+    name = None if outcome is None else outcome.name
+    return Made(made.index, encode_sample(sample), "", failed, rejects, name, take_waits())
+
+
+def workers_for(config: MakeConfig, count: int) -> int:
+    """The fastest number of processes to make ``count`` samples: one for each core, fewer for a small number."""
+    from gcd_dataset.generator.drape.device import cores
+
+    worthwhile = int(_cpu_seconds(config) * count / STARTUP)
+    return min(cores(), worthwhile, math.ceil(count / config.wearers))
+
+
+def _cpu_seconds(config: MakeConfig) -> float:
+    """CPU time of a worker for one garment [s], draping included if it runs on the CPU."""
+    from gcd_dataset.generator.drape import seconds_per_garment
+
+    each = CPU_SECONDS[config.stage]
+    if config.stage == "drape" and device_kind(config) == "cpu":
+        each += seconds_per_garment("cpu", config.resolution)
+    return each
+
+
+def _require_devices(config: MakeConfig) -> None:
+    """Raise ``ConfigError`` for a device that is missing, before anything is written."""
+    if config.stage == "drape":
+        from gcd_dataset.generator.drape import resolve_device
+
+        for device in devices_of(config):
+            resolve_device(device)
+
+
+def _as_json(config: MakeConfig) -> dict[str, Any]:
+    """The options as a JSON object."""
+    return {entry.name: getattr(config, entry.name) for entry in fields(config)} | {"design": config.design.to_dict()}

@@ -1,0 +1,297 @@
+"""Columns: one mapped file for each field of each shard, in the cache, made from the shard's tar at its first use.
+
+    CACHE/SHA-256 of the shard/verts      head, starts i64 [samples + 1], rows
+    CACHE/SHA-256 of the shard/meta.json  the same, of the bytes of a member that holds no arrays
+
+All checks are made here, once: the SHA-256 of the tar, the key of every sample, the checksum of every member that is
+decoded. Reading a column checks nothing; it costs no more than a memory map. Columns may be deleted at any time: files
+that are mapped stay readable, others are made again. Two processes that make one column write the same bytes.
+"""
+
+import contextlib
+import hashlib
+import mmap
+import os
+import shutil
+import struct
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.records import MEASURES
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
+from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
+from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.tar import samples_in
+
+__all__ = ["Columns", "make_room", "value_of"]
+
+HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
+MAGIC = b"gcdcol1\0"
+ALIGNED = 64  # bytes: the rows begin at a multiple of this
+MOST_OPEN = 16_384  # mapped files of a process, of the 65,530 maps that Linux allows
+MEASURES_FIELD = "measures"
+DOUBLE = ("panels", "edges")  # fields of float64
+
+
+class Column(NamedTuple):
+    """One field of the samples of a shard."""
+
+    rows: np.ndarray
+    """The rows of all samples, mapped privately: writing to them never changes the file."""
+    starts: list[int]
+    """Where each sample's rows begin, and the end of the last."""
+
+
+class Columns:
+    """The columns of a split. May be pickled, forked, and read from several threads.
+
+    ``limit``: most bytes of the cache, ``None`` for no limit; the shards used longest ago are removed first.
+    ``single``: floating numbers of 8 bytes are kept as float32. ``verify=False`` does not compare the SHA-256 of tars.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        split: str,
+        index: SplitIndex,
+        *,
+        limit: int | None = None,
+        single: bool = False,
+        verify: bool = True,
+    ) -> None:
+        self._store, self._split, self._index, self._limit, self._verify = store, split, index, limit, verify
+        self._single = single
+        self._first = index.first
+        self._starts: list[int] = self._first.tolist()
+        self._open: dict[str, dict[int, Column]] = {}
+        self._bytes_of: dict[tuple[str, ...], float] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": {}}
+
+    def views(self, rows: Int[np.ndarray, " b"], fields: Sequence[str]) -> dict[str, list[np.ndarray]]:
+        """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
+
+        ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
+        """
+        opened, places = self._open, []
+        for row in rows.tolist():
+            shard = bisect_right(self._starts, row) - 1
+            places.append((shard, row - self._starts[shard]))
+        found: dict[str, list[np.ndarray]] = {}
+        for field in fields:
+            columns = opened.get(field) or opened.setdefault(field, {})
+            found[field] = views = []
+            for shard, row in places:
+                stored, starts = columns.get(shard) or self._column(shard, field, fields)
+                views.append(stored[starts[row] : starts[row + 1]])
+        return found
+
+    def has(self, row: int, fields: Iterable[str]) -> bool:
+        """Whether the columns of a sample are made."""
+        shard = self._shard_of(row)
+        folder = self._folder(self._index.record.shards[shard])
+        return all(shard in self._open.get(field, ()) or (folder / self._file(field)).exists() for field in fields)
+
+    def fit(self, fields: Sequence[str]) -> bool:
+        """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
+        if self._limit is None:
+            return True
+        key = tuple(fields)
+        if key not in self._bytes_of:
+            counts = np.diff(self._first)
+            shard = int(np.argmax(counts > 0))
+            size = 0
+            for field in fields:
+                column = self._column(shard, field, fields)
+                size += column.rows.nbytes + 8 * len(column.starts)
+            self._bytes_of[key] = size / counts[shard] * len(self._index)
+        return self._bytes_of[key] <= self._limit
+
+    def _file(self, field: str) -> str:
+        """The file name of a field's column."""
+        name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
+        return f"{name}.f4" if self._single and field in DOUBLE else name
+
+    def _shard_of(self, row: int) -> int:
+        return int(np.searchsorted(self._first, row, "right")) - 1
+
+    def _folder(self, shard: ShardRecord) -> Path:
+        return self._store.cache / shard.sha256
+
+    def _column(self, number: int, field: str, together: Sequence[str]) -> Column:
+        """The column of a field, made with those of ``together`` that are missing too."""
+        folder = self._folder(self._index.record.shards[number])
+        path = folder / self._file(field)
+        try:
+            column = _open_column(path)
+        except (OSError, ValueError):
+            missing = [name for name in together if not _is_column(folder / self._file(name))]
+            self._make(number, missing)
+            with reading(path):
+                column = _open_column(path)
+        with contextlib.suppress(OSError):
+            os.utime(folder)  # used now
+        columns = self._open.setdefault(field, {})
+        if len(columns) >= MOST_OPEN // 8:
+            columns.pop(next(iter(list(columns))), None)
+        columns[number] = column
+        return column
+
+    def _make(self, number: int, fields: Sequence[str]) -> None:
+        """Make columns of a shard by one pass over its tar, and one over its pictures."""
+        shard, first = self._index.record.shards[number], int(self._first[number])
+        numbers = self._index.number[first : int(self._first[number + 1])].tolist()
+        folder = make_folder(self._folder(shard))
+        for views in (False, True):
+            chosen = [field for field in fields if is_picture(member_of(field)) == views]
+            if not chosen:
+                continue
+            path = self._store.path(self._split, shard, views=views)
+            content = _mapped(path)
+            if self._verify:
+                _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
+            try:
+                for key, members in _samples(content, numbers):
+                    for field, rows in _rows_of(chosen, members, key).items():
+                        columns[field].append(_as_single(field, rows) if self._single and field in DOUBLE else rows)
+            except ShardError as error:
+                raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
+            size = sum(rows.nbytes for column in columns.values() for rows in column)
+            make_room(self._store.cache, size, self._limit)
+            for field, column in columns.items():
+                _write_column(folder / self._file(field), column)
+
+
+def value_of(field: str, rows: np.ndarray) -> Any:
+    """The value of a field from its column: the array itself, a decoded picture, text, or parsed JSON."""
+    if field in SECTIONS:
+        return rows
+    if field == MEASURES_FIELD:
+        return {name: value for name, value in zip(MEASURES, rows.tolist(), strict=True) if value != MISSING_MEASURE}
+    return DECODERS[field](rows.tobytes())
+
+
+def make_room(cache: Path, size: int, limit: int | None) -> None:
+    """Remove the shards of a cache that were used longest ago, until ``size`` more bytes fit into ``limit``."""
+    if limit is None:
+        return
+    with contextlib.suppress(FileNotFoundError):
+        used = {entry: _bytes_in(entry) for entry in Path(cache).iterdir() if entry.is_dir()}
+        total = sum(used.values()) + size
+        for folder in sorted(used, key=_last_use):
+            if total <= limit:
+                return
+            shutil.rmtree(folder, ignore_errors=True)
+            total -= used[folder]
+
+
+def _bytes_in(folder: Path) -> int:
+    with contextlib.suppress(FileNotFoundError):  # removed meanwhile
+        return sum(entry.stat().st_size for entry in folder.iterdir())
+    return 0
+
+
+def _last_use(folder: Path) -> float:
+    with contextlib.suppress(FileNotFoundError):
+        return folder.stat().st_mtime
+    return 0.0
+
+
+# ------------------------------------------------------------------------------------------------------------- reading
+
+
+def _open_column(path: Path) -> Column:
+    """A column. Raises ``ValueError`` for a file that is none, or cut off."""
+    with path.open("rb") as file:
+        memory = mmap.mmap(file.fileno(), 0, flags=mmap.MAP_PRIVATE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
+    magic, kind, columns, _, samples, count = HEAD.unpack_from(memory)
+    if magic != MAGIC:
+        raise ValueError(f"{path}: not a column")
+    starts = np.frombuffer(memory, np.int64, samples + 1, HEAD.size).tolist()
+    begin = HEAD.size + 8 * (samples + 1)
+    shape = (count, columns) if columns else (count,)
+    return Column(np.ndarray(shape, f"<{kind.decode()}", memory, begin + -begin % ALIGNED), starts)
+
+
+def _is_column(path: Path) -> bool:
+    with contextlib.suppress(OSError, ValueError, struct.error):
+        _open_column(path)
+        return True
+    return False
+
+
+# -------------------------------------------------------------------------------------------------------------- making
+
+
+def _mapped(path: Path) -> memoryview:
+    """The content of a file, mapped. Raises ``ShardError``."""
+    with reading(path), path.open("rb") as file:
+        return memoryview(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
+
+
+def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> None:
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ShardError(f"{path}: bytes differ from the written ones: {remedy}")
+
+
+def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str, Mapping[str, Bytes]]]:
+    """Key and members of each sample of a tar. Raises ``ShardError`` for other samples than the index has."""
+    samples = samples_in(content)
+    for number in numbers:
+        key, members = next(samples, ("no sample", {}))
+        if key != key_of(number):
+            raise ShardError(f"holds {key} where the index has {key_of(number)}")
+        yield key, members
+    if (more := next(samples, None)) is not None:
+        raise ShardError(f"holds {more[0]}, which the index lacks")
+
+
+def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> dict[str, np.ndarray]:
+    """Field to its rows in a column, for one sample. Raises ``ShardError``."""
+    arrays = [field for field in fields if field in SECTIONS]
+    if lacking := [member for member in members_of(fields) if member not in members]:
+        raise ShardError(f"sample {key} has no {lacking[0]}")
+    try:
+        rows: dict[str, np.ndarray] = decode_fields(members, arrays) if arrays else {}
+        for field in fields:
+            if field == MEASURES_FIELD:
+                measures = read_measures(members[member_of(field)])
+                rows[field] = np.array([measures.get(name, MISSING_MEASURE) for name in MEASURES])
+            elif field not in SECTIONS:
+                rows[field] = np.frombuffer(members[member_of(field)], np.uint8)
+    except ShardError as error:
+        raise ShardError(f"sample {key}, {error}") from error
+    return rows
+
+
+def _as_single(field: str, rows: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        narrow = rows.astype(np.float32)
+    if not np.isfinite(narrow).all():
+        raise ShardError(f"field {field}: numbers beyond the range of float32: dtype=None keeps the stored type")
+    return narrow
+
+
+def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
+    """Write a column under another name, then rename it. Raises ``OutputError``."""
+    first = rows[0]
+    starts = np.cumsum([0, *map(len, rows)], dtype=np.int64)
+    columns = first.shape[1] if first.ndim > 1 else 0
+    head = HEAD.pack(MAGIC, first.dtype.str[1:].encode(), columns, 0, len(rows), int(starts[-1])) + starts.tobytes()
+    with open_whole(path) as file:
+        file.write(head + bytes(-len(head) % ALIGNED))
+        for value in rows:
+            if value.size:
+                file.write(np.ascontiguousarray(value).data)
