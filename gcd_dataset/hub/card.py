@@ -124,6 +124,13 @@ class Release:
         return sum(self.manifest.counts.values())
 
     @property
+    def splits(self) -> dict[str, SplitRecord]:
+        """The splits, in the order of a training."""
+        known = ("train", "validation", "test")
+        names = sorted(self.manifest.splits, key=lambda name: (known.index(name) if name in known else 3, name))
+        return {name: self.manifest.splits[name] for name in names}
+
+    @property
     def has_views(self) -> bool:
         """Whether there are tars of pictures."""
         return any(map(is_view, self.members))
@@ -167,7 +174,7 @@ def _configs(release: Release) -> list[dict[str, Any]]:
     """The configurations of the card: tars, tars of the pictures, and the table that the Hub shows."""
 
     def tars(name: str, folder: str) -> dict[str, Any]:
-        files = [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.manifest.splits]
+        files = [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits]
         return {"config_name": name, "data_files": files}
 
     configs = [{**tars("default", ""), "default": True}]
@@ -184,7 +191,7 @@ def _describe(field: str) -> str:
 
 def _split_rows(release: Release) -> list[str]:
     rows = []
-    for name, split in release.manifest.splits.items():
+    for name, split in release.splits.items():
         size = sum(shard.size + shard.views_size for shard in split.shards) / 1e6
         rows.append(f"| {name} | {split.count} | {release.settled[name]} | {len(split.shards)} | {size:.1f} MB |")
     return rows
@@ -243,8 +250,8 @@ def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[st
         "license": release.license,
         "version": "1.0.0",
         "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
-        "distribution": objects + [_file_set(name, split) for name, split in release.manifest.splits.items()],
-        "recordSet": [_records(name, release) for name in release.manifest.splits],
+        "distribution": objects + [_file_set(name, split) for name, split in release.splits.items()],
+        "recordSet": [_records(name, release) for name in release.splits],
     }
 
 
