@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from gcd_dataset.shards.cache import SIZE, size_in_bytes
 
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
 from gcd_dataset.files import user_path
@@ -20,6 +19,7 @@ from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.loaders.stored import StoredItems
 from gcd_dataset.records import Sample
+from gcd_dataset.shards.cache import SIZE, size_in_bytes
 from gcd_dataset.shards.codec import NO_PICTURE, decode_fields
 from gcd_dataset.shards.columns import Columns
 from gcd_dataset.shards.folder import FolderStore
@@ -336,8 +336,7 @@ def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits:
     """
     # Imported here: other sources do not need the generator.
     from gcd_dataset.generator.recipes import find_recipe
-    from gcd_dataset.verbs.recipes import ensure_recipe
-    from gcd_dataset.verbs.seal import is_sealed
+    from gcd_dataset.making.recipes import ensure_recipe, is_made
 
     if given := [name for name in SERVER if getattr(remote, name) is not None]:
         raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
@@ -350,7 +349,7 @@ def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits:
             )
     base = remote.folder / "recipes" if root is None else user_path(root)
     folder = base / recipe.name
-    if not remote.allowed and not is_sealed(folder, recipe):
+    if not remote.allowed and not is_made(folder, recipe):
         raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
     ensure_recipe(recipe, folder)
     return folder
