@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gcd_dataset.shards.layout import FAILED, fields_of
+from gcd_dataset.shards.layout import FAILED, fields_of, is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
-from gcd_dataset.shards.notes import is_view
 
 __all__ = ["LICENSES", "PREVIEW", "Release", "card", "croissant"]
 
@@ -133,7 +132,7 @@ class Release:
     @property
     def has_views(self) -> bool:
         """Whether there are tars of pictures."""
-        return any(map(is_view, self.members))
+        return any(map(is_picture, self.members))
 
     @property
     def title(self) -> str:

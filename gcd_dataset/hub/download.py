@@ -23,10 +23,10 @@ from gcd_dataset.hub.remote import Remote, RemoteStore, run_all
 from gcd_dataset.hub.source import MAIN, Repo, Url
 from gcd_dataset.shards.access import locked, read_limited, reading, writing
 from gcd_dataset.shards.index import SplitIndex, index_name
+from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
-from gcd_dataset.shards.notes import is_view
 
 __all__ = ["DOWNLOAD_FILE", "download", "downloaded_from", "is_downloaded", "require_same_source"]
 
@@ -118,7 +118,7 @@ def _index(store: RemoteStore, split: str, *, views: bool) -> SplitIndex:
     if views or not index.has_views:
         return index
     shards = tuple(replace(shard, views_size=0, views_sha256="") for shard in index.record.shards)
-    members = tuple(member for member in index.record.members if not is_view(member))
+    members = tuple(member for member in index.record.members if not is_picture(member))
     bare = replace(index, views_blocks=np.zeros(0, np.int32))
     digest = hashlib.sha256(bare.to_bytes()).hexdigest()
     return replace(bare, record=replace(index.record, shards=shards, members=members, index_sha256=digest))
