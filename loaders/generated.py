@@ -73,10 +73,9 @@ class GeneratedGarments(Garments):
     - ``dtype``: the type of floating fields, float32 by default; ``None`` for the type stored in shards.
     - ``transform``: called with each item.
 
-    ``cache_dir`` stores every garment made, and later reads are from there. It has one folder per seed, recipe and
-    version of this package; the attribute ``cache`` is the folder of this data set, which ``GarmentDataset``, ``gcd
-    verify`` and ``gcd publish`` can read. Any number of workers and processes may share it; a damaged garment is made
-    again.
+    ``cache_dir`` stores every garment made, one file each, and later reads are from there. It has one folder per seed,
+    recipe and version of this package, the attribute ``cache``. Any number of workers and processes may share it; a
+    damaged garment is made again. ``gcd generate`` makes a data set that can be copied and published.
 
     **Processes.** On GPUs, workers of a ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and two
     draping processes per GPU drape for them. Without workers this process drapes each batch at once on the first GPU,
@@ -118,11 +117,7 @@ class GeneratedGarments(Garments):
         self._addresses = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
-        self._sample_cache = (
-            None
-            if self.cache is None
-            else SampleCache(self.cache, self._n, seed=self._seed, recipe=self._recipe, layout=self._layout)
-        )
+        self._sample_cache = None if self.cache is None else SampleCache(self.cache)
         self._last = LastDesign()
         self._process = os.getpid()
         self._wait_is_logged = False
@@ -148,15 +143,6 @@ class GeneratedGarments(Garments):
         known = partial(self._cached, fields=self._member_of)
         options = {"finished": self._encoded, "known": known, "pictured": True}
         return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
-
-    def pack(self) -> None:
-        """Write the cached garments of incomplete shards into shards.
-
-        Not needed once every garment is made. Before that, ``cache`` is a data set of its complete shards only.
-        """
-        if self._sample_cache is None:
-            raise ConfigError("no cache to pack: give cache_dir")
-        self._sample_cache.pack()
 
     def tell_wait(self) -> None:
         """Log once how long a garment takes to make, unless a cache exists."""

@@ -89,7 +89,7 @@ class Bar:
 def postfix(progress: Progress) -> str:
     """Text after the bar: outcomes other than settled, waits, and rejected attempts by rule.
 
-    >>> postfix(Progress(9, 0).with_sample(rejects=["too_heavy: 3 kg"], outcome="SETTLED"))
+    >>> postfix(Progress(9, 0).with_made(["too_heavy: 3 kg"], "SETTLED"))
     'rejected 1 (too_heavy 1)'
     """
     parts = [f"{name.lower()} {count}" for name, count in progress.outcomes.most_common() if name != SETTLED]

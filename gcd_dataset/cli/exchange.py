@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.datasets import summary_lines
 from gcd_dataset.cli.subject import names_a_file, sample_of
 from gcd_dataset.cli.verb import (
     SOURCE_HELP,
@@ -77,10 +78,11 @@ def _convert(options: argparse.Namespace) -> int:
 
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
     with Bar("garment", options.quiet, verb="convert") as bar:
-        splits = bar.run(partial(work, cache_dir=options.cache_dir))
-    for done in splits:
-        print(f"{options.out}: {done.split}: {done.done} garments, {done.made} of them converted now")
-    if faults := sum(len(done.skipped) for done in splits):
+        done = bar.run(partial(work, cache_dir=options.cache_dir))
+    print(f"{options.out}: {done.count} garments, {done.made} of them converted now")
+    for line in summary_lines(options.out):
+        print(f"  {line}")
+    if faults := len(done.skipped):
         print(f"gcd convert: {faults} garments were skipped; the same command tries them again", file=sys.stderr)
     return 1 if faults else 0
 

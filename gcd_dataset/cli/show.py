@@ -188,20 +188,20 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _album(options: argparse.Namespace) -> "Album":
-    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.remote import Remote
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.shards.folder import is_set
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    if options.truth is not None and (folder / MANIFEST).exists():
+    if options.truth is not None and is_set(folder):
         raise ConfigError(f"{folder}: a data set: give predictions, specification files, and the data set as --truth")
     if options.truth is not None:
         return spec_album(folder, _truth(options))
     published = _published(options)
     if published is not None:
         return PublishedAlbum(published, options.what)
-    is_no_set = "://" not in options.what and folder.is_dir() and not (folder / MANIFEST).exists()
+    is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
     if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
         return spec_album(folder)
     reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
@@ -211,10 +211,10 @@ def _album(options: argparse.Namespace) -> "Album":
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":
     """The source of true patterns: a specification file, a folder of them, or a data set."""
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.shards.folder import is_set
 
     path = Path(options.truth)
-    if names_a_file(options.truth) or (path.is_dir() and not (path / MANIFEST).exists()):
+    if names_a_file(options.truth) or (path.is_dir() and not is_set(path)):
         return path
     return ShardReader(open_source(options.truth, options.endpoint), options.split or "train")
 
@@ -222,12 +222,12 @@ def _truth(options: argparse.Namespace) -> "Path | ShardReader":
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
     """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
     from gcd_dataset.shards.access import reading
-    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.shards.folder import is_set
     from gcd_dataset.shards.published import is_published
 
     folder = Path(options.what)
     with reading(folder):
-        if "://" in options.what or not folder.is_dir() or (folder / MANIFEST).exists() or not is_published(folder):
+        if "://" in options.what or not folder.is_dir() or is_set(folder) or not is_published(folder):
             return None
     from gcd_dataset.loaders import PublishedGarmentCodeData
 

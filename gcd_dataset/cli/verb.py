@@ -244,8 +244,7 @@ def require_folder(source: str) -> Path:
 
 def open_source(source: str, endpoint: str | None) -> "Store":
     """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ShardError``."""
-    from gcd_dataset.hub.opening import open_store
-    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.remote import Remote, open_store
     from gcd_dataset.hub.source import Repo, parse_source
 
     try:

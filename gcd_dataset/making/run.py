@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gcd_dataset.errors import ConfigError, ShardError, shown
-from gcd_dataset.files import make_folder, user_path
+from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.tasks import Job, Task, Work
 from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.folder import CACHE
+from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.layout import FAILED, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord, parse_manifest
 from gcd_dataset.shards.notes import (
@@ -30,8 +30,8 @@ from gcd_dataset.shards.notes import (
     gather,
     note_name,
     read_note,
-    samples_in,
     shards_named,
+    stored_samples,
 )
 from gcd_dataset.shards.place import FolderPlace, Place, place_of
 from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
@@ -63,16 +63,17 @@ class Made(NamedTuple):
 
 Wanted = Sequence[tuple[Task, Sequence[int]]]
 """Tasks, each with the indices of its missing samples."""
+MakeShards = Callable[[Place, Sequence[Task]], Generator[Made, None, None]]
 Maker = Callable[[Wanted], Iterator[Made]]
 """Makes the missing samples of tasks, in order; its iterator is closed when the run stops."""
 
 
 def run(
-    work: Work, maker: Maker, *, job: Job | None = None, on_progress: ProgressCallback = ignore_progress
+    work: Work, make: MakeShards, *, job: Job | None = None, on_progress: ProgressCallback = ignore_progress
 ) -> Progress:
     """Make the missing shards of a data set, or of one job, then manifest and index if all shards are there.
 
-    Raises as ``begin``, ``make_shards`` and ``maker`` do.
+    ``make``: makes the shards of tasks, such as ``make_shards`` with a maker. Raises as ``begin`` and ``make`` do.
     """
     begin(work)
     tasks = list(work.tasks())
@@ -84,7 +85,7 @@ def run(
     count = sum(len(task.indices) for task in own)
     progress, pace = Progress(count, count - sum(len(left) for _, left in _wanted(work.place, missing))), Pace()
     on_progress(progress)
-    with closing(make_shards(work.place, missing, maker)) as samples:
+    with closing(make(work.place, missing)) as samples:
         for made in samples:
             progress = progress.with_made(made.rejects, made.outcome, made.fault)
             progress = pace.of(progress, sum_waits(made.waits, take_waits()))
@@ -272,7 +273,7 @@ def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
     wanted = []
     for task in tasks:
         names = {draft_name(split, task.number) for split in (task.split, FAILED)} & drafts
-        done = {sample.number for name in names for sample in samples_in(place.work / name, damaged=True)}
+        done = {sample.number for name in names for sample in stored_samples(place.work / name, damaged=True)}
         wanted.append((task, [i for i in task.indices if i not in done and not earlier.has(task.split, i)]))
     return wanted
 
@@ -309,8 +310,8 @@ class _Earlier:
         record = ShardRecord(number, 0, 0, "")
         path, views = folder / record.name(own), folder / record.views_name(own)
         if self._read.get(own, (None,))[0] != path:
-            content = {sample.number: sample.members for sample in samples_in(path)}
-            for sample in samples_in(views) if views.exists() else ():
+            content = {sample.number: sample.members for sample in stored_samples(path)}
+            for sample in stored_samples(views) if views.exists() else ():
                 content[sample.number] = {**content[sample.number], **sample.members}
             self._read[own] = path, content
         return _Known(self._read[own][1][index], own == FAILED and split != FAILED)
@@ -366,4 +367,4 @@ def _warn_of_patterns(place: Place, manifest: Manifest) -> None:
 
 def place_for(out: Path | str) -> Place:
     """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to."""
-    return place_of(out, user_path(CACHE))
+    return place_of(out, default_cache(None))

@@ -33,7 +33,7 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, read_limited, reading
+from gcd_dataset.shards.access import REMEDY, read_limited
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash

@@ -9,6 +9,7 @@ from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import read_limited, reading
 from gcd_dataset.shards.buffers import read_buffer
+from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.limits import LARGEST_FILE
@@ -18,9 +19,8 @@ from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.published import is_published
 from gcd_dataset.shards.store import Store, command_of
 
-__all__ = ["CACHE", "FolderStore", "splits_in"]
+__all__ = ["FolderStore", "is_set", "splits_in"]
 
-CACHE = Path("~/.cache/gcd_dataset")
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
@@ -31,7 +31,7 @@ class FolderStore(Store):
     """
 
     def __init__(self, folder: Path | str, *, cache_dir: Path | str | None = None) -> None:
-        self.folder, self._cache = user_path(folder), user_path(cache_dir or CACHE)
+        self.folder, self._cache = user_path(folder), default_cache(cache_dir)
         self._manifest: Manifest | None = None
         self._gathered: Gathered | None = None
         self._files: dict[str, _OpenFile] = {}
@@ -138,3 +138,9 @@ class _OpenFile:
 def splits_in(folder: Path | str) -> tuple[str, ...]:
     """The splits of the data set in a folder, sorted. Raises ``ShardError`` for a folder without shards."""
     return tuple(sorted(FolderStore(folder).manifest().splits))
+
+
+def is_set(folder: Path) -> bool:
+    """Whether a folder holds a data set: a manifest or shards. Raises ``ShardError`` where it cannot be read."""
+    names = FolderPlace(folder).names()
+    return MANIFEST in names or bool(shards_named(names))

@@ -462,8 +462,7 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
 
 def _allocate(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column]) -> None:
     """Create attributes and data sets; write ``ptr`` and ``bytes``."""
-    record = reader.manifest.splits.get(reader.split) if reader.manifest else None
-    recipe = json.dumps(dict(record.recipe) if record else {}, sort_keys=True)
+    recipe = json.dumps(dict(reader.record.plan.recipe), sort_keys=True)
     attributes = {
         "format": FORMAT,
         "schema": reader.layout.schema,

@@ -30,9 +30,9 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import open_regular
 from gcd_dataset.patternhash import PatternHash, hash_pattern
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.access import REMEDY, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
@@ -45,10 +45,10 @@ from gcd_dataset.shards.manifest import (
     parse_manifest,
     ranked,
 )
-from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta
+from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects
 from gcd_dataset.shards.pattern_arrays import stored_pattern
 from gcd_dataset.shards.place import Place
-from gcd_dataset.shards.tar import BLOCK, TarMember, padded, tar_entries
+from gcd_dataset.shards.tar import BLOCK, padded, samples_in
 
 __all__ = [
     "EARLIER",
@@ -58,33 +58,22 @@ __all__ = [
     "Row",
     "StoredSample",
     "gather",
-    "is_view",
     "note_name",
     "note_of",
     "plan_of_sample",
     "read_note",
     "row_of",
-    "samples_in",
     "shards_named",
+    "stored_samples",
 ]
 
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
 """Folder of the shards of a smaller data set, whose samples are copied while it grows."""
-VIEW = re.compile(r".*\.jpg|view_\d+\.json")
 SHARD = re.compile(r"(.+)-(\d{5,9})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
 META = "meta.json"
-
-
-def is_view(member: str) -> bool:
-    """Whether a member is a picture or its camera, which lie in the tar of the pictures.
-
-    >>> is_view("front.jpg"), is_view("view_3.json"), is_view("meta.json")
-    (True, True, False)
-    """
-    return VIEW.fullmatch(member) is not None
 
 
 def note_name(split: str, number: int) -> str:
@@ -108,27 +97,22 @@ class StoredSample(NamedTuple):
     start: int
     """First byte, of the head of its first member."""
     end: int
-    members: dict[str, bytes]
+    members: dict[str, memoryview]
 
 
-def samples_in(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
+def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
-    with reading(path), open_regular(path) as file:
-        found: list[TarMember] = []
-        try:
-            found.extend(tar_entries(file.fileno()))
-        except ShardError as error:
-            if not damaged:
-                raise ShardError(f"{path}: {error}: {REMEDY}") from error
-        for key, entries in groupby(found, key=lambda entry: entry.name.partition(".")[0]):
+    position = 0
+    try:
+        for key, members in samples_in(memoryview(read_file(path))):
             if KEY.fullmatch(key) is None:
-                raise ShardError(f"{path}: holds {shown(key)}, not a sample of this package: move it elsewhere")
-            own = list(entries)
-            content = {}
-            for entry in own:
-                file.seek(entry.offset)
-                content[entry.name.partition(".")[2]] = file.read(entry.size)
-            yield StoredSample(int(key[4:]), own[0].offset - BLOCK, own[-1].offset + padded(own[-1].size), content)
+                raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
+            end = position + sum(BLOCK + padded(len(data)) for data in members.values())
+            yield StoredSample(int(key[4:]), position, end, members)
+            position = end
+    except ShardError as error:
+        if not damaged:
+            raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
 class Row(NamedTuple):
@@ -161,23 +145,18 @@ def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: in
         -1 if views_start is None else views_start // BLOCK,
         meta.get("grade") or "",
         drape["outcome"] if drape else "",
-        [*_lines(plan, number, meta.get("rejects") or ())],
+        [] if plan.kind == BODIES.kind else [*_lines(plan, number, read_rejects(members[META]))],
         meta.get("redraws") or {},
         patterns,
     )
 
 
-def _lines(plan: Plan, number: int, rejects: Sequence[Any]) -> Iterator[dict[str, Any]]:
-    wearers = plan.recipe.get("bodies_each", 1) + (plan.recipe.get("bodies") == "both")
-    design = number // wearers
+def _lines(plan: Plan, number: int, rejects: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    design = number // (plan.recipe.get("bodies_each", 1) + (plan.recipe.get("bodies") == "both"))
     for attempt, reject in enumerate(rejects):
-        if isinstance(reject, str):
-            rule, _, reason = reject.partition(": ")
-            reject = {"index": design * wearers, "rule": rule, "reason": reason, "figures": {}}
-        figures = reject["figures"]
-        figures = decode_json(figures.encode()) if isinstance(figures, str) else figures
         line = {name: reject[name] for name in ("index", "rule", "reason")}
-        yield {"seed": plan.seed, "design": design, "attempt": attempt, **line, "figures": dict(figures)}
+        figures = decode_json(reject["figures"].encode())
+        yield {"seed": plan.seed, "design": design, "attempt": attempt, **line, "figures": figures}
 
 
 def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
@@ -229,7 +208,7 @@ class Note:
             split,
             plan,
             record,
-            tuple(sorted(members, key=is_view)),
+            tuple(sorted(members, key=is_picture)),
             [row[:5] for row in rows],
             [line for _, line in sorted(lines.items())],
             ranked(rejected),
@@ -271,9 +250,9 @@ class Note:
 
 def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
     """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
-    starts = {} if views is None else {sample.number: sample for sample in samples_in(views)}
+    starts = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
     rows, members = [], dict[str, None]()
-    for sample in samples_in(path):
+    for sample in stored_samples(path):
         pictures = starts.get(sample.number)
         content = sample.members | ({} if pictures is None else pictures.members)
         members |= dict.fromkeys(content)
@@ -306,7 +285,7 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
     if plan is None:
-        if (first := next(samples_in(path), None)) is None:
+        if (first := next(stored_samples(path), None)) is None:
             raise ShardError(f"{place.location(name)}: no such file: run gcd generate again")
         kind = BODIES.kind if BODIES.members[-1] in first.members else GARMENTS.kind
         plan = plan_of_sample(read_meta(first.members[META]), Plan(kind, 0, {}, 0, 1))

@@ -4,8 +4,8 @@ from collections.abc import Container, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import decode_field
-from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of
+from gcd_dataset.shards.codec import decode_fields
+from gcd_dataset.shards.layout import Bytes, fields_of, members_of
 from gcd_dataset.tensors import PatternTensor
 
 if TYPE_CHECKING:
@@ -29,9 +29,7 @@ def stored_patterns(reader: "ShardReader", of: Container[int] | None = None) -> 
     wanted = [position for position in range(len(reader)) if of is None or reader.number(position) in of]
     for first in range(0, len(wanted), BATCH):
         positions = wanted[first : first + BATCH]
-        for position, members in zip(
-            positions, reader.read_many(positions, [FIELDS[field] for field in PATTERN_FIELDS]), strict=True
-        ):
+        for position, members in zip(positions, reader.read_many(positions, members_of(PATTERN_FIELDS)), strict=True):
             with reader.naming(position):
                 pattern = stored_pattern(members)
             yield reader.number(position), pattern
@@ -39,7 +37,7 @@ def stored_patterns(reader: "ShardReader", of: Container[int] | None = None) -> 
 
 def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
     """The pattern of an encoded garment. Raises ``ShardError``."""
-    field = {name: decode_field(name, members) for name in PATTERN_FIELDS}
+    field = decode_fields(members, PATTERN_FIELDS)
     meta = field["meta"]
     return PatternTensor(
         panels=field["panels"],

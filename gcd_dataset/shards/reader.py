@@ -13,12 +13,12 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, key_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, is_picture, key_of
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.notes import META, is_view
+from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.store import Store
-from gcd_dataset.shards.tar import BLOCK, padded
+from gcd_dataset.shards.tar import BLOCK, END, samples_in
 
 __all__ = ["Quality", "ShardReader", "Verify", "naming_sample"]
 
@@ -119,8 +119,8 @@ class ShardReader:
             raise ConfigError(
                 f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
             )
-        views = any(map(is_view, wanted))
-        main = views and not all(map(is_view, wanted))
+        views = any(map(is_picture, wanted))
+        main = views and not all(map(is_picture, wanted))
         rows = self.rows(positions).tolist()
         tars = [tar for tar, is_wanted in ((False, main or not views), (True, views)) if is_wanted]
         mask = sum(VIEWS if tar else MAIN for tar in tars)
@@ -185,28 +185,22 @@ class ShardReader:
         number = int(np.searchsorted(self._first, row, side="right")) - 1
         shard, blocks = self.record.shards[number], self.index.views_blocks if views else self.index.blocks
         is_last = row + 1 == self._first[number + 1]
-        end = (shard.views_size if views else shard.size) - 2 * BLOCK if is_last else int(blocks[row + 1]) * BLOCK
+        end = (shard.views_size if views else shard.size) - END if is_last else int(blocks[row + 1]) * BLOCK
         return shard, int(blocks[row]) * BLOCK, end
 
     def _members(self, row: int, data: Bytes) -> dict[str, memoryview]:
         """Member to content of a sample, from its part of a tar. Raises ``ShardError``."""
-        view, position, key = memoryview(data), 0, key_of(int(self.index.number[row])).encode()
-        if view.readonly:
-            view = memoryview(bytearray(view))
-        found: dict[str, memoryview] = {}
-        while position < len(view):
-            head = bytes(view[position : position + 136])
-            own, _, member = head[:100].rstrip(b"\0").partition(b".")
-            size = int(head[124:135], 8) if head[124:135].isdigit() else len(view)
-            start = position + BLOCK
-            if own != key or start + size > len(view):
-                raise ShardError(
-                    f"{self._named(row)}: {own[:30]!r} lies there: the data set has changed since it was opened, or "
-                    f"this shard is damaged: {self.store.remedy}"
-                )
-            found[member.decode(errors="replace")] = view[start : start + size]
-            position = start + padded(size)
-        return found
+        view = memoryview(data) if isinstance(data, memoryview | bytearray) else memoryview(bytearray(data))
+        try:
+            [(key, members)] = samples_in(view)
+        except (ShardError, ValueError) as error:
+            raise ShardError(f"{self._named(row)}: damaged ({error}): {self.store.remedy}") from error
+        if key != key_of(int(self.index.number[row])):
+            raise ShardError(
+                f"{self._named(row)}: {key} lies there: the data set has changed since it was opened, or this shard is "
+                f"damaged: {self.store.remedy}"
+            )
+        return members
 
     def _check(self, row: int, found: dict[str, memoryview]) -> None:
         """Compare the members with the checksums in ``meta.json``. Raises ``ShardError``."""

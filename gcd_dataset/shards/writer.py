@@ -23,7 +23,7 @@ from gcd_dataset.files import make_folder
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, key_of, member_name
+from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, is_picture, key_of, member_name
 from gcd_dataset.shards.manifest import Plan, ShardRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
@@ -31,13 +31,12 @@ from gcd_dataset.shards.notes import (
     Note,
     Row,
     gather,
-    is_view,
     note_name,
     plan_of_sample,
     record_of,
     row_of,
-    samples_in,
     shards_named,
+    stored_samples,
 )
 from gcd_dataset.shards.place import FolderPlace, Place
 from gcd_dataset.shards.tar import END, tar_entry
@@ -163,7 +162,7 @@ class _DraftTar:
         self._require_same(members)
         blocks = [
             b"".join(tar_entry(member_name(index, member), members[member]) for member in self._members if kind(member))
-            for kind in (lambda member: not is_view(member), is_view)
+            for kind in (lambda member: not is_picture(member), is_picture)
         ]
         row = row_of(self.plan, members, self._ends[0][-1], self._ends[1][-1] if blocks[1] else None)
         if row.number != index:
@@ -212,7 +211,7 @@ class _DraftTar:
 
     def _require_same(self, members: Mapping[str, Bytes]) -> None:
         """Raise ``ConfigError`` for other members than those of the first sample."""
-        names = tuple(sorted(members, key=is_view))
+        names = tuple(sorted(members, key=is_picture))
         if not self.rows:
             self._members = dict.fromkeys(names)
         elif names != tuple(self._members):
@@ -256,12 +255,12 @@ class _DraftTar:
         main, views = self._paths
         if not main.exists():
             return
-        pictures = iter(samples_in(views, damaged=True)) if views.exists() else iter(())
-        for sample in samples_in(main, damaged=True):
+        pictures = iter(stored_samples(views, damaged=True)) if views.exists() else iter(())
+        for sample in stored_samples(main, damaged=True):
             try:
                 meta = read_meta(sample.members.get(META, b""))
                 wanted = meta["crc32"]
-                members, of_views = dict(sample.members), any(map(is_view, wanted))
+                members, of_views = dict(sample.members), any(map(is_picture, wanted))
                 picture = next(pictures, None) if of_views else None
                 if picture is not None and picture.number == sample.number:
                     members |= picture.members

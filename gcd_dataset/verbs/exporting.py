@@ -50,7 +50,7 @@ def _to_hdf5(folder: Path, out: Path, split: str | None, on_progress: ProgressCa
     progress = Progress(len(reader), 0, split=reader.split)
     on_progress(progress)
     for _ in write_hdf5(reader, out):
-        progress = progress.with_sample()
+        progress = progress.with_made()
         on_progress(progress)
     return progress
 
@@ -66,6 +66,6 @@ def _to_published(folder: Path, out: Path, split: str | None, on_progress: Progr
     progress = Progress(sum(map(len, readers.values())), 0, split=", ".join(readers))
     on_progress(progress)
     for _ in export_published(readers, out):
-        progress = progress.with_sample()
+        progress = progress.with_made()
         on_progress(progress)
     return progress

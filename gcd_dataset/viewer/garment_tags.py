@@ -157,8 +157,8 @@ class GarmentTags:
 def _identity(reader: ShardReader) -> str:
     """A hash of the samples of a split, and of their ``meta.json``, in order."""
     rows = reader.rows(range(len(reader)))
-    digest = hashlib.sha256(np.ascontiguousarray(reader.index.table.sample[rows]).tobytes())
-    digest.update(np.ascontiguousarray(reader.index.table.crc[rows, 0]).tobytes())
+    digest = hashlib.sha256(np.ascontiguousarray(reader.index.number[rows]).tobytes())
+    digest.update("".join(shard.sha256 for shard in reader.record.shards).encode())
     return digest.hexdigest()[:32]
 
 
