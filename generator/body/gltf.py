@@ -12,7 +12,7 @@ __all__ = ["require_readable"]
 
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-MAX_NODES = 10_000  # a rigged figure has some hundred
+MAX_NODES = 2_000  # a rigged figure has some hundred
 MAX_STEPS = 10_000_000  # of placing the meshes: trimesh takes the cube of a mesh's depth in the tree of nodes
 MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
 REMEDY = "export the mesh again"
