@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
 HEAVY = (
-    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray"),
+    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "aiohttp", "ray"),
     *("ezdxf", "reportlab", "pxr"),
 )
 
@@ -40,7 +40,7 @@ def test_the_package_and_the_command_load_records_on_use(module: str) -> None:
 def test_loaders_bring_torch_but_no_simulator() -> None:
     loaded = loaded_by("gcd_dataset.loaders")
     assert "torch" in loaded
-    assert not loaded & {"warp", "h5py", "huggingface_hub", "httpx2"}
+    assert not loaded & {"warp", "h5py", "huggingface_hub", "aiohttp"}
 
 
 def test_loaders_import_what_reading_shards_needs() -> None:

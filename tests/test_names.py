@@ -21,7 +21,7 @@ from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.names import LONGEST, plain_names, require_name, safe_name

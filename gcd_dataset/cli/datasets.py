@@ -33,13 +33,8 @@ def add_verbs(verbs: Any) -> None:
 
     download = add_verb(verbs, "download", _download, "download a data set from the Hub or a URL; resumes if stopped")
     download.add_argument("repo", metavar="REPO", help="repository ORG/NAME of the Hub, or URL of a data set's folder")
-    download.add_argument("--split", help="one split (default: all)")
-    download.add_argument(
-        "--fields",
-        nargs="+",
-        metavar="FIELD",
-        help="only these fields of each garment, such as points panels edges (default: all)",
-    )
+    download.add_argument("--split", nargs="+", metavar="SPLIT", help="some splits (default: all)")
+    download.add_argument("--no-views", action="store_true", help="without the pictures")
     download.add_argument(
         "--out", "--root", type=Path, metavar="DIR", help="target folder (default: the name of the repository)"
     )
@@ -48,7 +43,7 @@ def add_verbs(verbs: Any) -> None:
         "--patience",
         type=float,
         metavar="SECONDS",
-        help="how long to wait for a server that does not answer (default: 30)",
+        help="how long to try a server that does not answer (default: 300)",
     )
     add_quiet(download)
     add_server(download)
@@ -136,7 +131,7 @@ def summary_lines(out: str, *, counts: bool = True) -> Iterator[str]:
 def _download(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
-    from gcd_dataset.hub.download import download, remote_splits, wanted_layout
+    from gcd_dataset.hub.download import download, downloaded_from
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
@@ -147,19 +142,17 @@ def _download(options: argparse.Namespace) -> int:
     remote = Remote(endpoint=options.endpoint, patience=options.patience)
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
-    fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
-    wanted_layout(fields)  # raises before anything is requested
-    source, splits = remote_splits(source, remote)
-    for split in splits if options.split is None else [options.split]:
-        with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
+    with tqdm(desc=out.name, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
 
-            def update(received: int, total: int, bar: tqdm = bar) -> None:
-                bar.total = total
-                bar.update(received - bar.n)
+        def update(received: int, total: int) -> None:
+            bar.total = total
+            bar.update(received - bar.n)
 
-            note = download(source, out, remote, split=split, fields=fields, on_progress=update)
-        members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
-        print(f"{out}: {split} of {note.source}: {members}")
+        manifest = download(
+            source, out, remote, splits=options.split or (), views=not options.no_views, on_progress=update
+        )
+    for split in options.split or manifest.splits:
+        print(f"{out}: {split} of {downloaded_from(out)}: {manifest.splits[split].count} samples")
     return 0
 
 
@@ -170,7 +163,7 @@ def _publish(options: argparse.Namespace) -> int:
 
     def list_files(staged: Staged) -> None:
         for name, split in staged.manifest.splits.items():
-            print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
+            print(f"{name}: {split.count} garments in {len(split.shards)} shards")
         for path, size in staged.files.items():
             print(f"  {path}  {size} bytes", flush=True)
 

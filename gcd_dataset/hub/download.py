@@ -68,8 +68,8 @@ def download(
         _download_tars(folder, store, tars, on_progress)
         _remove_unlisted(folder, {split: store.manifest().splits[split] for split in chosen})
         for split, index in zip(chosen, indices, strict=True):
-            _write(folder / index_name(split), index.to_bytes())
-        _write(folder / MANIFEST, manifest.to_bytes())
+            write_changed(folder / index_name(split), index.to_bytes())
+        write_changed(folder / MANIFEST, manifest.to_bytes())
     return manifest
 
 
@@ -129,7 +129,7 @@ def _begin(folder: Path, store: RemoteStore, chosen: Mapping[str, SplitRecord]) 
     source, published, known = str(store.source), store.manifest(), downloaded_from(folder)
     local = read_manifest(folder) or Manifest()
     if known is None:
-        if local.splits or _tar_files(folder):
+        if local.splits or tar_files(folder):
             raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
     elif known != source and (known.rpartition("@")[0] != source.rpartition("@")[0] or source.startswith("hf://")):
         raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder, or that revision")
@@ -140,7 +140,7 @@ def _begin(folder: Path, store: RemoteStore, chosen: Mapping[str, SplitRecord]) 
                 f"{split}: choose another folder"
             )
     kept = {
-        split: record
+        split: replace(record, plan=published.splits[split].plan)
         for split, record in local.splits.items()
         if known == source or record.shards == published.splits[split].shards
     }
@@ -222,7 +222,7 @@ def _has(folder: Path, tar: _Tar) -> bool:
 def _remove_unlisted(folder: Path, records: Mapping[str, SplitRecord]) -> None:
     """Remove tars that are no longer part of the splits; readers of the folder would find them."""
     names = {tar.name for split, record in records.items() for tar in _tars(split, record)}
-    for path in _tar_files(folder):
+    for path in tar_files(folder):
         name = path.relative_to(folder).as_posix()
         match = TAR.fullmatch(name)
         if match is not None and match["split"] in records and name not in names:
@@ -230,12 +230,12 @@ def _remove_unlisted(folder: Path, records: Mapping[str, SplitRecord]) -> None:
                 path.unlink()
 
 
-def _tar_files(folder: Path) -> list[Path]:
+def tar_files(folder: Path) -> list[Path]:
     with reading(folder):
         return [*folder.glob("*.tar"), *folder.glob("views/*.tar")]
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_changed(path: Path, content: bytes) -> None:
     """Write a file, unless it has this content."""
     if not path.exists() or path.read_bytes() != content:
         write_whole(path, content)

@@ -18,7 +18,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
 from gcd_dataset.files import make_folder
@@ -26,7 +26,7 @@ from gcd_dataset.shards.access import writing
 
 __all__ = ["PATIENCE", "Files", "fetch", "first_line"]
 
-T = TypeVar("T")
+Headers = Mapping[str, str]
 Take = Callable[[bytes], None]
 """Called with the bytes of a file in order."""
 
@@ -51,11 +51,21 @@ log = logging.getLogger(__name__)
 
 
 class Passing(Exception):  # noqa: N818 -- a state of the server
-    """An error that may pass; ``wait``: seconds that the server asks for."""
+    """An error that may pass."""
 
-    def __init__(self, message: str, wait: float = 0.0) -> None:
-        super().__init__(message)
-        self.wait = wait
+    wait = 0.0
+    """Seconds that the server asks for."""
+
+
+class Span(NamedTuple):
+    """Bytes of a file."""
+
+    address: str
+    start: int
+    end: int | None
+    """``None``: the end of the file."""
+    limit: int | None
+    """Most bytes of the file that are received; ``None``: bytes before ``start`` may come too, and are skipped."""
 
 
 class Files:
@@ -68,9 +78,7 @@ class Files:
     ``RemoteError`` for any other failure, and ``ConfigError`` where the package of an object store is not installed.
     """
 
-    def __init__(
-        self, url: str, *, headers: Callable[[], Mapping[str, str]] = dict, patience: float | None = None
-    ) -> None:
+    def __init__(self, url: str, *, headers: Callable[[], Headers] = dict, patience: float | None = None) -> None:
         self.url, self.patience, self._headers = url.rstrip("/"), PATIENCE if patience is None else patience, headers
         self.stopped = False
         """Set by another thread: running requests raise ``RemoteError`` soon."""
@@ -79,14 +87,14 @@ class Files:
         """The URL of a file."""
         return f"{self.url}/{name}"
 
-    def read(self, name: str, start: int = 0, end: int | None = None, *, limit: int) -> tuple[bytes, Mapping[str, str]]:
+    def read(self, name: str, start: int = 0, end: int | None = None, *, limit: int) -> tuple[bytes, Headers]:
         """Bytes ``start`` to ``end`` of a file, by default the whole, and the headers of the answer.
 
         Raises ``RemoteError`` for more than ``limit`` bytes, before they are received, and for a server that sends
         whole files only.
         """
         content = bytearray()
-        headers = self._receive(name, content.extend, start, end, limit)
+        headers = self._receive(Span(self.address(name), start, end, limit), content.extend)
         return bytes(content), headers
 
     def append(self, name: str, file: Path, size: int, on_progress: Callable[[int], None] | None = None) -> None:
@@ -103,134 +111,134 @@ class Files:
                     on_progress(opened.tell())
 
             if start < size:
-                self._receive(name, take, start, size, None)
+                self._receive(Span(self.address(name), start, size, None), take)
             os.fsync(opened.fileno())
 
-    def _receive(self, name: str, take: Take, start: int, end: int | None, limit: int | None) -> Mapping[str, str]:
-        """Pass the bytes to ``take``; continues after a lost connection. Without ``limit`` bytes may be skipped."""
-        address, offset, attempts, progress = self.address(name), start, 0, time.monotonic()
+    def _receive(self, span: Span, take: Take) -> Headers:
+        """Pass the bytes to ``take``, and continue after a lost connection; the headers of the last answer."""
+        offset, attempts, progress = span.start, 0, time.monotonic()
 
         def counted(piece: bytes) -> None:
             nonlocal offset
             take(piece)
             offset += len(piece)
-            self._require_wanted(address)
+            self._require_wanted(span)
             if offset - before < LITTLE and time.monotonic() - begun > self.patience + ANSWER:
                 raise Passing(f"sent {offset - before} bytes in {time.monotonic() - begun:.0f} s")
 
         while True:
             before, begun = offset, time.monotonic()
             try:
-                if self.url.startswith(WEB):
-                    return _from_web(address, self._headers(), counted, offset, end, limit)
-                return _from_store(address, counted, offset, end, limit)
+                rest = span._replace(start=offset)
+                return _from_web(rest, counted, self._headers()) if _is_web(self.url) else _from_store(rest, counted)
             except Passing as error:
                 if offset - before >= LITTLE:
                     attempts, progress = 0, time.monotonic()
                 attempts += 1
-                self._wait(address, error, attempts, progress)
+                self._wait(span, error, attempts, progress)
 
-    def _wait(self, address: str, error: Passing, attempts: int, progress: float) -> None:
+    def _wait(self, span: Span, error: Passing, attempts: int, progress: float) -> None:
         """Sleep after ``attempts`` attempts since ``progress``. Raises ``RemoteError`` when the patience is over."""
         left = progress + self.patience - time.monotonic()
         if left <= 0:
             raise RemoteError(
-                f"{address}: {error}, after {attempts} attempt{'s' * (attempts > 1)} in {self.patience:.0f} s: try "
+                f"{span.address}: {error}, after {attempts} attempt{'s' * (attempts > 1)} in {self.patience:.0f} s: try "
                 "again later, or with more patience (--patience, patience=); received data are kept"
             )
-        log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", address, error)
+        log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
         until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
         while (left := until - time.monotonic()) > 0:
-            self._require_wanted(address)
+            self._require_wanted(span)
             time.sleep(min(left, FIRST_WAIT))
 
-    def _require_wanted(self, address: str) -> None:
+    def _require_wanted(self, span: Span) -> None:
         if self.stopped:
-            raise RemoteError(f"{address}: stopped: start again to continue")
+            raise RemoteError(f"{span.address}: stopped: start again to continue")
 
 
 # ---------------------------------------------------------------------------------------------------------- web servers
 
 
-def _from_web(
-    address: str, headers: Mapping[str, str], take: Take, start: int, end: int | None, limit: int | None
-) -> Mapping[str, str]:
-    """One attempt of ``Files._receive`` on a web server. Raises ``Passing`` for an error that may pass."""
+def _is_web(url: str) -> bool:
+    return url.startswith(WEB)
+
+
+def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
+    """One attempt at a web server. Raises ``Passing`` for an error that may pass."""
     import aiohttp
     from fsspec.asyn import sync
 
     try:
         web = _web(os.getpid())
-        answered: Mapping[str, str] = sync(web.loop, _stream, web, address, headers, take, start, end, limit)
+        answered: Headers = sync(web.loop, _stream, web, span, take, headers)
     except (aiohttp.TooManyRedirects, aiohttp.RedirectClientError) as error:
         raise RemoteError(
-            f"{address}: redirects to {shown(first_line(error))}: up to {MOST_REDIRECTS} redirects to http and https "
-            "are followed: check the address, or tell its publisher"
+            f"{span.address}: redirects to {shown(first_line(error))}: up to {MOST_REDIRECTS} redirects to http and "
+            "https are followed: check the address, or tell its publisher"
         ) from error
     except (aiohttp.InvalidURL, aiohttp.ClientConnectorCertificateError) as error:
-        raise RemoteError(f"{address}: cannot be read ({first_line(error)}): check the address") from error
+        raise RemoteError(f"{span.address}: cannot be read ({first_line(error)}): check the address") from error
+    except aiohttp.ClientPayloadError as error:
+        raise Passing("the connection was lost") from error
     except (aiohttp.ClientError, TimeoutError, OSError) as error:
         raise Passing(f"no answer ({first_line(error)})") from error
     return answered
 
 
-async def _stream(
-    web: Any, address: str, headers: Mapping[str, str], take: Take, start: int, end: int | None, limit: int | None
-) -> Mapping[str, str]:
+async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers:
     """Pass the bytes of one answer to ``take``; its headers."""
+    (address, start, end, limit), session = span, await web.set_session()
     asked = {**headers, "Accept-Encoding": "identity"}  # ranges of a compressed answer could not be counted
     if start or end is not None:
         asked["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
-    session = await web.set_session()
     async with asyncio.timeout(ANSWER):
         response = await session.get(web.encode_url(address), headers=asked, max_redirects=MOST_REDIRECTS)
     async with response:
-        _require(address, response, start)
-        skip = start if response.status == 200 else 0
-        left = None if end is None else end - start
-        if limit is not None and skip:
-            raise RemoteError(
-                f"{address}: this server sends whole files only, and each garment would cost a whole shard: use "
-                "gcd download"
-            )
-        if limit is not None and left is None and (response.content_length or 0) > limit - start:
-            raise _too_long(address, f"{response.content_length} bytes", limit)
+        _require(span, response)
+        skip, left = start if response.status == 200 else 0, None if end is None else end - start
+        if limit is not None and end is None and (response.content_length or 0) > limit:
+            raise _too_long(span, str(response.content_length))
         async for piece in response.content.iter_any():
             part = piece[skip:] if left is None else piece[skip : skip + left]
             skip -= min(skip, len(piece))
             start += len(part)
-            if limit is not None and left is None and start > limit:
-                raise _too_long(address, f"more than {limit} bytes", limit)
+            if limit is not None and end is None and start > limit:
+                raise _too_long(span, f"more than {limit}")
             if part:
                 take(part)
             if left is not None and (left := left - len(part)) == 0:
                 break
         if left:
             raise Passing(f"ends at byte {start} of {end}")
-        return {**(response.history[0] if response.history else response).headers}
+        return (response.history or (response,))[0].headers  # type: ignore[no-any-return]
 
 
-def _require(address: str, response: Any, start: int) -> None:
-    """Raise ``Passing`` or ``RemoteError`` unless the answer holds the bytes from ``start`` on."""
-    status = response.status
+def _require(span: Span, response: Any) -> None:
+    """Raise ``Passing`` or ``RemoteError`` unless the answer holds the bytes of the span."""
+    status, address, sent = response.status, span.address, response.headers.get("Content-Range", "")
     if status in BUSY:
-        requested = response.headers.get("Retry-After", "")
-        raise Passing(f"the server is busy ({status})", float(requested) if requested.isdecimal() else 0.0)
+        error, requested = Passing(f"the server is busy ({status})"), response.headers.get("Retry-After", "")
+        error.wait = float(requested) if requested.isdecimal() else 0.0
+        raise error
     if status in GONE:
         raise MissingError(f"{address}: not found ({status}): check the name, and the token if it is private")
     if status in REFUSED:
         raise RefusedError(f"{address}: refused ({status}): ask for access, then run hf auth login or set HF_TOKEN")
     if status == 416:
         raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher, or pin another revision")
-    span = response.headers.get("Content-Range", "")
-    if status not in (200, 206) or (status == 206 and not span.startswith(f"bytes {start}-")):
-        raise RemoteError(f"{address}: answered with status {status} {shown(span)}: check the address")
+    if status not in (200, 206) or (status == 206 and not sent.startswith(f"bytes {span.start}-")):
+        raise RemoteError(f"{address}: answered with status {status} {shown(sent)}: check the address")
+    if status == 200 and span.start and span.limit is not None:
+        raise RemoteError(
+            f"{address}: this server sends whole files only, and each garment would cost a whole shard: use gcd "
+            "download"
+        )
 
 
-def _too_long(address: str, size: str, limit: int) -> RemoteError:
+def _too_long(span: Span, size: str) -> RemoteError:
     return RemoteError(
-        f"{address}: has {size}, over the limit of {limit} for this kind of file: check the address, or tell its "
-        "publisher"
+        f"{span.address}: has {size} bytes, over the limit of {span.limit} for this kind of file: check the address, "
+        "or tell its publisher"
     )
 
 
@@ -248,15 +256,16 @@ def _web(process: int) -> Any:
 # -------------------------------------------------------------------------------------------------------- object stores
 
 
-def _from_store(address: str, take: Take, start: int, end: int | None, limit: int | None) -> Mapping[str, str]:
-    """One attempt of ``Files._receive`` on an object store. Raises ``Passing`` for an error that may pass."""
+def _from_store(span: Span, take: Take) -> Headers:
+    """One attempt at an object store. Raises ``Passing`` for an error that may pass."""
+    address, start, end, limit = span
     with _asking(address):
         store = _store(os.getpid(), "/".join(address.split("/")[:3]))
         path = store._strip_protocol(address)
-        if end is None:
-            content = store.cat_file(path, start=start, end=(limit or PIECE) + 1)
-            if limit is not None and start + len(content) > limit:
-                raise _too_long(address, f"more than {limit} bytes", limit)
+        if end is None and limit is not None:
+            content = store.cat_file(path, start=0, end=limit + 1)
+            if len(content) > limit:
+                raise _too_long(span, f"more than {limit}")
             take(content)
         while end is not None and start < end:
             stop = min(start + PIECE, end)
@@ -332,17 +341,16 @@ def fetch(
     ``part``: the file for the bytes received so far, by default beside ``target``. Raises ``RemoteError`` after two
     wrong hashes and keeps nothing; ``OutputError`` where the file cannot be written.
     """
-    part = target.with_name(f".{target.name}.part") if part is None else part
+    part = part or target.with_name(f".{target.name}.part")
     while not target.exists():
         make_folder(part.parent)
-        with _claimed(part) as is_mine:
-            if is_mine and not target.exists():
+        with _claimed(part) as is_mine, writing(part):
+            if is_mine and target.exists():
+                part.unlink()  # made by this call, after another process had finished
+            elif is_mine:
                 _complete(files, name, part, size, sha256, on_progress)
                 make_folder(target.parent)
-                with writing(target):
-                    part.replace(target)
-            elif is_mine:
-                part.unlink()  # made by this call, after another process had finished
+                part.replace(target)
 
 
 def _complete(

@@ -1,43 +1,48 @@
-"""Publishes a data set on the Hub: divides it into splits, describes and uploads it."""
+"""Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
 import hashlib
+import io
 import json
 import logging
 import re
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
-from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.hub.card import LICENSES, Release, card, croissant
-from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
-from gcd_dataset.hub.retry import first_line
-from gcd_dataset.hub.site import hub_endpoint
+from gcd_dataset.files import make_folder
+from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
+from gcd_dataset.hub.download import tar_files, write_changed
+from gcd_dataset.hub.fetch import first_line
+from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
+from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
 from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.contents import splits_in
-from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.job_parts import require_merged
-from gcd_dataset.shards.layout import FAILED, FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import index_name
+from gcd_dataset.shards.layout import FAILED
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
+from gcd_dataset.shards.notes import META, gather, note_name, note_of
+from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.shards.unfinished import unfinished
+from gcd_dataset.shards.tar import END
+from gcd_dataset.shards.writer import shard_size_of
 
-__all__ = ["Staged", "stage", "upload"]
+__all__ = ["Published", "Staged", "publish", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
 CLIENTS = ("httpx2", "httpx", "requests")  # HTTP libraries of huggingface_hub 2, 1 and 0.36
 ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
-LICENSE_LIST = "huggingface.co/docs/hub/repositories-licenses"
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
-REPLACED = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
+REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """Other names of splits to the Hub's names."""
+PREVIEWED = 100  # garments
+TEXTS = ("caption.txt", "measures.json", "design.txt")
 
 log = logging.getLogger(__name__)
 
@@ -54,16 +59,52 @@ class Staged:
     @property
     def garments(self) -> int:
         """Number of garments in all splits."""
-        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
+        return sum(self.manifest.counts.values())
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """The samples of one published split."""
+class Published:
+    """The result of ``publish``: the staged files and the commit."""
+
+    staged: Staged
+    commit: str | None
+    """Commit of the repository; ``None`` for a dry run."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The samples of one published split, by shards."""
 
     reader: ShardReader
-    record: SplitRecord
-    positions: list[int]
+    shards: Mapping[int, Sequence[int]]
+    """Number of a shard to positions of its samples."""
+
+
+def publish(
+    dataset: Path | str,
+    repo: str,
+    *,
+    out: Path | str | None = None,
+    shares: Mapping[str, float] = SHARES,
+    license: str = "unknown",  # noqa: A002 - the Hub's word
+    partial: bool = False,
+    private: bool = False,
+    dry_run: bool = False,
+    endpoint: str | None = None,
+    token: str | None = None,
+    on_staged: Callable[[Staged], None] = lambda staged: None,
+) -> Published:
+    """Upload a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
+
+    ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
+    resumed. ``on_staged`` is called with the staged files before anything is sent; with ``dry_run`` nothing is sent.
+    ``stage`` and ``upload`` describe the other options and the errors.
+    """
+    folder = Path(dataset) / "published" if out is None else Path(out)
+    staged = stage(Path(dataset), repo, folder, shares=shares, license=license, endpoint=endpoint, partial=partial)
+    on_staged(staged)
+    commit = None if dry_run else upload(staged, repo, endpoint=endpoint, token=token, private=private)
+    return Published(staged, commit)
 
 
 def stage(
@@ -80,39 +121,32 @@ def stage(
 
     A data set of one split is divided by ``shares`` into splits that share no design, body or pattern; several splits
     are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for a license that the Hub
-    does not know, splits that share designs, foreign tars, an unfinished data set, parts that are not merged, and for a
-    staging folder that holds other files.
+    does not know, splits that share designs, an unfinished data set, and for a staging folder that holds other files;
+    ``ShardError`` for a damaged sample.
     """
-    if not isinstance(parse_source(repo), Repo):
-        raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
-    license = _license(license)  # noqa: A001
-    require_merged(dataset, ConfigError)
-    for split in splits_in(dataset):
-        if not partial and (problem := unfinished(dataset, split)) is not None:
-            raise ConfigError(f"{dataset}: split {split} is not whole: {problem}, or publish it with --partial")
-    plans = _plans(dataset, shares)
+    _repo_name(repo)
+    license, store = _license(license), FolderStore(dataset)  # noqa: A001
+    source = store.manifest()
+    if not partial and (problem := next(filter(None, map(store.unfinished, source.splits)), None)) is not None:
+        raise ConfigError(f"{dataset}: not whole: {problem}, or publish it with --partial")
+    readers = {split: ShardReader(store, split) for split, record in source.splits.items() if record.count}
+    divided = _divided(dataset, readers)
+    parts = _parts(dataset, readers, divided, shares)
     _prepare(folder)
-    splits: dict[str, SplitRecord] = {}
-    settled: dict[str, int] = {}
-    members: tuple[str, ...] = ()
-    for name, plan in plans.items():
-        with locked(folder / lock_name(name), f"writing split {name}"):
-            splits[name] = _write_split(folder, name, plan)
-        settled[name] = int(plan.reader.index.table.settled[plan.reader.rows(plan.positions)].sum())
-        members = plan.reader.layout.members
-    source_manifest = next(iter(plans.values())).reader.manifest or Manifest()
-    manifest = replace(source_manifest, splits=splits)
-    _remove_unlisted(folder, manifest)
-    manifest.write(folder)
-    is_divided = _only_split(splits_in(dataset)) is not None or manifest.recipe is not None
-    release = Release(repo, manifest, settled, members, license, is_divided, hub_endpoint(endpoint))
-    write_whole(folder / CARD, card(release).encode())
-    listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
-    listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}
-    description = croissant(release, listed)
-    write_whole(folder / CROISSANT, (json.dumps(description, indent=1) + "\n").encode())
-    names = [CARD, CROISSANT, *listed]
-    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in names})
+    with locked(folder / ".staging.lock", "staging it"):
+        manifest = _write_splits(folder, source, parts, shares if divided else None)
+    settled = {name: int(ShardReader(folder, name).index.settled.sum()) for name in parts}
+    members, preview = next(iter(parts.values())).reader.layout.members, _preview(folder, next(iter(parts)))
+    if preview is not None:
+        write_changed(folder / PREVIEW, preview)
+    is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
+    release = Release(repo, manifest, settled, members, license, is_divided, hub, preview is not None)
+    tars = {path.relative_to(folder).as_posix() for path in tar_files(folder)}
+    listed = [MANIFEST, *map(index_name, parts), *([PREVIEW] if preview else []), *sorted(tars)]
+    described = croissant(release, {name: _size_and_hash(folder / name) for name in listed})
+    write_changed(folder / CARD, card(release).encode())
+    write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
+    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in [CARD, CROISSANT, *listed]})
 
 
 def upload(
@@ -120,29 +154,36 @@ def upload(
 ) -> str:
     """Upload a staged folder to the Hub, creating the repository if needed; the commit's hash.
 
-    All files are in one commit, so readers see either the previous version or the whole new one. Raises ``RemoteError``
-    if the Hub does not answer, or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub``
-    cannot publish to.
+    New tars are sent first, by the upload of large folders; the last commit replaces changed files and the manifest,
+    so readers see either the previous version or the whole new one. Raises ``RemoteError`` if the Hub does not answer,
+    or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub`` cannot publish to.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
-    api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
-    name = _repo_name(repo)
+    api, name = HfApi(endpoint=hub_endpoint(endpoint), token=token), _repo_name(repo)
     _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
-        added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
-        api.preupload_lfs_files(name, added, repo_type="dataset")
-        # Listed after the upload, which may take hours.
         present = api.list_repo_files(name, repo_type="dataset")
-        stale = [path for path in present if _is_replaced(path) and path not in staged.files]
-        commit = api.create_commit(
-            name,
-            [*added, *map(CommitOperationDelete, stale)],
-            repo_type="dataset",
-            commit_message=f"{staged.garments} garments",
-        )
+        if new := [path for path in staged.files if path.endswith(".tar") and path not in present]:
+            options: dict[str, Any] = {"allow_patterns": new, "commit_message": f"Tars of {staged.garments} garments"}
+            api.upload_folder(repo_id=name, folder_path=staged.folder, repo_type="dataset", **options)
+        rest = [CommitOperationAdd(path, staged.folder / path) for path in staged.files if path not in new]
+        stale = [path for path in present if REPLACED.fullmatch(path) and path not in staged.files]
+        operations = [*rest, *map(CommitOperationDelete, stale)]
+        message = f"{staged.garments} garments"
+        commit = api.create_commit(name, operations, repo_type="dataset", commit_message=message)
     return str(commit.oid)
+
+
+# ------------------------------------------------------------------------------------------------------------- staging
+
+
+def _repo_name(repo: str) -> str:
+    source = parse_source(repo)
+    if not isinstance(source, Repo):
+        raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
+    return source.name
 
 
 def _license(name: str) -> str:
@@ -152,7 +193,8 @@ def _license(name: str) -> str:
     if known not in LICENSES:
         raise ConfigError(
             f"license {shown(name)}: unknown to the Hub: give cc-by-4.0, cc0-1.0, odc-by, cdla-permissive-2.0, "
-            f"apache-2.0, another that {LICENSE_LIST} lists, or other{did_you_mean(name.lower(), LICENSES)}"
+            "apache-2.0, another that huggingface.co/docs/hub/repositories-licenses lists, or other"
+            f"{did_you_mean(name.lower(), LICENSES)}"
         )
     return known
 
@@ -160,52 +202,47 @@ def _license(name: str) -> str:
 def _prepare(folder: Path) -> None:
     """Make the staging folder. Raises ``ConfigError`` for a folder that holds anything else."""
     make_folder(folder)
-    if not (folder / STAGED).exists():
-        if splits_in(folder):
-            raise ConfigError(f"{folder}: holds a data set, whose shards would be replaced: choose another folder")
-        with reading(folder):
-            others = sorted(path.name for path in folder.iterdir())
-        if others:
-            raise ConfigError(f"{folder}: holds {shown(others[0])}: choose another folder, or an empty one")
-        write_whole(folder / STAGED, b"")
+    with reading(folder):
+        others = sorted(path.name for path in folder.iterdir()) if not (folder / STAGED).exists() else []
+    if others:
+        raise ConfigError(f"{folder}: holds {shown(others[0])}, not files to publish: choose another folder")
+    write_changed(folder / STAGED, b"")
 
 
-def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
-    """Published split to its samples. Raises ``ConfigError`` as ``stage`` does."""
-    readers = {split: ShardReader(dataset, split) for split in splits_in(dataset)}
+def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
+    """The split to divide: the only one besides ``failed``; ``None`` for several. Raises ``ConfigError``."""
     if not readers:
-        raise ConfigError(f"{dataset}: no shards: give a folder made by gcd generate")
-    for split, reader in readers.items():
-        if reader.layout.kind == FOREIGN or reader.manifest is None or split not in reader.manifest.splits:
-            raise ConfigError(f"{dataset}: {MANIFEST} has no recipe of split {split}: run gcd generate again")
-        if missing := [field for field in (DESIGN, BODY) if field not in fields_of(reader.layout.members)]:
-            raise ConfigError(
-                f"{dataset}: its garments have no {missing[0]} to divide them by: publish a data set with all fields"
-            )
+        raise ConfigError(f"{dataset}: no samples: give a folder made by gcd generate")
+    for reader in readers.values():
+        if DESIGN not in reader.layout.members:
+            raise ConfigError(f"{dataset}: its garments have no {DESIGN} to divide them by: publish whole garments")
     if shared := leaks(readers):
         raise ConfigError(
             f"{dataset}: {shared[0]}: publish it as one split, which is then divided, or generate them again"
         )
-    divided = _only_split(readers)
-    plans = {
-        HUB_NAMES.get(split, split): _Plan(reader, reader.manifest.splits[split], list(range(len(reader))))
-        for split, reader in readers.items()
-        if reader.manifest is not None and split != divided
-    }
-    return plans if divided is None else _divided(dataset, readers[divided], shares) | plans
-
-
-def _divided(dataset: Path, reader: ShardReader, shares: Mapping[str, float]) -> dict[str, _Plan]:
-    assert reader.manifest is not None
-    record, parts = reader.manifest.splits[reader.split], partition(reader, shares)
-    _warn_of_empty_splits(dataset, shares, parts)
-    return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
-
-
-def _only_split(splits: Collection[str]) -> str | None:
-    """The split to divide: the only one besides ``failed``; ``None`` for several."""
-    others = [split for split in splits if split != FAILED] or [*splits]
+    others = [split for split in readers if split != FAILED] or [*readers]
     return others[0] if len(others) == 1 else None
+
+
+def _parts(
+    dataset: Path, readers: Mapping[str, ShardReader], divided: str | None, shares: Mapping[str, float]
+) -> dict[str, _Part]:
+    """Published split to its samples: parts of the divided split, then the others shard by shard."""
+    parts = {}
+    if divided is not None:
+        positions = partition(readers[divided], shares)
+        _warn_of_empty_splits(dataset, shares, positions)
+        for name, own in positions.items():
+            size = shard_size_of(len(own))
+            numbered = {number: own[number * size : (number + 1) * size] for number in range(-(-len(own) // size))}
+            parts[name] = _Part(readers[divided], numbered)
+    for split, reader in readers.items():
+        if split != divided:
+            shards = reader.index.shard.tolist()
+            grouped = groupby(range(len(reader)), key=lambda position, shards=shards: shards[position])
+            numbered = {reader.record.shards[shard].number: list(own) for shard, own in grouped}
+            parts[HUB_NAMES.get(split, split)] = _Part(reader, numbered)
+    return parts
 
 
 def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
@@ -220,52 +257,91 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
         )
 
 
-def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
-    """The record of a part of a split; its shards hold about as many samples as the shards of the undivided split."""
-    cut = {"of": {split: round(share, 6) for split, share in shares.items()}, "name": name}
-    return replace(
-        record, recipe={**record.recipe, "part": cut}, shard_size=round(record.shard_size / max(shares[name], 0.01))
-    )
+def _write_splits(
+    folder: Path, source: Manifest, parts: Mapping[str, _Part], shares: Mapping[str, float] | None
+) -> Manifest:
+    """Write the shards and indices of all splits, remove others, write the manifest; ``shares``: of divided splits."""
+    place, names = FolderPlace(folder), set[str]()
+    is_whole = not any(map(source.missing, source.splits))
+    garments = sum(len(own) for part in parts.values() for own in part.shards.values())
+    for name, part in parts.items():
+        plan = part.reader.record.plan
+        size = max(map(len, part.shards.values()))
+        recipe = dict(plan.recipe) if shares is None else {**plan.recipe, "part": {"of": dict(shares)}}
+        plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
+        for number, positions in part.shards.items():
+            names |= _write_shard(folder, name, number, part.reader, positions, plan)
+    for path in tar_files(folder):
+        if path.relative_to(folder).as_posix() not in names:
+            with writing(path):
+                path.unlink()
+    gathered = gather(place)
+    for name, index in gathered.indices.items():
+        write_changed(folder / index_name(name), index.to_bytes())
+    manifest = replace(gathered.manifest, recipe=source.recipe, generator=source.generator)
+    write_changed(folder / MANIFEST, manifest.to_bytes())
+    return manifest
 
 
-def _write_split(folder: Path, name: str, plan: _Plan) -> SplitRecord:
-    """Write shards and index of a split; its record."""
-    sample = plan.reader.index.table.sample[plan.reader.rows(plan.positions)]
-    numbered = zip((sample // plan.record.shard_size).tolist(), plan.positions, strict=True)
-    records, tables = [], {}
-    for number, group in groupby(sorted(numbered), key=lambda entry: entry[0]):
-        path = folder / shard_name(name, number)
-        positions = [position for _, position in group]
-        record, tables[path.name] = copy_shard(path, plan.reader, positions, plan.reader.layout, lambda size: None)
-        records.append(record)
-    ShardIndex.of(folder, tables, plan.reader.layout).write(folder / index_name(name))
-    return replace(plan.record, shards=tuple(records))
+def _write_shard(
+    folder: Path, split: str, number: int, reader: ShardReader, positions: Sequence[int], plan: Plan
+) -> set[str]:
+    """Write a shard of checked samples, its pictures and its note; the names of the tars. Raises ``ShardError``."""
+    record, index, paths = ShardRecord(number, 0, 0, ""), reader.index, []
+    for position in positions:
+        reader.check(position)
+    for views in (False, True) if index.has_views else (False,):
+        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
+        spans = [(reader.record.shards[index.shard[row]], int(starts[row]), int(ends[row])) for row in positions]
+        samples = [reader.store.part(reader.split, *span, views=views) for span in spans]
+        paths.append(folder / record.name(split, views=views))
+        make_folder(paths[-1].parent)
+        write_changed(paths[-1], b"".join([*samples, bytes(END)]))
+    note = note_of(paths[0], paths[1] if len(paths) > 1 else None, split, number, plan)
+    write_changed(folder / note_name(split, number), note.to_bytes())
+    return {path.relative_to(folder).as_posix() for path in paths}
 
 
-def _remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Remove shards of an earlier call that the manifest does not list."""
-    listed = {shard.name for split in manifest.splits.values() for shard in split.shards}
-    for split in splits_in(folder):
-        for path in shards_in(folder, split):
-            if path.name not in listed:
-                with writing(path):
-                    path.unlink()
-
-
-def _is_replaced(path: str) -> bool:
-    """Whether a file of a repository is a shard or an index, which an upload replaces."""
-    return REPLACED.fullmatch(path) is not None
+def _preview(folder: Path, split: str) -> bytes | None:
+    """A table of the first garments of a split, which the Hub shows; ``None`` without ``pyarrow``."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        log.warning("without a preview, which needs pyarrow: pip install 'gcd-dataset[publish]'")
+        return None
+    reader = ShardReader(folder, split)
+    members = [member for member in (META, *TEXTS, "front.jpg") if member in reader.layout.members]
+    rows, positions = [], range(min(PREVIEWED, len(reader)))
+    for position, found in zip(positions, reader.read_many(positions, members), strict=True):
+        meta = json.loads(bytes(found[META]))
+        row = {
+            "key": reader.key(position),
+            "grade": meta.get("grade"),
+            "outcome": (meta.get("drape") or {}).get("outcome"),
+        }
+        row |= {member.partition(".")[0]: bytes(found[member]).decode() for member in TEXTS if member in found}
+        rows.append(
+            row | ({"front": {"bytes": bytes(found["front.jpg"]), "path": None}} if "front.jpg" in found else {})
+        )
+    features = {
+        name: {"_type": "Image"} if name == "front" else {"dtype": "string", "_type": "Value"} for name in rows[0]
+    }
+    picture = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+    schema = pyarrow.schema({name: picture if name == "front" else pyarrow.string() for name in rows[0]})
+    schema = schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+    output = io.BytesIO()
+    parquet.write_table(pyarrow.Table.from_pylist(rows, schema), output)
+    return output.getvalue()
 
 
 def _size_and_hash(path: Path) -> tuple[int, str]:
-    content = path.read_bytes()
-    return len(content), hashlib.sha256(content).hexdigest()
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return file.tell(), digest
 
 
-def _repo_name(repo: str) -> str:
-    source = parse_source(repo)
-    assert isinstance(source, Repo)
-    return source.name
+# -------------------------------------------------------------------------------------------------------------- upload
 
 
 @contextmanager
@@ -273,29 +349,25 @@ def _asking_hub(repo: str) -> Iterator[None]:
     """Turn errors of ``huggingface_hub`` into ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
-    connection_errors: tuple[type[Exception], ...] = (
-        ConnectionError,
-        *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"),
-    )
-    request_errors: tuple[type[Exception], ...] = (
-        HfHubHTTPError,
-        RuntimeError,
-        ValueError,
-        *_errors_of_clients("HTTPError", "RequestException"),
-    )
+    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
+
+    def errors(*names: str) -> tuple[type[Exception], ...]:
+        return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
+
     try:
         yield
-    except connection_errors as error:
+    except (ConnectionError, *errors("TransportError", "ConnectionError", "ReadTimeout")) as error:
         raise _publish_error(repo, error, "check the network and HF_ENDPOINT") from error
-    except request_errors as error:
-        # huggingface_hub raises RuntimeError or ValueError for a failed upload.
+    # huggingface_hub raises RuntimeError or ValueError for a failed upload.
+    except (HfHubHTTPError, RuntimeError, ValueError, *errors("HTTPError", "RequestException")) as error:
         raise _publish_error(repo, error, "check the token (hf auth login) and your rights") from error
 
 
-def _errors_of_clients(*names: str) -> tuple[type[Exception], ...]:
-    """The exceptions of these names in the HTTP clients that are loaded."""
-    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
-    return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
+def _publish_error(repo: str, error: Exception, remedy: str) -> RemoteError:
+    return RemoteError(
+        f"{repo}: cannot be published ({first_line(error)}): {remedy}, then run it again: uploaded files are not sent "
+        "again"
+    )
 
 
 def _require_endpoint(endpoint: str) -> None:
@@ -308,10 +380,3 @@ def _require_endpoint(endpoint: str) -> None:
             f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT only: set "
             f"it, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
         )
-
-
-def _publish_error(repo: str, error: Exception, remedy: str) -> RemoteError:
-    return RemoteError(
-        f"{repo}: cannot be published ({first_line(error)}): {remedy}, then run it again: uploaded files are not sent "
-        "again"
-    )

@@ -33,6 +33,7 @@ from gcd_dataset.hub.fetch import WEB, Files, fetch
 from gcd_dataset.hub.source import COMMIT, Folder, Repo, Url, parse_source
 from gcd_dataset.names import safe_name
 from gcd_dataset.shards import cache
+from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
@@ -44,7 +45,7 @@ T = TypeVar("T")
 
 LARGEST_MANIFEST = 1 << 25  # bytes: twenty million garments; parsed it takes twenty times as many
 MOST_SAMPLES = 1 << 24  # of a split; their index takes 14 bytes each in memory
-PARALLEL = 4  # downloads at a time
+PARALLEL, REQUESTS = 4, 8  # downloads, and requests of single samples, at a time
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
 
 log = logging.getLogger(__name__)
@@ -107,27 +108,33 @@ def open_store(
 ) -> Store:
     """The store of a folder, a URL or a repository; ``root``: a folder to download ``splits`` into, and to read.
 
-    Raises ``ConfigError`` for any other source, and for options that do not apply to it; else as ``Store``.
+    Raises ``ConfigError`` for any other source, and for options that do not apply to it; ``ShardError`` for a folder
+    whose download is incomplete; else as ``Store``.
     """
-    from gcd_dataset.hub.download import download, is_downloaded, require_same_source
-    from gcd_dataset.shards.folder import FolderStore
+    from gcd_dataset.hub.download import download, downloaded_from, is_downloaded, require_same_source
 
     remote = remote or Remote()
     parsed = parse_source(source, remote.revision)
+    if not isinstance(parsed, Folder) and root is None:
+        return RemoteStore(parsed, remote)
     if isinstance(parsed, Folder):
+        folder = parsed.path
         given = {"root": root, **{name: getattr(remote, name) for name in ("endpoint", "token", "patience")}}
         if named := [name for name, value in given.items() if value is not None]:
             value = "" if named[0] == "token" else f"={given[named[0]]!r}"
             raise ConfigError(f"{named[0]}{value} is for URLs and the Hub, and {parsed} is a folder: leave it out")
-        return FolderStore(parsed.path)
-    if root is None:
-        return RemoteStore(parsed, remote)
-    folder = user_path(root)
-    if not remote.allowed:
-        require_same_source(folder, parsed)
-    elif not is_downloaded(folder, parsed, splits):
-        download(parsed, folder, remote, splits=splits)
-    return FolderStore(folder)
+    else:
+        folder = user_path(root or "")
+        if not remote.allowed:
+            require_same_source(folder, parsed)
+        elif not is_downloaded(folder, parsed, splits):
+            download(parsed, folder, remote, splits=splits)
+    store = FolderStore(folder, cache_dir=remote.cache_dir)
+    if (origin := downloaded_from(folder)) is not None:
+        if not (folder / MANIFEST).exists():
+            raise ShardError(f"{folder}: the download of {origin} is incomplete: run gcd download again")
+        store.source, store.remedy = origin, "delete it, and run gcd download again"
+    return store
 
 
 class RemoteStore(Store):
@@ -162,7 +169,7 @@ class RemoteStore(Store):
 
     def index(self, split: str) -> SplitIndex:
         splits, name = self._manifest.splits, index_name(split)
-        if split not in splits:
+        if split not in splits or not splits[split].count:
             available = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
             raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
         record, location = splits[split], self.location(name)
@@ -205,6 +212,10 @@ class RemoteStore(Store):
                 "publisher"
             )
         return self.files.read(name, start, end, limit=LARGEST_SAMPLE)[0]
+
+    def parts(self, split: str, wanted: Sequence[tuple[ShardRecord, int, int, bool]]) -> Iterable[bytes]:
+        with ThreadPoolExecutor(REQUESTS) as pool:
+            return list(pool.map(lambda one: self.part(split, *one[:3], views=one[3]), wanted))
 
     def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:
         """Fetch whole tars of several shards into the cache, in parallel. Raises as ``path`` does."""

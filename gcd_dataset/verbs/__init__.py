@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from gcd_dataset.hub.publish import Published, publish
     from gcd_dataset.making.conversion import convert
     from gcd_dataset.making.garments import generate, generate_recipe
     from gcd_dataset.making.people import generate_people
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from gcd_dataset.making.tasks import Job
     from gcd_dataset.verbs.examining import doctor
     from gcd_dataset.verbs.exporting import export
-    from gcd_dataset.verbs.publishing import Published, publish
 
 __all__ = [
     "Job",
@@ -39,6 +39,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
+    "gcd_dataset.hub.publish": ("Published", "publish"),
     "gcd_dataset.making.conversion": ("convert",),
     "gcd_dataset.making.garments": ("generate", "generate_recipe"),
     "gcd_dataset.making.people": ("generate_people",),
@@ -47,7 +48,6 @@ _NAMES_OF_MODULE = {
     "gcd_dataset.making.tasks": ("Job",),
     "examining": ("doctor",),
     "exporting": ("export",),
-    "publishing": ("Published", "publish"),
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

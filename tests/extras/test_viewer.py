@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.cli.show import _album
-from gcd_dataset.hub.opening import open_store
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter

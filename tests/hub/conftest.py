@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset.hub import retry
-from tests.hub.server import Hub, running_hub
-from tests.shards.folders import fill
+from gcd_dataset.hub import fetch
+from tests.hub.server import Hub, read_folder, running_hub
+from tests.hub.sets import write_set
 
 COUNT = 10
 
@@ -15,8 +15,8 @@ COUNT = 10
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Waits of milliseconds, and neither the user's token nor the user's cache."""
-    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.006)):
-        monkeypatch.setattr(retry, name, seconds)
+    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.5)):
+        monkeypatch.setattr(fetch, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")
@@ -24,8 +24,8 @@ def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of ten garments in three shards."""
-    return fill(tmp_path_factory.mktemp("published"), range(COUNT))
+    """A data set of ten samples in three shards, with pictures."""
+    return write_set(tmp_path_factory.mktemp("published"))
 
 
 @pytest.fixture
@@ -37,6 +37,5 @@ def hub() -> Iterator[Hub]:
 @pytest.fixture
 def commit(hub: Hub, folder: Path) -> str:
     """Publish the data set as ``org/garments`` and below ``/files/garments``; the commit's hash."""
-    sha = hub.publish("org/garments", folder)
-    hub.static |= {f"garments/{name}": data for name, data in hub.repos["org/garments"].commits[-1][1].items()}
-    return sha
+    hub.static |= {f"garments/{name}": data for name, data in read_folder(folder).items()}
+    return hub.publish("org/garments", folder)

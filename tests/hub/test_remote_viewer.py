@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset.hub.opening import open_store
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.viewer import album as albums
 from gcd_dataset.viewer.album import ShardAlbum

@@ -7,7 +7,7 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     BodyDataset,
