@@ -13,10 +13,10 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.making.progress import Progress, ignore_progress
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.verbs import generate, generate_people, log
-from gcd_dataset.verbs.progress import Progress, ignore_progress
-from tests.verbs.real import contents
+from tests.making.real import contents
 
 FLAT = MakeConfig(stage="pattern")
 FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from gcd_dataset.cli.bar import postfix
-from gcd_dataset.verbs.progress import Pace, Progress
+from gcd_dataset.making.progress import Pace, Progress
 from gcd_dataset.waits import Wait, Waits
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import fsspec
 import h5py
 import pytest
+from gcd_dataset.shards.unfinished import unfinished
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
@@ -22,9 +23,8 @@ from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
-from gcd_dataset.shards.unfinished import unfinished
 from gcd_dataset.verbs import JobPart, Progress, export, generate, making, merge, storing
-from tests.verbs.real import contents, killed
+from tests.making.real import contents, killed
 
 COUNT = 8
 KEPT = MakeConfig(
