@@ -28,8 +28,6 @@ from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 
-__all__ = ["DOWNLOAD_FILE", "download", "downloaded_from", "is_downloaded", "require_same_source"]
-
 DOWNLOAD_FILE = "download.json"
 TAR = re.compile(r"(?:views/)?(?P<split>.+)-\d{5,}\.tar")
 
@@ -85,31 +83,26 @@ def downloaded_from(folder: Path) -> str | None:
         raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error
 
 
-def require_same_source(folder: Path, source: Repo | Url) -> None:
-    """Raise ``ConfigError`` for a folder downloaded from another source. Branches and tags are not compared."""
-    known = downloaded_from(folder)
-    if known is not None and not _is_from(known, source):
-        raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
+def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str], *, exact: bool = True) -> bool:
+    """Whether a folder holds whole splits of ``source``; no server is asked. A tag is taken for another revision.
 
-
-def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str]) -> bool:
-    """Whether a folder holds whole splits of ``source``; no server is asked."""
+    ``exact=False``: whatever there is of it must do; raises ``ConfigError`` for a folder of another source.
+    """
     known = downloaded_from(folder) if folder.is_dir() else None
-    exact = isinstance(source, Url) or source.is_pinned or source.revision == MAIN
-    if known is None or not exact or not _is_from(known, source) or (manifest := read_manifest(folder)) is None:
+    name, _, revision = (known or "").rpartition("@")
+    if isinstance(source, Repo):
+        wanted, is_same = f"hf://datasets/{source.name}", not source.is_pinned or source.revision == revision
+        is_known = source.is_pinned or source.revision == MAIN
+    else:
+        wanted, is_same, is_known = source.url, True, True
+    if not exact:
+        if known is not None and not (name == wanted and is_same):
+            raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
+        return True
+    if not (name == wanted and is_same and is_known) or (manifest := read_manifest(folder)) is None:
         return False
-    records = [manifest.splits.get(split) for split in splits]
-    return all(
-        record is not None and all(_has(folder, tar) for tar in _tars(split, record))
-        for split, record in zip(splits, records, strict=True)
-    )
-
-
-def _is_from(known: str, source: Repo | Url) -> bool:
-    name, _, revision = known.rpartition("@")
-    if isinstance(source, Url):
-        return name == source.url
-    return name == f"hf://datasets/{source.name}" and not (source.is_pinned and source.revision != revision)
+    records = {split: manifest.splits.get(split) for split in splits}
+    return all(record and all(_has(folder, tar) for tar in _tars(split, record)) for split, record in records.items())
 
 
 def _index(store: RemoteStore, split: str, *, views: bool) -> SplitIndex:
