@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Wanted, place_for, run
+from gcd_dataset.making.run import Made, Wanted, make_shards, place_for, run
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
@@ -74,13 +75,11 @@ def convert(
         runs = []
         for split, tasks in groupby(wanted, key=lambda entry: entry[0].split):
             of_split = [positions[split][index] for _, left in tasks for index in left]
-            runs.append(
-                parallel_map_chunks(functools.partial(_convert, sources[split]), of_split, workers, chunk=CHUNK)
-            )
+            runs.append(parallel_map_chunks(partial(_convert, sources[split]), of_split, workers, chunk=CHUNK))
         return chain.from_iterable(runs)
 
     _retry_skipped(work)
-    return run(work, make, on_progress=on_progress)
+    return run(work, partial(make_shards, maker=make), on_progress=on_progress)
 
 
 def _retry_skipped(work: Work) -> None:

@@ -14,7 +14,7 @@ from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, re
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Maker, Wanted, place_for, run
+from gcd_dataset.making.run import Made, Maker, MakeShards, Wanted, make_shards, place_for, run
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import encode_sample
@@ -111,19 +111,20 @@ def _generate(
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine}
     options |= _as_json(config) | {"job": job and str(job), "name": named and named[0]}
     with contextlib.ExitStack() as opened:
+        make: MakeShards
         if engine == "ray":
             from gcd_dataset.making.ray import ray_cluster
 
             cluster = opened.enter_context(ray_cluster(config, workers))
-            config, make = cluster.config, cluster.make
+            config = cluster.config
+            make = partial(cluster.make_shards, keeps_all=named is not None)
         else:
             _require_devices(config)
-            make = partial(run, maker=maker_of(seed, config, workers, keeps_all=named is not None))
-        drapes_here = engine == "local" and config.stage == "drape"
-        devices = devices_of(config) if drapes_here else ()
+            make = partial(make_shards, maker=maker_of(seed, config, workers, keeps_all=named is not None))
+        devices = devices_of(config) if engine == "local" and config.stage == "drape" else ()
         logging = run_log(log, on_progress, options=options, recipe=recipe_of(config), devices=devices)
         on_progress = opened.enter_context(logging)
-        return make(work_of(out, splits, seed, config, named), job=job, on_progress=on_progress)
+        return run(work_of(out, splits, seed, config, named), make, job=job, on_progress=on_progress)
 
 
 def work_of(

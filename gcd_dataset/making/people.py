@@ -9,7 +9,7 @@ from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Wanted, begin, place_for, run
+from gcd_dataset.making.run import Made, Wanted, begin, make_shards, place_for, run
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
 from gcd_dataset.shards.layout import BODIES, TRAIN, mesh_name
@@ -55,7 +55,7 @@ def generate_people(
         begin(work)
         if not work.place.exists(mesh_name(TRAIN)):
             work.place.write(mesh_name(TRAIN), mesh_bytes(mesh))
-        return run(work, make, job=job, on_progress=on_progress)
+        return run(work, partial(make_shards, maker=make), job=job, on_progress=on_progress)
 
 
 def _make(bodies: str, seed: int, recipe: dict[str, str], indices: Sequence[int]) -> list[Made]:

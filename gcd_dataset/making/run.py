@@ -63,16 +63,17 @@ class Made(NamedTuple):
 
 Wanted = Sequence[tuple[Task, Sequence[int]]]
 """Tasks, each with the indices of its missing samples."""
+MakeShards = Callable[[Place, Sequence[Task]], Generator[Made, None, None]]
 Maker = Callable[[Wanted], Iterator[Made]]
 """Makes the missing samples of tasks, in order; its iterator is closed when the run stops."""
 
 
 def run(
-    work: Work, maker: Maker, *, job: Job | None = None, on_progress: ProgressCallback = ignore_progress
+    work: Work, make: MakeShards, *, job: Job | None = None, on_progress: ProgressCallback = ignore_progress
 ) -> Progress:
     """Make the missing shards of a data set, or of one job, then manifest and index if all shards are there.
 
-    Raises as ``begin``, ``make_shards`` and ``maker`` do.
+    ``make``: makes the shards of tasks, such as ``make_shards`` with a maker. Raises as ``begin`` and ``make`` do.
     """
     begin(work)
     tasks = list(work.tasks())
@@ -84,7 +85,7 @@ def run(
     count = sum(len(task.indices) for task in own)
     progress, pace = Progress(count, count - sum(len(left) for _, left in _wanted(work.place, missing))), Pace()
     on_progress(progress)
-    with closing(make_shards(work.place, missing, maker)) as samples:
+    with closing(make(work.place, missing)) as samples:
         for made in samples:
             progress = progress.with_made(made.rejects, made.outcome, made.fault)
             progress = pace.of(progress, sum_waits(made.waits, take_waits()))
