@@ -92,6 +92,8 @@ class Garments(Dataset[GarmentFields], ABC):
     """Whether items are read from storage, not generated: a thread then loads them as fast as worker processes."""
     endless = False
     """Whether indices beyond ``len()`` are valid: the following epochs, each in its own order."""
+    window: int | None = None
+    """Number of shards among which a random order moves freely (``shard_lengths``); ``None``: all."""
     garments_per_design = 1
     """Number of consecutive garments that share a design; fastest if one process makes them all."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import torch
+from gcd_dataset.shards.sample_cache import SampleCache
 from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
@@ -38,7 +39,6 @@ from gcd_dataset.shards.layout import (
     members_of,
     recipe_hash,
 )
-from gcd_dataset.shards.sample_cache import SampleCache
 
 __all__ = ["GeneratedGarments", "Stage"]
 

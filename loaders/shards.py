@@ -303,9 +303,8 @@ class _Part(NamedTuple):
 def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, ...]:
     """The fields to read from columns; fields that join views are joined from those of each view."""
     joint, field_of = joint_fields(members), {member: field for field, member in fields_of(members).items()}
-    return tuple(
-        dict.fromkeys(single for field in fields for single in map(field_of.get, joint.get(field, ())) or (field,))
-    )
+    singles = {field: tuple(field_of[member] for member in joint.get(field, ())) or (field,) for field in fields}
+    return tuple(dict.fromkeys(single for field in fields for single in singles[field]))
 
 
 def _absent(parts: Sequence[_Part]) -> dict[str, str]:

@@ -27,6 +27,7 @@ class _Pool:
     """Free buffers by size. Safe for threads and forks."""
 
     def __init__(self) -> None:
+        self._most_free = MOST_FREE  # the module's names are gone when the interpreter ends
         self._free: dict[int, list[np.ndarray]] = defaultdict(list)
         # Cached: making a ctypes type takes longer than reading a garment.
         self._kinds: dict[int, type[ctypes.Array]] = {}
@@ -48,7 +49,7 @@ class _Pool:
     def _take_back(self, key: int) -> None:
         _, memory = self._lent.pop(key)
         free = self._free[memory.size]
-        if (len(free) + 1) * memory.size <= MOST_FREE:
+        if (len(free) + 1) * memory.size <= self._most_free:
             free.append(memory)
 
 

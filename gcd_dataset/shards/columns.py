@@ -11,8 +11,6 @@ that are mapped stay readable, others are made again. Two processes that make on
 import contextlib
 import hashlib
 import mmap
-import os
-import shutil
 import struct
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,6 +24,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.cache import make_room, touch
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
@@ -33,7 +32,7 @@ from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import samples_in
 
-__all__ = ["Columns", "make_room", "value_of"]
+__all__ = ["Columns", "value_of"]
 
 HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
 MAGIC = b"gcdcol1\0"
@@ -140,8 +139,7 @@ class Columns:
             self._make(number, missing)
             with reading(path):
                 column = _open_column(path)
-        with contextlib.suppress(OSError):
-            os.utime(folder)  # used now
+        touch(folder)
         columns = self._open.setdefault(field, {})
         if len(columns) >= MOST_OPEN // 8:
             columns.pop(next(iter(list(columns))), None)
@@ -181,32 +179,6 @@ def value_of(field: str, rows: np.ndarray) -> Any:
     if field == MEASURES_FIELD:
         return {name: value for name, value in zip(MEASURES, rows.tolist(), strict=True) if value != MISSING_MEASURE}
     return DECODERS[field](rows.tobytes())
-
-
-def make_room(cache: Path, size: int, limit: int | None) -> None:
-    """Remove the shards of a cache that were used longest ago, until ``size`` more bytes fit into ``limit``."""
-    if limit is None:
-        return
-    with contextlib.suppress(FileNotFoundError):
-        used = {entry: _bytes_in(entry) for entry in Path(cache).iterdir() if entry.is_dir()}
-        total = sum(used.values()) + size
-        for folder in sorted(used, key=_last_use):
-            if total <= limit:
-                return
-            shutil.rmtree(folder, ignore_errors=True)
-            total -= used[folder]
-
-
-def _bytes_in(folder: Path) -> int:
-    with contextlib.suppress(FileNotFoundError):  # removed meanwhile
-        return sum(entry.stat().st_size for entry in folder.iterdir())
-    return 0
-
-
-def _last_use(folder: Path) -> float:
-    with contextlib.suppress(FileNotFoundError):
-        return folder.stat().st_mtime
-    return 0.0
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
