@@ -358,9 +358,8 @@ def _complete(
         if part.stat().st_size > size:
             os.truncate(part, 0)
         files.append(name, part, size, on_progress)
-        with part.open("rb") as file:
-            if hashlib.file_digest(file, "sha256").hexdigest() == sha256:
-                return
+        if sha256_of(part) == sha256:
+            return
         os.truncate(part, 0)
     part.unlink()
     raise RemoteError(
@@ -381,6 +380,12 @@ def _claimed(part: Path) -> Iterator[bool]:
         # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file. Raises ``OSError``."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def first_line(error: object) -> str:

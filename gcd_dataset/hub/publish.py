@@ -1,6 +1,5 @@
 """Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
-import hashlib
 import io
 import json
 import logging
@@ -17,7 +16,7 @@ from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
 from gcd_dataset.hub.download import tar_files, write_changed
-from gcd_dataset.hub.fetch import first_line
+from gcd_dataset.hub.fetch import first_line, sha256_of
 from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
@@ -140,7 +139,9 @@ def stage(
     release = Release(repo, manifest, settled, members, license, is_divided, hub, preview is not None)
     tars = {path.relative_to(folder).as_posix() for path in tar_files(folder)}
     listed = [MANIFEST, *map(index_name, parts), *([PREVIEW] if preview else []), *sorted(tars)]
-    described = croissant(release, {name: _size_and_hash(folder / name) for name in listed})
+    described = croissant(
+        release, {name: ((folder / name).stat().st_size, sha256_of(folder / name)) for name in listed}
+    )
     write_changed(folder / CARD, card(release).encode())
     write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
     return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in [CARD, CROISSANT, *listed]})
@@ -325,12 +326,6 @@ def _preview(folder: Path, split: str) -> bytes | None:
     output = io.BytesIO()
     parquet.write_table(pyarrow.Table.from_pylist(rows, schema), output)
     return output.getvalue()
-
-
-def _size_and_hash(path: Path) -> tuple[int, str]:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return file.tell(), digest
 
 
 @contextmanager

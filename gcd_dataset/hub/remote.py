@@ -116,7 +116,7 @@ def open_store(
         root = parsed.path
     elif root is None:
         return RemoteStore(parsed, remote)
-    elif not is_downloaded(folder := user_path(root), parsed, splits, exact=remote.allowed):
+    elif not is_downloaded(folder := user_path(root), parsed, splits, offline=not remote.allowed):
         download(parsed, folder, remote, splits=splits)
     store = FolderStore(root, cache_dir=remote.cache_dir)
     if (origin := downloaded_from(store.folder)) is not None:
@@ -275,7 +275,7 @@ def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], object])
     raise damaged
 
 
-def run_all(files: Files, task: Callable[[ShardRecord], object], shards: Iterable[ShardRecord]) -> None:
+def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
     """Run ``task`` for all shards, ``PARALLEL`` at a time; after an error stop the requests of ``files``."""
     with ThreadPoolExecutor(PARALLEL) as pool:
         jobs = [pool.submit(task, shard) for shard in shards]
