@@ -137,6 +137,7 @@ class RemoteStore(Store):
 
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
         self._asked, self._remote = source, remote
+        self._manifest: Manifest | None = None
         address = remote.repository(source) if isinstance(source, Repo) else source.url
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
         self._folder = remote.folder / "sets" / safe_name(f"{address.rpartition('/')[2]}-{digest}")
@@ -147,7 +148,7 @@ class RemoteStore(Store):
             self.revision = self._look_up()
             self.source = f"{source.url}@{self.revision}"
         self.files = remote.files(source)
-        self._manifest = self._cached(MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+        self.manifest()
 
     def location(self, name: str = "") -> str:
         return f"{self.source}/{name}" if name else str(self.source)
@@ -157,10 +158,12 @@ class RemoteStore(Store):
         return self._remote.folder / "shards"
 
     def manifest(self) -> Manifest:
+        if self._manifest is None:
+            self._manifest = self._cached(MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
         return self._manifest
 
     def index(self, split: str) -> SplitIndex:
-        splits, name = self._manifest.splits, index_name(split)
+        splits, name = self.manifest().splits, index_name(split)
         if split not in splits or not splits[split].count:
             available = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
             raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
@@ -223,7 +226,7 @@ class RemoteStore(Store):
         try:
             self._require_allowed(MANIFEST)
             # The Hub names the commit in the answer.
-            content, headers = _read(files, MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+            self._manifest, content, headers = _read(files, MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
             revision = hashlib.sha256(content).hexdigest()
             if isinstance(self._asked, Repo) and COMMIT.fullmatch(revision := headers.get("X-Repo-Commit", "")) is None:
                 raise RemoteError(f"{self._asked}: {ascii(revision)[:80]} is not a commit of the Hub: check endpoint")
@@ -248,9 +251,9 @@ class RemoteStore(Store):
         with contextlib.suppress(OSError, ShardError):
             return parse(path.read_bytes())
         self._require_allowed(name)
-        content, _ = _read(self.files, name, limit, parse)
+        parsed, content, _ = _read(self.files, name, limit, parse)
         _write_cache(path, content)
-        return parse(content)
+        return parsed
 
     def _require_allowed(self, name: str) -> None:
         """Raise ``RemoteError`` if servers may not be contacted; ``name``: the file that is missing in the cache."""
@@ -262,17 +265,14 @@ class RemoteStore(Store):
             raise RemoteError(f"{self._asked}: {name} is not in the cache, and HF_HUB_OFFLINE is set: unset it")
 
 
-def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], object]) -> tuple[bytes, Mapping[str, str]]:
-    """A small file and the headers of the answer; a damaged one is asked for again once."""
-    for _ in range(2):
+def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> tuple[T, bytes, Mapping[str, str]]:
+    """A small file, parsed and as received, and the headers of the answer; a damaged one is asked for again once."""
+    content, headers = files.read(name, limit=limit)
+    try:
+        return parse(content), content, headers
+    except ShardError:
         content, headers = files.read(name, limit=limit)
-        try:
-            parse(content)
-        except ShardError as error:
-            damaged = error
-        else:
-            return content, headers
-    raise damaged
+        return parse(content), content, headers
 
 
 def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
