@@ -5,20 +5,20 @@ download.json                      source and revision of the data set
 train.index, manifest.json         written last
 """
 
-import contextlib
 import hashlib
 import json
-import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.hub.fetch import fetch
+from gcd_dataset.hub.fetch import fetch, sha256_of
 from gcd_dataset.hub.remote import Remote, RemoteStore, run_all
 from gcd_dataset.hub.source import MAIN, Repo, Url
 from gcd_dataset.shards.access import locked, read_limited, reading, writing
@@ -28,16 +28,10 @@ from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 
-__all__ = ["DOWNLOAD_FILE", "download", "downloaded_from", "is_downloaded", "require_same_source"]
-
 DOWNLOAD_FILE = "download.json"
-TAR = re.compile(r"(?:views/)?(?P<split>.+)-\d{5,}\.tar")
 
 
-@dataclass(frozen=True)
-class _Tar:
-    """A tar to download."""
-
+class _Tar(NamedTuple):
     name: str
     size: int
     sha256: str
@@ -54,20 +48,20 @@ def download(
 ) -> Manifest:
     """Download ``splits``, by default all, into ``folder`` as a data set, with or without pictures; its manifest.
 
-    Every tar is verified by its SHA-256. Where the data set at a URL has grown since, the changed tars are downloaded.
+    Every tar is verified by its SHA-256, those in the folder too: a second call downloads changed and damaged ones.
     ``on_progress`` is called with the bytes received, and the bytes in total. Raises ``RemoteError`` for a server that
     fails for longer than the patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for
     one that cannot be written.
     """
     store = RemoteStore(source, remote or Remote())
-    indices = [_index(store, split, views=views) for split in splits or store.manifest().splits]
-    chosen = {split: index.record for split, index in zip(splits or store.manifest().splits, indices, strict=True)}
+    indices = {split: _index(store, split, views=views) for split in splits or store.manifest().splits}
+    chosen = {split: index.record for split, index in indices.items()}
     with locked(make_folder(folder) / ".download.lock", "downloading", wait=True):
         manifest = _begin(folder, store, chosen)
         tars = [tar for split, record in chosen.items() for tar in _tars(split, record)]
         _download_tars(folder, store, tars, on_progress)
         _remove_unlisted(folder, {split: store.manifest().splits[split] for split in chosen})
-        for split, index in zip(chosen, indices, strict=True):
+        for split, index in indices.items():
             write_changed(folder / index_name(split), index.to_bytes())
         write_changed(folder / MANIFEST, manifest.to_bytes())
     return manifest
@@ -85,31 +79,23 @@ def downloaded_from(folder: Path) -> str | None:
         raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error
 
 
-def require_same_source(folder: Path, source: Repo | Url) -> None:
-    """Raise ``ConfigError`` for a folder downloaded from another source. Branches and tags are not compared."""
-    known = downloaded_from(folder)
-    if known is not None and not _is_from(known, source):
-        raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
+def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str], *, offline: bool = False) -> bool:
+    """Whether a folder holds whole splits of ``source``; no server is asked, which alone knows the commit of a tag.
 
-
-def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str]) -> bool:
-    """Whether a folder holds whole splits of ``source``; no server is asked."""
+    ``offline``: what there is must do. Raises ``ConfigError`` for a folder of another source.
+    """
     known = downloaded_from(folder) if folder.is_dir() else None
-    exact = isinstance(source, Url) or source.is_pinned or source.revision == MAIN
-    if known is None or not exact or not _is_from(known, source) or (manifest := read_manifest(folder)) is None:
-        return False
-    records = [manifest.splits.get(split) for split in splits]
-    return all(
-        record is not None and all(_has(folder, tar) for tar in _tars(split, record))
-        for split, record in zip(splits, records, strict=True)
-    )
-
-
-def _is_from(known: str, source: Repo | Url) -> bool:
-    name, _, revision = known.rpartition("@")
-    if isinstance(source, Url):
-        return name == source.url
-    return name == f"hf://datasets/{source.name}" and not (source.is_pinned and source.revision != revision)
+    name = (known or "").rpartition("@")[0]
+    is_pinned = isinstance(source, Repo) and source.is_pinned
+    is_tag = isinstance(source, Repo) and not is_pinned and source.revision != MAIN
+    address = f"hf://datasets/{source.name}" if isinstance(source, Repo) else source.url
+    is_same = name == address and (not is_pinned or str(source) == known)
+    if offline and known and not is_same:
+        raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
+    if offline or not is_same or is_tag or (manifest := read_manifest(folder)) is None:
+        return offline
+    records = {split: manifest.splits.get(split) for split in splits}
+    return all(record and all(_has(folder, tar) for tar in _tars(split, record)) for split, record in records.items())
 
 
 def _index(store: RemoteStore, split: str, *, views: bool) -> SplitIndex:
@@ -127,40 +113,29 @@ def _index(store: RemoteStore, split: str, *, views: bool) -> SplitIndex:
 def _begin(folder: Path, store: RemoteStore, chosen: Mapping[str, SplitRecord]) -> Manifest:
     """Prepare the folder for the splits; the manifest that it gets. Raises ``ConfigError`` for another data set."""
     source, published, known = str(store.source), store.manifest(), downloaded_from(folder)
-    local = read_manifest(folder) or Manifest()
-    if known is None:
-        if local.splits or tar_files(folder):
-            raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
-    elif known != source and (known.rpartition("@")[0] != source.rpartition("@")[0] or source.startswith("hf://")):
-        raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder, or that revision")
-    for split, record in local.splits.items():
-        if known != source and (split not in published.splits or not _continues(record, published.splits[split])):
-            raise ConfigError(
-                f"{folder}: holds {known}; the URL now has another data set, with another seed, recipe or split than "
-                f"{split}: choose another folder"
-            )
+    local = (read_manifest(folder) or Manifest()).splits
+    if known is None and (local or tar_files(folder)):
+        raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
+    if known != source:
+        if known and (known.rpartition("@")[0] != source.rpartition("@")[0] or source.startswith("hf://")):
+            raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder, or that revision")
+        for split, record in local.items():
+            if split not in published.splits:
+                raise ConfigError(f"{folder}: holds {known}; the URL has no split {split} now: choose another folder")
+            record.plan.require_same(published.splits[split].plan, folder)
+        with writing(folder / MANIFEST):
+            (folder / MANIFEST).unlink(missing_ok=True)  # written anew at the end
+        write_whole(folder / DOWNLOAD_FILE, (json.dumps({"source": source}) + "\n").encode())
     kept = {
         split: replace(record, plan=published.splits[split].plan)
-        for split, record in local.splits.items()
+        for split, record in local.items()
         if known == source or record.shards == published.splits[split].shards
     }
     splits = dict(sorted({**kept, **chosen}.items()))
     if splits.keys() < published.splits.keys() and not any(map(published.missing, published.splits)):
-        count = sum(record.count + record.skipped for record in splits.values())
+        count = sum(record.count + record.skipped for record in splits.values())  # so that they are not unfinished
         splits = {split: replace(record, plan=replace(record.plan, count=count)) for split, record in splits.items()}
-    if known != source:
-        with writing(folder / MANIFEST):
-            (folder / MANIFEST).unlink(missing_ok=True)  # written anew at the end
-        write_whole(folder / DOWNLOAD_FILE, (json.dumps({"source": source}) + "\n").encode())
     return replace(published, splits=splits)
-
-
-def _continues(record: SplitRecord, later: SplitRecord) -> bool:
-    """Whether ``later`` may be the same split, grown: of the same recipe."""
-    with contextlib.suppress(ConfigError):
-        record.plan.require_same(later.plan, "")
-        return True
-    return False
 
 
 def _tars(split: str, record: SplitRecord) -> Iterator[_Tar]:
@@ -173,45 +148,27 @@ def _tars(split: str, record: SplitRecord) -> Iterator[_Tar]:
 def _download_tars(
     folder: Path, store: RemoteStore, tars: Sequence[_Tar], on_progress: Callable[[int, int], None]
 ) -> None:
-    listed = {
-        tar for split, record in (read_manifest(folder) or Manifest()).splits.items() for tar in _tars(split, record)
-    }
-    missing = [tar for tar in tars if not _holds(folder, tar, listed)]
+    """Download the tars that are missing or damaged."""
+    received = {tar.name: tar.size if _has(folder, tar) else 0 for tar in tars}
     total = sum(tar.size for tar in tars)
-    received = {tar.name: tar.size for tar in tars} | {tar.name: 0 for tar in missing}
     begun = sum(path.stat().st_size for path in folder.rglob(".*.tar.part"))
-    if (needed := sum(tar.size for tar in missing) - begun) > (free := shutil.disk_usage(folder).free):
-        raise OutputError(
-            f"{folder}: {needed} bytes are needed, and {free} are free: make room, or choose another disk"
-        )
+    if (needed := total - sum(received.values()) - begun) > (free := shutil.disk_usage(folder).free):
+        raise OutputError(f"{folder}: {needed} bytes are needed, and {free} are free: make room, or choose another one")
 
     def report(tar: _Tar, size: int) -> None:
         received[tar.name] = size
         on_progress(sum(received.values()), total)
 
     def download_tar(tar: _Tar) -> None:
-        fetch(
-            store.files, tar.name, folder / tar.name, tar.size, tar.sha256, on_progress=lambda size: report(tar, size)
-        )
+        path = folder / tar.name
+        with writing(path):
+            if path.exists() and not (_has(folder, tar) and sha256_of(path) == tar.sha256):
+                path.unlink()
+        fetch(store.files, tar.name, path, tar.size, tar.sha256, on_progress=partial(report, tar))
+        report(tar, tar.size)
 
     on_progress(sum(received.values()), total)
-    run_all(store.files, download_tar, missing)
-
-
-def _holds(folder: Path, tar: _Tar, listed: set[_Tar]) -> bool:
-    """Whether a tar is in the folder; removes another one of its name. One that no manifest lists is hashed."""
-    path = folder / tar.name
-    with writing(path):
-        if not path.exists():
-            return False
-        if _has(folder, tar):
-            if tar in listed:
-                return True
-            with path.open("rb") as file:
-                if hashlib.file_digest(file, "sha256").hexdigest() == tar.sha256:
-                    return True
-        path.unlink()
-    return False
+    run_all(store.files, download_tar, tars)
 
 
 def _has(folder: Path, tar: _Tar) -> bool:
@@ -223,14 +180,13 @@ def _remove_unlisted(folder: Path, records: Mapping[str, SplitRecord]) -> None:
     """Remove tars that are no longer part of the splits; readers of the folder would find them."""
     names = {tar.name for split, record in records.items() for tar in _tars(split, record)}
     for path in tar_files(folder):
-        name = path.relative_to(folder).as_posix()
-        match = TAR.fullmatch(name)
-        if match is not None and match["split"] in records and name not in names:
+        if path.name.rpartition("-")[0] in records and path.relative_to(folder).as_posix() not in names:
             with writing(path):
                 path.unlink()
 
 
 def tar_files(folder: Path) -> list[Path]:
+    """The tars in a folder, those of the pictures included. Raises ``ShardError``."""
     with reading(folder):
         return [*folder.glob("*.tar"), *folder.glob("views/*.tar")]
 

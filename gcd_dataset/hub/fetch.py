@@ -24,8 +24,6 @@ from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import writing
 
-__all__ = ["PATIENCE", "Files", "fetch", "first_line"]
-
 Headers = Mapping[str, str]
 Take = Callable[[bytes], None]
 """Called with the bytes of a file in order."""
@@ -130,7 +128,11 @@ class Files:
             before, begun = offset, time.monotonic()
             try:
                 rest = span._replace(start=offset)
-                return _from_web(rest, counted, self._headers()) if _is_web(self.url) else _from_store(rest, counted)
+                return (
+                    _from_web(rest, counted, self._headers())
+                    if self.url.startswith(WEB)
+                    else _from_store(rest, counted)
+                )
             except Passing as error:
                 if offset - before >= LITTLE:
                     attempts, progress = 0, time.monotonic()
@@ -142,8 +144,8 @@ class Files:
         left = progress + self.patience - time.monotonic()
         if left <= 0:
             raise RemoteError(
-                f"{span.address}: {error}, after {attempts} attempt{'s' * (attempts > 1)} in {self.patience:.0f} s: try "
-                "again later, or with more patience (--patience, patience=); received data are kept"
+                f"{span.address}: {error}, {attempts} times in {self.patience:.0f} s: try again later, or with more "
+                "patience (--patience, patience=); received data are kept"
             )
         log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
         until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
@@ -157,10 +159,6 @@ class Files:
 
 
 # ---------------------------------------------------------------------------------------------------------- web servers
-
-
-def _is_web(url: str) -> bool:
-    return url.startswith(WEB)
 
 
 def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
@@ -360,9 +358,8 @@ def _complete(
         if part.stat().st_size > size:
             os.truncate(part, 0)
         files.append(name, part, size, on_progress)
-        with part.open("rb") as file:
-            if hashlib.file_digest(file, "sha256").hexdigest() == sha256:
-                return
+        if sha256_of(part) == sha256:
+            return
         os.truncate(part, 0)
     part.unlink()
     raise RemoteError(
@@ -383,6 +380,12 @@ def _claimed(part: Path) -> Iterator[bool]:
         # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file. Raises ``OSError``."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def first_line(error: object) -> str:

@@ -15,8 +15,6 @@ from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["DESIGN", "SHARES", "families", "leaks", "parse_shares", "partition"]
-
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Split to its share of the garments, close to GarmentCodeData's official split."""
 

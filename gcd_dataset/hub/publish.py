@@ -1,6 +1,5 @@
 """Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
-import hashlib
 import io
 import json
 import logging
@@ -17,7 +16,7 @@ from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
 from gcd_dataset.hub.download import tar_files, write_changed
-from gcd_dataset.hub.fetch import first_line
+from gcd_dataset.hub.fetch import first_line, sha256_of
 from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
@@ -32,11 +31,8 @@ from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.tar import END
 from gcd_dataset.shards.writer import shard_size_of
 
-__all__ = ["Published", "Staged", "publish", "stage", "upload"]
-
 CARD, CROISSANT = "README.md", "croissant.json"
-CLIENTS = ("httpx2", "httpx", "requests")  # HTTP libraries of huggingface_hub 2, 1 and 0.36
-ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
+CLIENTS = ("httpx2", "httpx")  # HTTP libraries of huggingface_hub 2 and 1
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
 REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
@@ -143,7 +139,9 @@ def stage(
     release = Release(repo, manifest, settled, members, license, is_divided, hub, preview is not None)
     tars = {path.relative_to(folder).as_posix() for path in tar_files(folder)}
     listed = [MANIFEST, *map(index_name, parts), *([PREVIEW] if preview else []), *sorted(tars)]
-    described = croissant(release, {name: _size_and_hash(folder / name) for name in listed})
+    described = croissant(
+        release, {name: ((folder / name).stat().st_size, sha256_of(folder / name)) for name in listed}
+    )
     write_changed(folder / CARD, card(release).encode())
     write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
     return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in [CARD, CROISSANT, *listed]})
@@ -154,14 +152,12 @@ def upload(
 ) -> str:
     """Upload a staged folder to the Hub, creating the repository if needed; the commit's hash.
 
-    New tars are sent first, by the upload of large folders; the last commit replaces changed files and the manifest,
-    so readers see either the previous version or the whole new one. Raises ``RemoteError`` if the Hub does not answer,
-    or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub`` cannot publish to.
+    New tars are sent first, by the upload of large folders; the last commit replaces changed files and the manifest:
+    readers see the previous version or the new one. Raises ``RemoteError`` if the Hub does not answer, or refuses.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api, name = HfApi(endpoint=hub_endpoint(endpoint), token=token), _repo_name(repo)
-    _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         present = api.list_repo_files(name, repo_type="dataset")
@@ -174,9 +170,6 @@ def upload(
         message = f"{staged.garments} garments"
         commit = api.create_commit(name, operations, repo_type="dataset", commit_message=message)
     return str(commit.oid)
-
-
-# ------------------------------------------------------------------------------------------------------------- staging
 
 
 def _repo_name(repo: str) -> str:
@@ -335,48 +328,16 @@ def _preview(folder: Path, split: str) -> bytes | None:
     return output.getvalue()
 
 
-def _size_and_hash(path: Path) -> tuple[int, str]:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return file.tell(), digest
-
-
-# -------------------------------------------------------------------------------------------------------------- upload
-
-
 @contextmanager
 def _asking_hub(repo: str) -> Iterator[None]:
     """Turn errors of ``huggingface_hub`` into ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
-    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
-
-    def errors(*names: str) -> tuple[type[Exception], ...]:
-        return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
-
+    clients = [sys.modules[name].HTTPError for name in CLIENTS if name in sys.modules]
     try:
         yield
-    except (ConnectionError, *errors("TransportError", "ConnectionError", "ReadTimeout")) as error:
-        raise _publish_error(repo, error, "check the network and HF_ENDPOINT") from error
-    # huggingface_hub raises RuntimeError or ValueError for a failed upload.
-    except (HfHubHTTPError, RuntimeError, ValueError, *errors("HTTPError", "RequestException")) as error:
-        raise _publish_error(repo, error, "check the token (hf auth login) and your rights") from error
-
-
-def _publish_error(repo: str, error: Exception, remedy: str) -> RemoteError:
-    return RemoteError(
-        f"{repo}: cannot be published ({first_line(error)}): {remedy}, then run it again: uploaded files are not sent "
-        "again"
-    )
-
-
-def _require_endpoint(endpoint: str) -> None:
-    """Raise ``ConfigError`` for an endpoint other than ``HF_ENDPOINT`` where huggingface_hub cannot publish to it."""
-    import huggingface_hub
-
-    major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
-    if (major, minor) < ANY_ENDPOINT and endpoint != huggingface_hub.constants.ENDPOINT:
-        raise ConfigError(
-            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT only: set "
-            f"it, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
-        )
+    except (HfHubHTTPError, OSError, RuntimeError, ValueError, *clients) as error:
+        raise RemoteError(
+            f"{repo}: cannot be published ({first_line(error)}): check the network, HF_ENDPOINT, the token (hf auth "
+            "login) and your rights, then run it again: uploaded files are not sent again"
+        ) from error

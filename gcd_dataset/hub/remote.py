@@ -26,7 +26,6 @@ from gcd_dataset.errors import (
     RemoteError,
     ShardError,
     did_you_mean,
-    shown,
 )
 from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.hub.fetch import WEB, Files, fetch
@@ -38,8 +37,6 @@ from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
 from gcd_dataset.shards.store import Store
-
-__all__ = ["Remote", "RemoteStore", "hub_endpoint", "open_store", "run_all"]
 
 T = TypeVar("T")
 
@@ -79,15 +76,18 @@ class Remote:
         """The files of a source. Raises ``ConfigError`` for an option of the Hub with the URL of an object store."""
         patience = self.patience if patience is None else patience
         if isinstance(source, Repo):
-            url = f"{hub_endpoint(self.endpoint)}/datasets/{source.name}/resolve/{source.revision.replace('/', '%2F')}"
-            return Files(url, headers=partial(_hub_headers, self.token), patience=patience)
-        for name in ("endpoint", "token"):
-            if not source.url.startswith(WEB) and getattr(self, name) is not None:
-                raise ConfigError(
-                    f"{name} is for the Hub, not for {source}: set the variables of its store, such as "
-                    "AWS_ENDPOINT_URL and AWS_ACCESS_KEY_ID"
-                )
+            from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
+
+            headers = partial(build_hf_headers, token=self.token, library_name="gcd_dataset")
+            revision = source.revision.replace("/", "%2F")
+            return Files(f"{self.repository(source)}/resolve/{revision}", headers=headers, patience=patience)
+        if not source.url.startswith(WEB) and (self.endpoint, self.token) != (None, None):
+            raise ConfigError(f"endpoint and token are for the Hub, not for {source}: set the variables of its store")
         return Files(source.url, patience=patience)
+
+    def repository(self, source: Repo) -> str:
+        """The URL of a repository."""
+        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}"
 
 
 def hub_endpoint(endpoint: str | None) -> str:
@@ -95,12 +95,6 @@ def hub_endpoint(endpoint: str | None) -> str:
     from huggingface_hub import constants
 
     return (endpoint or constants.ENDPOINT).rstrip("/")
-
-
-def _hub_headers(token: str | None) -> Mapping[str, str]:
-    from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
-
-    return build_hf_headers(token=token, library_name="gcd_dataset")
 
 
 def open_store(
@@ -111,28 +105,23 @@ def open_store(
     Raises ``ConfigError`` for any other source, and for options that do not apply to it; ``ShardError`` for a folder
     whose download is incomplete; else as ``Store``.
     """
-    from gcd_dataset.hub.download import download, downloaded_from, is_downloaded, require_same_source
+    from gcd_dataset.hub.download import download, downloaded_from, is_downloaded
 
     remote = remote or Remote()
     parsed = parse_source(source, remote.revision)
-    if not isinstance(parsed, Folder) and root is None:
-        return RemoteStore(parsed, remote)
     if isinstance(parsed, Folder):
-        folder = parsed.path
-        given = {"root": root, **{name: getattr(remote, name) for name in ("endpoint", "token", "patience")}}
+        given = {"root": root, "endpoint": remote.endpoint, "token": remote.token, "patience": remote.patience}
         if named := [name for name, value in given.items() if value is not None]:
-            value = "" if named[0] == "token" else f"={given[named[0]]!r}"
-            raise ConfigError(f"{named[0]}{value} is for URLs and the Hub, and {parsed} is a folder: leave it out")
-    else:
-        folder = user_path(root or "")
-        if not remote.allowed:
-            require_same_source(folder, parsed)
-        elif not is_downloaded(folder, parsed, splits):
-            download(parsed, folder, remote, splits=splits)
-    store = FolderStore(folder, cache_dir=remote.cache_dir)
-    if (origin := downloaded_from(folder)) is not None:
-        if not (folder / MANIFEST).exists():
-            raise ShardError(f"{folder}: the download of {origin} is incomplete: run gcd download again")
+            raise ConfigError(f"{named[0]} is for URLs and the Hub, and {parsed} is a folder: leave it out")
+        root = parsed.path
+    elif root is None:
+        return RemoteStore(parsed, remote)
+    elif not is_downloaded(folder := user_path(root), parsed, splits, offline=not remote.allowed):
+        download(parsed, folder, remote, splits=splits)
+    store = FolderStore(root, cache_dir=remote.cache_dir)
+    if (origin := downloaded_from(store.folder)) is not None:
+        if not (store.folder / MANIFEST).exists():
+            raise ShardError(f"{store.folder}: the download of {origin} is incomplete: run gcd download again")
         store.source, store.remedy = origin, "delete it, and run gcd download again"
     return store
 
@@ -148,27 +137,33 @@ class RemoteStore(Store):
 
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
         self._asked, self._remote = source, remote
-        address = f"{hub_endpoint(remote.endpoint)}/{source.name}" if isinstance(source, Repo) else source.url
+        self._manifest: Manifest | None = None
+        address = remote.repository(source) if isinstance(source, Repo) else source.url
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
         self._folder = remote.folder / "sets" / safe_name(f"{address.rpartition('/')[2]}-{digest}")
-        self.revision = source.revision if isinstance(source, Repo) and source.is_pinned else self._look_up()
-        pinned = replace(source, revision=self.revision) if isinstance(source, Repo) else source
-        self.files = remote.files(pinned)
-        self.source = str(pinned) if isinstance(source, Repo) else f"{source.url}@{self.revision}"
-        self._manifest = self._cached(MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+        if isinstance(source, Repo):
+            source = replace(source, revision=source.revision if source.is_pinned else self._look_up())
+            self.revision, self.source = source.revision, str(source)
+        else:
+            self.revision = self._look_up()
+            self.source = f"{source.url}@{self.revision}"
+        self.files = remote.files(source)
+        self.manifest()
 
     def location(self, name: str = "") -> str:
-        return f"{self.source}/{shown(name)}" if name else str(self.source)
+        return f"{self.source}/{name}" if name else str(self.source)
 
     @property
     def cache(self) -> Path:
         return self._remote.folder / "shards"
 
     def manifest(self) -> Manifest:
+        if self._manifest is None:
+            self._manifest = self._cached(MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
         return self._manifest
 
     def index(self, split: str) -> SplitIndex:
-        splits, name = self._manifest.splits, index_name(split)
+        splits, name = self.manifest().splits, index_name(split)
         if split not in splits or not splits[split].count:
             available = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
             raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
@@ -229,9 +224,16 @@ class RemoteStore(Store):
         reference = self._folder / "refs" / safe_name(self._asked.revision if isinstance(self._asked, Repo) else "now")
         files = self._remote.files(self._asked, patience=0.0 if reference.exists() else None)
         try:
-            revision, content = self._ask_revision(files)
-        except (MissingError, RefusedError):
+            self._require_allowed(MANIFEST)
+            # The Hub names the commit in the answer.
+            self._manifest, content, headers = _read(files, MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+            revision = hashlib.sha256(content).hexdigest()
+            if isinstance(self._asked, Repo) and COMMIT.fullmatch(revision := headers.get("X-Repo-Commit", "")) is None:
+                raise RemoteError(f"{self._asked}: {ascii(revision)[:80]} is not a commit of the Hub: check endpoint")
+        except RefusedError:
             raise
+        except MissingError as error:
+            raise MissingError(f"{error}; a data set becomes visible when its upload is complete") from error
         except RemoteError as error:
             with contextlib.suppress(OSError, ValueError):
                 if re.fullmatch(r"[0-9a-f]{40,64}", known := reference.read_text()):
@@ -243,34 +245,15 @@ class RemoteStore(Store):
         _write_cache(self._folder / revision / MANIFEST, content)
         return revision
 
-    def _ask_revision(self, files: Files) -> tuple[str, bytes]:
-        """The current revision, and its manifest: they come in one answer."""
-        self._require_allowed(MANIFEST)
-        try:
-            content, headers = _read(files, MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
-        except MissingError as error:
-            hint = (
-                f"no local folder {self._asked.name} exists either"
-                if isinstance(self._asked, Repo)
-                else "a data set becomes visible when its upload is complete"
-            )
-            raise type(error)(f"{error}; {hint}") from error
-        if not isinstance(self._asked, Repo):
-            return hashlib.sha256(content).hexdigest(), content
-        commit = headers.get("X-Repo-Commit", "")
-        if COMMIT.fullmatch(commit) is None:
-            raise RemoteError(f"{self._asked}: {ascii(commit)[:80]} is not a commit of the Hub: check endpoint")
-        return commit, content
-
     def _cached(self, name: str, limit: int, parse: Callable[[bytes], T]) -> T:
         """A small file of this revision, from the cache; a missing or damaged one is fetched."""
         path = self._folder / self.revision / name
         with contextlib.suppress(OSError, ShardError):
             return parse(path.read_bytes())
         self._require_allowed(name)
-        content, _ = _read(self.files, name, limit, parse)
+        parsed, content, _ = _read(self.files, name, limit, parse)
         _write_cache(path, content)
-        return parse(content)
+        return parsed
 
     def _require_allowed(self, name: str) -> None:
         """Raise ``RemoteError`` if servers may not be contacted; ``name``: the file that is missing in the cache."""
@@ -282,20 +265,17 @@ class RemoteStore(Store):
             raise RemoteError(f"{self._asked}: {name} is not in the cache, and HF_HUB_OFFLINE is set: unset it")
 
 
-def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], object]) -> tuple[bytes, Mapping[str, str]]:
-    """A small file and the headers of the answer; a damaged one is asked for again once."""
-    for _ in range(2):
+def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> tuple[T, bytes, Mapping[str, str]]:
+    """A small file, parsed and as received, and the headers of the answer; a damaged one is asked for again once."""
+    content, headers = files.read(name, limit=limit)
+    try:
+        return parse(content), content, headers
+    except ShardError:
         content, headers = files.read(name, limit=limit)
-        try:
-            parse(content)
-        except ShardError as error:
-            damaged = error
-        else:
-            return content, headers
-    raise damaged
+        return parse(content), content, headers
 
 
-def run_all(files: Files, task: Callable[[ShardRecord], object], shards: Iterable[ShardRecord]) -> None:
+def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
     """Run ``task`` for all shards, ``PARALLEL`` at a time; after an error stop the requests of ``files``."""
     with ThreadPoolExecutor(PARALLEL) as pool:
         jobs = [pool.submit(task, shard) for shard in shards]

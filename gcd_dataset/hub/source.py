@@ -18,8 +18,6 @@ from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 
-__all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target"]
-
 MAIN = "main"
 WEB = ("http://", "https://")
 LOCAL = ("file://", "local://")

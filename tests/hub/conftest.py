@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import aiohttp  # noqa: F401 -- its import takes longer than the patience of these tests
 import pytest
 
 from gcd_dataset.hub import fetch
@@ -15,7 +16,7 @@ COUNT = 10
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Waits of milliseconds, and neither the user's token nor the user's cache."""
-    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.5)):
+    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.8)):
         monkeypatch.setattr(fetch, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)

@@ -65,14 +65,6 @@ def sample(index: int, *, design: int, body: int | None = None) -> Sample:
     return replace(made, design={"skirt": {"number": design}}, shape=shape, provenance=named)
 
 
-@pytest.fixture(autouse=True)
-def hf_endpoint(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Set ``HF_ENDPOINT``, the only server that an old ``huggingface_hub`` publishes to."""
-    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)
-    template = f"{hub.endpoint}/{{repo_id}}/resolve/{{revision}}/{{filename}}"
-    monkeypatch.setattr("huggingface_hub.constants.HUGGINGFACE_CO_URL_TEMPLATE", template)
-
-
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Forty designs, each on the neutral body and on a body of its own, as ``--bodies both`` makes them."""
@@ -322,16 +314,6 @@ def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
 
 
-def test_an_endpoint_unsupported_by_an_old_client_is_reported(
-    hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    message = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it, or install"
-    with pytest.raises(ConfigError, match=message):
-        upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
-
-
-@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="this client never retries")
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # the second attempt succeeds

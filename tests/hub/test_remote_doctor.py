@@ -4,8 +4,21 @@ from pathlib import Path
 
 import pytest
 
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import ShardWriter
 from gcd_dataset.verbs import doctor
+from tests.hub.conftest import COUNT
 from tests.hub.server import Hub
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten garments in three shards."""
+    path = tmp_path_factory.mktemp("garments")
+    with ShardWriter(path, seed=0, recipe={"stage": "drape"}, shard_size=4) as writer:
+        for number in range(COUNT):
+            writer.write(fake_sample(0, number))
+    return path
 
 
 @pytest.mark.parametrize("source", ["{}/files/garments", "org/garments"])

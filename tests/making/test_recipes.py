@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gcd_dataset.verbs.making import plan_garments, store_samples
+from gcd_dataset.verbs.recipes import LOCK, ensure_recipe, recipe_faults
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
@@ -19,8 +21,6 @@ from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
 from gcd_dataset.verbs import generate, generate_recipe
-from gcd_dataset.verbs.making import plan_garments, store_samples
-from gcd_dataset.verbs.recipes import LOCK, ensure_recipe, recipe_faults
 from tests.generator.test_recipes import TINY, written
 from tests.shards.folders import contents
 
