@@ -51,5 +51,6 @@ def forbidden(path: Path, mode: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """File name to hash of its content, hidden files included."""
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+    """Name of each file, hidden ones and those in folders included, to the hash of its content."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
