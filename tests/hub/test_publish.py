@@ -314,6 +314,16 @@ def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
 
 
+def test_an_endpoint_unsupported_by_an_old_client_is_reported(
+    hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
+    with pytest.raises(
+        ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it, or install"
+    ):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+
+
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # the second attempt succeeds
