@@ -212,7 +212,7 @@ def test_an_unfinished_run_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptur
     BodyDataset(tmp_path, partial=True)
     assert not caplog.messages
     BodyDataset(tmp_path)
-    words = "3 of 9 samples .*gcd generate .* --count 9 --seed 5 --stage body --bodies random"
+    words = "3 of 9 samples .*gcd generate .* --count 9 --seed 5 --bodies random --stage body"
     assert re.search(words, "".join(caplog.messages))
 
 
