@@ -114,6 +114,10 @@ class ShardReader:
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
         """As ``read``, for several samples; a remote store requests them in parallel."""
+        return self._read(positions, members, 0 if self._verify == "off" else MAIN | VIEWS)
+
+    def _read(self, positions: Iterable[int], members: Iterable[str], checks: int) -> Iterator[dict[str, memoryview]]:
+        """The members of samples; the tars in ``checks`` are checked where they are not yet."""
         wanted = dict.fromkeys(members)
         if lacking := [member for member in wanted if member not in self.layout.members]:
             raise ConfigError(
@@ -129,7 +133,7 @@ class ShardReader:
             found: dict[str, memoryview] = {}
             for _ in tars:
                 found |= self._members(row, next(parts))
-            if self._verify != "off" and mask & ~self._checked[row]:
+            if mask & checks & ~self._checked[row]:
                 self._check(row, found)
                 self._checked[row] |= mask
             yield {member: self._member(row, found, member) for member in wanted}
@@ -146,7 +150,7 @@ class ShardReader:
         """Check a whole sample, even if it was checked before. Raises ``ShardError``."""
         row = int(self._row[position])
         self._checked[row] = 0
-        next(self.read_many([position], self.layout.members))
+        next(self._read([position], self.layout.members, MAIN | VIEWS))
 
     def _chosen(self, *, settled_only: bool, quality: Quality | None) -> Int[np.ndarray, " n"]:
         rows, count = np.arange(len(self.index), dtype=np.int32), len(self.index)
