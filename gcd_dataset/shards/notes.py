@@ -270,8 +270,8 @@ def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan)
 
 def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
     """The record of a shard, from its files. Raises ``ShardError``."""
-    sizes = [hashed(file) for file in (path, views) if file is not None]
-    return ShardRecord(number, count, *(value for size in sizes for value in size))
+    of_views = (0, "") if views is None else hashed(views)
+    return ShardRecord(number, count, *hashed(path), *of_views)
 
 
 def hashed(path: Path) -> tuple[int, str]:
