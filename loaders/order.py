@@ -92,7 +92,7 @@ class WindowedPermutation:
     shard.
 
     >>> WindowedPermutation([2, 2, 2], 2, 7).many(range(6))
-    [5, 3, 4, 2, 1, 0]
+    [5, 4, 0, 1, 3, 2]
     """
 
     def __init__(self, lengths: Sequence[int], window: int, *key: int) -> None:

@@ -331,11 +331,6 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     if not (shards := shards_named(names)):
         raise ShardError(f"{place.location()}: no shards: give a folder made by gcd generate")
     notes = _notes(place, names, shards)
-    for note in notes[1:]:
-        try:
-            note.plan.require_same(notes[0].plan, place.location(note_name(note.split, note.record.number)))
-        except ConfigError as error:
-            raise ShardError(str(error)) from error
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):
         splits[split], indices[split] = _gathered_split(place, list(of_split))
@@ -381,6 +376,11 @@ def _with_count(note: Note, notes: Mapping[tuple[str, int], Note]) -> Note:
 
 def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, SplitIndex]:
     """Record and index of a split from its notes, by number."""
+    for note in notes[1:]:
+        try:
+            note.plan.require_same(notes[0].plan, place.location(note_name(note.split, note.record.number)))
+        except ConfigError as error:
+            raise ShardError(str(error)) from error
     filled = [note for note in notes if note.rows]
     for note in filled:
         if note.members != filled[0].members:

@@ -25,7 +25,7 @@ from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
 from gcd_dataset.records import Sample  # noqa: E402
 from gcd_dataset.verbs import ray_engine  # noqa: E402
 from gcd_dataset.verbs.making import generate  # noqa: E402
-from gcd_dataset.verbs.progress import Progress  # noqa: E402
+from gcd_dataset.making.progress import Progress  # noqa: E402
 from tests.test_cli import one_line, wait_for_bytes  # noqa: E402
 
 pytestmark = [

@@ -10,8 +10,8 @@ from typing import Any
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.making.progress import Progress
 from gcd_dataset.records import Sample
-from gcd_dataset.verbs.progress import Progress
 
 __all__ = ["COUNT", "CUFFED", "contents", "killed", "made_once"]
 

@@ -12,19 +12,18 @@ import h5py
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import outcome
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import ElasticSampler, GarmentDataset
+from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
-from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
-from gcd_dataset.shards.unfinished import unfinished
-from gcd_dataset.verbs import JobPart, Progress, export, generate, making, merge, storing
-from tests.verbs.real import contents, killed
+from gcd_dataset.shards import ShardReader, encode_sample
+from gcd_dataset.verbs import Job, Progress, export, generate
+from tests.making.real import contents, killed
 
 COUNT = 8
 KEPT = MakeConfig(
@@ -73,8 +72,7 @@ def made_before(samples: tuple[Sample, ...], monkeypatch: pytest.MonkeyPatch) ->
         assert config == KEPT
         return (finished(samples[index]) for index in indices)
 
-    monkeypatch.setattr(storing, "SHARD_SIZE", 3)
-    monkeypatch.setattr(making, "produce", made)
+    monkeypatch.setattr(garments, "produce", made)
 
 
 @pytest.fixture
@@ -110,8 +108,6 @@ def test_readers_cope_with_gaps(out: Path, failed: list[int], tmp_path: Path) ->
         train[f"gcd_{failed[0]:09d}"]
     assert sorted(ElasticSampler(train, seed=1)) == list(range(len(settled)))
     assert [train.recipe(position)["index"] for position in range(len(train))] == settled
-    streamed = GarmentDataset(out, streaming=True, fields=["meta"])
-    assert sorted(item["meta"]["index"] for item in streamed) == settled
     export(out, tmp_path / "train.h5")
     with h5py.File(tmp_path / "train.h5") as file:
         assert len(file.keys()) > 0
@@ -138,23 +134,20 @@ def test_counts_are_printed_by_split(
     assert f"train {COUNT - len(failed)}, failed {len(failed)}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("after", [1, 4, COUNT - 1])
-def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, after: int) -> None:
-    """With 3 samples in a shard and 2 bodies, a design and its rejects span two shards."""
-    url, spool = f"memory://bucket/{tmp_path.name}", tmp_path / "spool"
+def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    url = f"memory://bucket/{tmp_path.name}"
 
     def stop(progress: Progress) -> None:
-        if progress.made == after:
+        if progress.made == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool, on_progress=stop)
-    generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool)
-    generate(url, COUNT, seed=5, config=KEPT, spool=spool)  # the last shards grow
+        generate(url, COUNT, seed=5, config=KEPT, on_progress=stop)
+    generate(url, COUNT, seed=5, config=KEPT)
     store = fsspec.filesystem("memory")
-    there = {Path(name).name: store.cat_file(name) for name in store.find(f"/bucket/{tmp_path.name}")}
-    assert there == {path.name: path.read_bytes() for path in out.iterdir()}
-    assert len(GarmentDataset(url, "failed", cache_dir=tmp_path / "cache")) == len(GarmentDataset(out, "failed"))
+    root = f"/bucket/{tmp_path.name}/"
+    assert {name.removeprefix(root): store.cat_file(name) for name in store.find(root)} == contents(out)
 
 
 @pytest.mark.parametrize("after", [1, 4, COUNT])
@@ -166,38 +159,26 @@ def test_a_killed_run_goes_on_in_both_splits(after: int, out: Path, tmp_path: Pa
     assert contents(again) == contents(out)
 
 
-def test_a_run_that_was_stopped_leaves_both_splits_unfinished(tmp_path: Path) -> None:
-    def stop(progress: Any) -> None:
-        if progress.made == 6:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path, COUNT, seed=5, config=KEPT, on_progress=stop)
-    for split in ("train", "failed"):
-        assert f"6 of {COUNT} samples" in (unfinished(tmp_path, split) or "")
-    generate(tmp_path, COUNT, seed=5, config=KEPT)
-    assert unfinished(tmp_path, "train") is unfinished(tmp_path, "failed") is None
-
-
-@pytest.mark.parametrize("of", [2, 3, 9])
-def test_parts_of_both_splits_are_one_run(of: int, out: Path, failed: list[int], tmp_path: Path) -> None:
-    parts = tmp_path / "parts"
+@pytest.mark.parametrize("of", [2, 9])
+def test_jobs_of_both_splits_are_one_run(of: int, out: Path, tmp_path: Path) -> None:
     for number in reversed(range(of)):
-        generate(parts, COUNT, seed=5, config=KEPT, part=JobPart(number, of))
-    assert merge(parts) == {"train": COUNT - len(failed), "failed": len(failed)}
-    assert contents(parts) == contents(out)
+        generate(tmp_path / "jobs", COUNT, seed=5, config=KEPT, job=Job(number, of))
+    assert contents(tmp_path / "jobs") == contents(out)
 
 
-def test_an_older_set_with_failed_drapes_in_train_is_read(
-    tmp_path: Path, samples: tuple[Sample, ...], failed: list[int]
-) -> None:
-    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(KEPT), shard_size=3) as writer:
-        for sample in samples:
-            writer.write(sample)
-    assert len(GarmentDataset(tmp_path)) == COUNT
-    assert len(GarmentDataset(tmp_path, settled_only=True)) == COUNT - len(failed)
-    with pytest.raises(ConfigError, match=r"split train holds failed drapes, .* into split failed: .*another"):
-        generate(tmp_path, COUNT + 1, seed=5, config=KEPT)
+def test_a_set_grows_in_both_splits(out: Path, tmp_path: Path) -> None:
+    generate(tmp_path / "grown", 5, seed=5, config=KEPT)
+    assert generate(tmp_path / "grown", COUNT, seed=5, config=KEPT).made == COUNT - 5
+    assert contents(tmp_path / "grown") == contents(out)
+
+
+def test_notes_of_failed_drapes_are_made_again(out: Path) -> None:
+    before = contents(out)
+    for name in [name for name in before if name.startswith("failed-") and name.endswith(".json")]:
+        (out / name).unlink()
+    (out / "manifest.json").unlink()
+    generate(out, COUNT, seed=5, config=KEPT)
+    assert contents(out) == before
 
 
 def test_publishing_divides_train_and_keeps_failed(out: Path, failed: list[int], tmp_path: Path) -> None:
@@ -213,9 +194,8 @@ def test_publishing_divides_train_and_keeps_failed(out: Path, failed: list[int],
 def test_a_rejected_drape_is_reported_with_its_figures(
     tmp_path: Path, strict: None, monkeypatch: pytest.MonkeyPatch, failed: list[int]
 ) -> None:
-    monkeypatch.setattr(making, "produce", produce)
+    monkeypatch.setattr(garments, "produce", produce)
     design = failed[0] // 2
-    monkeypatch.setattr(storing, "SHARD_SIZE", 256)
     config = replace(KEPT, on_fail="retry", max_attempts=2)
     generate(tmp_path, 2 * design + 1, seed=5, config=config, workers=0)
     message = [json.loads(line) for line in (tmp_path / "rejects.jsonl").read_text().splitlines()]

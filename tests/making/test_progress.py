@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from gcd_dataset.cli.bar import postfix
-from gcd_dataset.verbs.progress import Pace, Progress
+from gcd_dataset.making.progress import Pace, Progress
 from gcd_dataset.waits import Wait, Waits
 
 
@@ -17,7 +17,7 @@ def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress
     pace, progress = Pace(lambda: clock.now), Progress(count, 0)
     for seconds, waits in steps:
         clock.now += seconds
-        progress = pace.of(progress.with_sample(), waits)
+        progress = pace.of(progress.with_made(), waits)
     assert len(pace._marks) <= 62  # for any number of samples
     return progress
 

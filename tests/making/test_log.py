@@ -13,10 +13,11 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.making import log
+from gcd_dataset.making.progress import Progress, ignore_progress
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.verbs import generate, generate_people, log
-from gcd_dataset.verbs.progress import Progress, ignore_progress
-from tests.verbs.real import contents
+from gcd_dataset.verbs import generate, generate_people
+from tests.making.real import contents
 
 FLAT = MakeConfig(stage="pattern")
 FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}
@@ -74,7 +75,7 @@ def test_the_last_line_holds_the_reason_why_a_run_ended(
         yield from ()
         raise error
 
-    monkeypatch.setattr("gcd_dataset.verbs.making.produce", broken)
+    monkeypatch.setattr("gcd_dataset.making.garments.produce", broken)
     with pytest.raises(type(error)):
         generate(tmp_path / "data", 1, config=FLAT, log=tmp_path / "run.jsonl")
     last = lines(tmp_path / "run.jsonl")[-1]
