@@ -68,13 +68,13 @@ def loads(text: str, *, decode: Callable[[str], Any] = json.loads) -> Any:
     return value
 
 
-def read_json(path: Path, kind: str, *, error: type[GcdError] = SpecError) -> Any:
-    """The parsed JSON of a file.
+def read_json(path: Path, kind: str, *, limit: int = LARGEST_JSON, error: type[GcdError] = SpecError) -> Any:
+    """The parsed JSON of a file of at most ``limit`` bytes.
 
     Raises ``error``, which asks for a ``kind``, if it is missing, broken, too large or recognised as another kind.
     """
     try:
-        content = read_whole(path, kind, limit=LARGEST_JSON, error=error)
+        content = read_whole(path, kind, limit=limit, error=error)
         return parse_json(content, source=str(path), error=error)
     except error as cause:
         if (other := other_kind(path)) is None:

@@ -52,6 +52,7 @@ NAMES = {
 """Role of a panel to words in its name."""
 TROUSERS = "pant"  # part of the names of GarmentCode's trouser panels and their cuffs
 BODICE = ("torso", "bodice", "top", "bust")  # parts of the names of panels that hang from the armpits
+LARGEST_SPEC = 4 << 20  # bytes, three seconds to read; published specifications have 60 kB
 NAMELESS = frozenset({"specification", "template", "prediction"})  # stems: the pattern is named after the folder
 
 
@@ -62,7 +63,7 @@ def read_pattern(path: Path | str) -> Pattern:
     by ``validate``, not here.
     """
     path = Path(path)
-    spec = read_json(path, "specification JSON")
+    spec = read_json(path, "specification JSON", limit=LARGEST_SPEC)
     return pattern_from_spec(spec, pattern_name(path), source=str(path))
 
 

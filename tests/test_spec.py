@@ -313,3 +313,10 @@ def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_pattern(tube(), tmp_path / "no folder" / "tube.json")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_megabytes_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large_specification.json"
+    path.write_bytes(b"{}" + b" " * (4 << 20))
+    with pytest.raises(SpecError, match="more than 4 MB"):
+        read_pattern(path)

@@ -45,6 +45,9 @@ def _add_export(verbs: Any) -> None:
     export.add_argument("what", nargs="+", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
+        "--plain", type=Path, metavar="OUT", help="one split as tars of .npy files, texts and pictures in a folder"
+    )
+    export.add_argument(
         "--layout",
         nargs=2,
         metavar=("published", "OUT"),
@@ -89,6 +92,7 @@ def _convert(options: argparse.Namespace) -> int:
 
 OPTIONS_OF = {
     "hdf5": ("split",),
+    "plain": ("split",),
     "layout": (),
     "glb": ("index", "split", "tile", "no_body", "endpoint"),
     "obj": ("index", "split", "tile", "no_body", "endpoint"),
@@ -98,6 +102,7 @@ OPTIONS_OF = {
     "pdf": ("index", "split", "seam_allowance", "paper", "endpoint"),
 }
 """Format to the options that it takes."""
+DATA_SETS = ("hdf5", "plain", "layout")
 PATTERN_FORMATS = ("dxf", "pdf")  # of a specification file; the others drape it
 
 
@@ -107,13 +112,13 @@ def _export(options: argparse.Namespace) -> int:
         raise ConfigError(f"give {', '.join(f'--{form}' for form in OPTIONS_OF)}: one of them")
     [form] = given
     options.sources, options.what = options.what, options.what[0]
-    is_data_set = form in ("hdf5", "layout") or not any(map(names_a_file, options.sources))
+    is_data_set = form in DATA_SETS or not any(map(names_a_file, options.sources))
     if is_data_set and len(options.sources) > 1:
         raise ConfigError(f"{len(options.sources)} inputs: give one data set, or specification files")
     for name in sorted({name for names in OPTIONS_OF.values() for name in names} - set(OPTIONS_OF[form])):
         if getattr(options, name) not in (None, False):
             raise ConfigError(_unused(name, form))
-    return _export_data_set(options, form) if form in ("hdf5", "layout") else _export_garment(options, form)
+    return _export_data_set(options, form) if form in DATA_SETS else _export_garment(options, form)
 
 
 def _unused(option: str, form: str) -> str:
@@ -192,13 +197,13 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
         raise ConfigError(f"--layout {options.layout[0]}: unknown layout: give published")
     from gcd_dataset.verbs import export
 
-    out = options.hdf5 if options.layout is None else Path(options.layout[1])
-    resumes = form != "hdf5"
+    out = options.hdf5 or options.plain or Path(options.layout[1])
+    resumes = form == "layout"
     again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
     with Bar("garment", options.quiet, verb="export", again=again) as bar:
         folder = require_folder(options.what)
-        bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
+        bar.run(partial(export, folder, out, "published" if form == "layout" else form, split=options.split))
     done = bar.progress
-    layout = "" if form == "hdf5" else " in the published layout"
+    layout = " in the published layout" if form == "layout" else ""
     print(f"{out}: {done.count} garments of {done.split}{layout}")
     return 0

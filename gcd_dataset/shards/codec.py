@@ -129,7 +129,7 @@ SECTIONS: Mapping[str, tuple[str, ...]] = {
     "faces": ("faces", "corners", "uv_vertex"),
     "panel_id": ("panel_id", "faces_of"),
     "box": ("box", "uv", "uv_vertex", "rows_of", "panels"),
-    "points": ("xyz", "normals"),
+    "points": ("points", "xyz", "normals"),
 }
 """Field to the sections of ``.z`` members that it is decoded from."""
 
@@ -142,7 +142,7 @@ MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, UV_POWER), "box": Coding(1
 ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
 CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
-STRIDE = 0x9E3779B1  # of ``spread``: near the golden ratio of 2³²
+STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
@@ -255,7 +255,9 @@ def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
     if not np.array_equal(_panel_id(arrays), mesh.panel_id):
         arrays["panel_id"] = mesh.panel_id
     stored = {**arrays, "uv": np.rint(mesh.uv / UV_STEP) * UV_STEP, "panels": tensor.panels}
-    if (np.diff(owner) < 0).any() or not (np.abs(_box(stored) - mesh.vertices) <= LARGEST_ERROR).all():
+    derived = _box(stored)
+    is_derived = len(derived) == vertices and (np.diff(owner) >= 0).all()
+    if not (is_derived and (np.abs(derived - mesh.vertices) <= LARGEST_ERROR).all()):
         arrays["box"] = mesh.vertices
     return arrays
 
@@ -287,12 +289,12 @@ def _points(points: Float32[np.ndarray, "n 6"] | None) -> bytes:
 def spread(count: int) -> Int[np.ndarray, " n"]:
     """The order of the points of an item: rows of ``points.z``, in steps that visit all of them, far apart.
 
-    The step is the first number from ``STRIDE`` mod n on that has no factor in common with n.
+    The step is the first number from n · ``STRIDE`` / 2³² on that has no factor in common with n.
 
     >>> spread(7).tolist()
-    [0, 5, 3, 1, 6, 4, 2]
+    [0, 4, 1, 5, 2, 6, 3]
     """
-    step = STRIDE % count if count else 0
+    step = count * STRIDE >> 32
     while math.gcd(step, count) > 1:
         step += 1
     return np.arange(count, dtype=np.int64) * step % max(count, 1)
@@ -369,8 +371,9 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     ``pattern.z`` too. Raises ``ConfigError`` for an unknown field, ``ShardError`` with the
     member's name for invalid content.
     """
-    available = fields_of(member for member in members if not member.startswith("__"))  # webdataset adds __key__
-    return _decoded(members, select_fields(fields, available))
+    names = [member for member in members if not member.startswith("__")]  # webdataset adds __key__
+    joint = () if fields is None else joint_fields(names)
+    return _decoded(members, select_fields(fields, (*fields_of(names), *joint)))
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
@@ -419,7 +422,7 @@ def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
 def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
-    for member in members_of(field for field in fields if field in SECTIONS):
+    for member in members_of([field for field in fields if field in SECTIONS]):
         with _reading(member):
             arrays |= unpack(members[member], sections)
     found = {}
@@ -442,19 +445,17 @@ def _reading(member: str) -> Iterator[None]:
 
 def _array(field: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """A field from its sections, its type and row shape checked. Raises ``ShardError``."""
-    for section in SECTIONS[field]:
-        if section not in arrays and section != field:
-            raise ShardError(f"section {section} is missing")
-        if section in WIDTHS and section in arrays:
-            _require_form(section, arrays[section])
     derive = DERIVED.get(field)
+    for section in SECTIONS[field] if derive and field not in arrays else (field,):
+        if section in arrays and section in WIDTHS:
+            _require_form(section, arrays[section])
+        elif section not in arrays and section != field:
+            raise ShardError(f"section {section} is missing")
     if field in arrays:
-        array = arrays[field]
-    elif derive is None:
+        return arrays[field]
+    if derive is None:
         raise ShardError(f"section {field} is missing")
-    else:
-        array = derive(arrays)
-    return array
+    return derive(arrays)
 
 
 def _require_form(section: str, array: np.ndarray) -> None:
@@ -481,6 +482,8 @@ def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
     uv, vertex, panels, counts = arrays["uv"], arrays["uv_vertex"], arrays["panels"], _counts("rows_of", arrays)
     if counts.sum() != len(uv) or len(vertex) != len(uv) or len(counts) > len(panels):
         raise ShardError(f"rows_of names {counts.sum()} rows of {len(counts)} panels; there are {len(uv)}")
+    if vertex.max(initial=-1) >= len(uv):
+        raise ShardError(f"uv_vertex holds row {vertex.max()}, and there are {len(uv)} rows of uv")
     spots, end = np.zeros((len(uv), 3)), 0
     for panel, count in zip(panels, counts.tolist(), strict=False):
         turn = Placement(panel[:3], panel[ANGLES]).matrix[:, :2]
@@ -492,7 +495,7 @@ def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
 
 def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " p"]:
     counts = arrays[section]
-    if counts.ndim != 1 or counts.dtype.kind not in "iu" or counts.sum() > LARGEST_SAMPLE:
+    if counts.ndim != 1 or counts.dtype.kind not in "iu" or 4 * counts.sum() > LARGEST_SAMPLE:
         raise ShardError(f"section {section}: {counts.dtype} of shape {counts.shape}, sum {counts.sum()}")
     return counts.astype(np.int64)
 

@@ -3,7 +3,7 @@
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
     download.json         of a downloaded data set: its source and its complete splits
     index-train.npz       offset, size and CRC-32 of each member of each sample
-    mesh-train.npz        bodies only: triangles and body parts of the common mesh
+    mesh-train.z          bodies only: triangles and body parts of the common mesh
     train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``; for bodies, ``BODIES``
 
 >>> member_name(12, "verts.npy"), shard_name("train", 3)
@@ -242,7 +242,7 @@ def index_name(split: str) -> str:
 
 def mesh_name(split: str) -> str:
     """The file name of the common mesh of the bodies of a split."""
-    return f"mesh-{require_name(split, 'split')}.npz"
+    return f"mesh-{require_name(split, 'split')}.z"
 
 
 def lock_name(split: str) -> str:

@@ -114,10 +114,11 @@ class ShardReader:
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
         """As ``read``, for several samples; a remote store requests them in parallel."""
-        return self._read(positions, members, 0 if self._verify == "off" else MAIN | VIEWS)
+        return self._read_many(positions, members, check=self._verify != "off")
 
-    def _read(self, positions: Iterable[int], members: Iterable[str], checks: int) -> Iterator[dict[str, memoryview]]:
-        """The members of samples; the tars in ``checks`` are checked where they are not yet."""
+    def _read_many(
+        self, positions: Iterable[int], members: Iterable[str], *, check: bool
+    ) -> Iterator[dict[str, memoryview]]:
         wanted = dict.fromkeys(members)
         if lacking := [member for member in wanted if member not in self.layout.members]:
             raise ConfigError(
@@ -131,7 +132,7 @@ class ShardReader:
             found: dict[str, memoryview] = {}
             for _ in tars:
                 found |= self._members(row, next(parts))
-            if mask & checks & ~self._checked[row]:
+            if check and mask & ~self._checked[row]:
                 self._check(row, found)
                 self._checked[row] |= mask
             yield {member: self._member(row, found, member) for member in wanted}
@@ -148,7 +149,7 @@ class ShardReader:
         """Check a whole sample, even if it was checked before. Raises ``ShardError``."""
         row = int(self._row[position])
         self._checked[row] = 0
-        next(self._read([position], self.layout.members, MAIN | VIEWS))
+        next(self._read_many([position], self.layout.members, check=True))
 
     def _chosen(self, *, settled_only: bool, quality: Quality | None) -> Int[np.ndarray, " n"]:
         rows, count = np.arange(len(self.index), dtype=np.int32), len(self.index)
@@ -164,7 +165,7 @@ class ShardReader:
         """Raise ``ShardError`` where ``option`` has left no sample, with the reason."""
         if len(rows):
             return
-        if not self.index.grade.any():
+        if not self.index.outcome.any():
             stage = self.record.plan.recipe.get("stage")
             fault += f": they {f'end with stage {stage}' if stage else 'have no drapes'}, and only drapes settle and "
             fault += "have a grade"

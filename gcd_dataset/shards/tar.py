@@ -1,21 +1,21 @@
 """USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.layout import MOST_VIEWS, Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
 __all__ = [
     "BLOCK",
     "END",
+    "CheckedTar",
     "TarMember",
     "padded",
     "require_header",
     "samples_in",
-    "stream_samples",
     "tar_entries",
     "tar_entry",
 ]
@@ -25,6 +25,8 @@ END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
+MOST_MEMBERS = 2 * MOST_VIEWS + 32  # of a sample
+ENDLESS = 1 << 62  # a position behind any archive
 CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
@@ -116,48 +118,41 @@ def _require_zeros(file: int, position: int, end: int) -> None:
         position += len(chunk)
 
 
-def stream_samples(
-    file: BinaryIO, wanted: Container[str], *, begin: int = 0
-) -> Iterator[tuple[str, dict[str, bytearray]]]:
-    """Key and wanted members of each sample of one of our archives, read from byte ``begin`` on.
+class CheckedTar:
+    """An archive of unknown origin, for other readers: raises ``ShardError`` before they see a harmful header.
 
-    ``file`` is positioned at ``begin``. Raises ``ShardError`` for a damaged header, a member that is cut off or too
-    large, and a duplicate member or sample.
+    Allowed are plain files with USTAR headers, up to ``LARGEST_SAMPLE`` bytes each and ``MOST_MEMBERS`` a sample: no
+    sparse files, no extended headers, no links, no compression. ``file`` is at the first byte of a header.
     """
-    key, members, names, past_keys, position = "", dict[str, bytearray](), set[str](), set[str](), begin
-    while (header := file.read(BLOCK)) not in (b"", bytes(BLOCK)):
-        name, size = _parse(header, position)
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._position, self._next, self._rest = file, 0, 0, b""
+        self._key, self._names = "", set[str]()  # of the sample that is being read
+
+    def read(self, size: int) -> bytes:
+        """The next ``size`` bytes, fewer at the end of the file."""
+        data = self._file.read(size)
+        content, begin = self._rest + data, self._position - len(self._rest)
+        self._position += len(data)
+        while self._next + BLOCK <= self._position:
+            header = content[self._next - begin : self._next - begin + BLOCK]
+            self._next = ENDLESS if header == bytes(BLOCK) else self._next + self._checked(header)
+        self._rest = content[max(self._next - begin, 0) :]
+        return data
+
+    def _checked(self, header: bytes) -> int:
+        """The size of a member and its header, in whole blocks."""
+        name, size = _parse(header, self._next)
         if size > LARGEST_SAMPLE:
             raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
-        next_key, _, member = name.partition(".")
-        if next_key != key:
-            if key:
-                yield key, members
-            past_keys.add(key)
-            key, members, names = next_key, {}, set()
-        if member in names or key in past_keys:
-            raise ShardError(f"member {shown(name)} occurs twice, again at byte {position}")
-        names.add(member)
-        content = _read_content(file, size, member in wanted, name)
-        if member in wanted:
-            members[member] = content
-        position += BLOCK + padded(size)
-    if key:
-        yield key, members
-
-
-def _read_content(file: BinaryIO, size: int, is_wanted: bool, name: str) -> bytearray:
-    """The content of the next member; empty for a skipped one. Raises ``ShardError``."""
-    if not is_wanted and file.seekable():
-        file.seek(padded(size), os.SEEK_CUR)
-        return bytearray()
-    content, got = bytearray(padded(size)), 0
-    while got < len(content) and (count := file.readinto(memoryview(content)[got:])):  # type: ignore[attr-defined]
-        got += count
-    if got < size:
-        raise ShardError(f"member {shown(name)} is cut off: only {got} of its {size} bytes are present")
-    del content[size:]
-    return content
+        if (key := name.partition(".")[0]) != self._key:
+            self._key, self._names = key, set()
+        if name in self._names:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {self._next}")
+        self._names.add(name)
+        if len(self._names) > MOST_MEMBERS:
+            raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
+        return BLOCK + padded(size)
 
 
 def _signed(header: bytes) -> bytes:
@@ -183,7 +178,7 @@ def _parse(header: bytes, position: int) -> tuple[str, int]:
         name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:
         raise ShardError(f"tar header of another program at byte {position}") from error
-    if size < 0:
+    if size < 0 or header[135] != 0:  # other readers would take it for a twelfth digit
         raise ShardError(f"tar header of another program at byte {position}")
     if header[KIND] != PLAIN:
         raise ShardError(f"member {name} at byte {position} is not a plain file")

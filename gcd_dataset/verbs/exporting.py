@@ -1,6 +1,6 @@
-"""Exporting a data set to other formats: HDF5, or the published folder layout."""
+"""Exporting a data set to other formats: HDF5, plain tars, or the published folder layout."""
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -9,7 +9,7 @@ from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progr
 
 __all__ = ["Form", "export"]
 
-Form = Literal["hdf5", "published"]
+Form = Literal["hdf5", "plain", "published"]
 HDF5 = (".h5", ".hdf5")
 
 
@@ -23,33 +23,35 @@ def export(
 ) -> Progress:
     """Export a folder of shards to ``out``.
 
-    ``hdf5``: one split, by default ``train``, as one file. ``published``: train, validation and test in the folders of
-    GarmentCodeData; ``out`` is created if missing, and a stopped export is resumed. Raises ``ConfigError`` for an
-    unknown form or split, ``ShardError`` for a data set that cannot be read, ``OutputError`` if ``out`` cannot be
-    written.
+    ``hdf5``: one split, by default ``train``, as one file. ``plain``: one split as tars of ``.npy`` files, texts and
+    pictures in the folder ``out``. ``published``: train, validation and test in the folders of GarmentCodeData; ``out``
+    is created if missing, and a stopped export is resumed. Raises ``ConfigError`` for an unknown form or split,
+    ``ShardError`` for a data set that cannot be read, ``OutputError`` if ``out`` cannot be written.
     """
     if form not in get_args(Form):
         known = get_args(Form)
         raise ConfigError(f"no form {form}: choose from {', '.join(known)}{did_you_mean(form, known)}")
-    exporters: dict[Form, Callable[[Path, Path, str | None, ProgressCallback], Progress]] = {
-        "hdf5": _to_hdf5,
-        "published": _to_published,
-    }
-    return exporters[form](Path(dataset), Path(out), split, on_progress)
+    export = _to_published if form == "published" else partial(_split, form)
+    return export(Path(dataset), Path(out), split, on_progress)
 
 
-def _to_hdf5(folder: Path, out: Path, split: str | None, on_progress: ProgressCallback) -> Progress:
+def _split(form: Form, folder: Path, out: Path, split: str | None, on_progress: ProgressCallback) -> Progress:
+    """Export a split as HDF5, or as plain tars."""
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.hdf5 import write_hdf5
+    from gcd_dataset.shards.plain import write_plain
 
-    if out.resolve().is_relative_to(folder.resolve()) and out.suffix not in HDF5:
+    is_inside = out.resolve().is_relative_to(folder.resolve()) and out.suffix not in HDF5
+    if form == "hdf5" and is_inside:
         raise ConfigError(
             f"{out}: in the folder of the data set itself: end its name in {HDF5[0]}, or choose another folder"
         )
+    if form == "plain" and is_inside:
+        raise ConfigError(f"{out}: in the folder of the data set itself: choose another folder")
     reader = ShardReader(folder, "train" if split is None else split)
     progress = Progress(len(reader), 0, split=reader.split)
     on_progress(progress)
-    for _ in write_hdf5(reader, out):
+    for _ in write_hdf5(reader, out) if form == "hdf5" else write_plain(reader, out):
         progress = progress.with_made()
         on_progress(progress)
     return progress
@@ -60,7 +62,8 @@ def _to_published(folder: Path, out: Path, split: str | None, on_progress: Progr
 
     if split is not None:
         raise ConfigError(
-            "split is for hdf5: the published layout takes train, validation and test, and lists them in its split file"
+            "split is for hdf5 and plain: the published layout takes train, validation and test, and lists them in its "
+            "split file"
         )
     readers = exported_splits(folder)
     progress = Progress(sum(map(len, readers.values())), 0, split=", ".join(readers))

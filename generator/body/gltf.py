@@ -12,7 +12,7 @@ __all__ = ["require_readable"]
 
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-MAX_NODES = 10_000  # a rigged figure has some hundred
+MAX_NODES = 2_000  # a rigged figure has some hundred
 MAX_STEPS = 10_000_000  # of placing the meshes: trimesh takes the cube of a mesh's depth in the tree of nodes
 MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
 REMEDY = "export the mesh again"
@@ -39,6 +39,8 @@ def require_readable(content: bytes, path: Path) -> None:
     used_meshes = [node["mesh"] for node in parts["nodes"] if "mesh" in node]
     if not all(type(mesh) is int and 0 <= mesh < len(corners) for mesh in used_meshes):
         raise BodyError(f"{path}: a node refers to a missing mesh: {REMEDY}")
+    if (pieces := sum(len(_primitives(parts["meshes"][mesh])) for mesh in used_meshes)) > MAX_NODES:
+        raise BodyError(f"{path}: {pieces} pieces of meshes, more than {MAX_NODES}: export one mesh")
     if sum(corners[mesh] for mesh in used_meshes) > MAX_CORNERS:
         raise BodyError(f"{path}: more than {MAX_CORNERS // 3} triangles: decimate the mesh")
 
@@ -71,11 +73,15 @@ def _require_tree(nodes: Sequence[Mapping[str, Any]], path: Path) -> None:
         raise BodyError(f"{path}: its meshes lie below too many nodes: export one mesh")
 
 
+def _primitives(mesh: Mapping[str, Any]) -> Sequence[Any]:
+    primitives = mesh.get("primitives", [])
+    return primitives if isinstance(primitives, list) else []
+
+
 def _corners(mesh: Mapping[str, Any], counts: Sequence[int]) -> int:
     """Number of triangle corners of a mesh."""
     total = 0
-    primitives = mesh.get("primitives", [])
-    for primitive in primitives if isinstance(primitives, list) else []:
+    for primitive in _primitives(mesh):
         if isinstance(primitive, dict):
             attributes = primitive.get("attributes")
             number = primitive.get("indices", attributes.get("POSITION") if isinstance(attributes, dict) else None)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gcd_dataset.shards.unfinished import filling
 from torch.utils.data import ConcatDataset, DataLoader
 
 from gcd_dataset.bodies import BodyMesh
@@ -21,7 +22,6 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
 from gcd_dataset.shards import BODIES, BodyWriter
-from gcd_dataset.shards.unfinished import filling
 from tests.shards.people import MESH, fake_person, fill, publish, segmentation
 
 COUNT = 3
