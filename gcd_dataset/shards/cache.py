@@ -32,8 +32,10 @@ _added: dict[Path, int] = {}
 
 
 def default_cache(cache_dir: Path | str | None) -> Path:
-    """The folder of the cache, by default ``~/.cache/gcd_dataset``; that of the shards is ``shards`` in it."""
-    return Path.home() / ".cache" / "gcd_dataset" if cache_dir is None else user_path(cache_dir)
+    """The folder of the cache, by default ``$GCD_CACHE`` or ``~/.cache/gcd_dataset``; its shards are in ``shards``."""
+    if cache_dir is None and not (cache_dir := os.environ.get("GCD_CACHE")):
+        return Path.home() / ".cache" / "gcd_dataset"
+    return user_path(cache_dir)
 
 
 def size_in_bytes(size: int | str | None) -> int | None:

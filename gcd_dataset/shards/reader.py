@@ -114,22 +114,25 @@ class ShardReader:
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
         """As ``read``, for several samples; a remote store requests them in parallel."""
+        return self._read_many(positions, members, check=self._verify != "off")
+
+    def _read_many(
+        self, positions: Iterable[int], members: Iterable[str], *, check: bool
+    ) -> Iterator[dict[str, memoryview]]:
         wanted = dict.fromkeys(members)
         if lacking := [member for member in wanted if member not in self.layout.members]:
             raise ConfigError(
                 f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
             )
-        views = any(map(is_picture, wanted))
-        main = views and not all(map(is_picture, wanted))
         rows = self.rows(positions).tolist()
-        tars = [tar for tar, is_wanted in ((False, main or not views), (True, views)) if is_wanted]
+        tars = [tar for tar in (False, True) if any(is_picture(member) is tar for member in wanted)]
         mask = sum(VIEWS if tar else MAIN for tar in tars)
         parts = iter(self.store.parts(self.split, [(*self._span(row, tar), tar) for row in rows for tar in tars]))
         for row in rows:
             found: dict[str, memoryview] = {}
             for _ in tars:
                 found |= self._members(row, next(parts))
-            if self._verify != "off" and mask & ~self._checked[row]:
+            if check and mask & ~self._checked[row]:
                 self._check(row, found)
                 self._checked[row] |= mask
             yield {member: self._member(row, found, member) for member in wanted}
@@ -146,7 +149,7 @@ class ShardReader:
         """Check a whole sample, even if it was checked before. Raises ``ShardError``."""
         row = int(self._row[position])
         self._checked[row] = 0
-        next(self.read_many([position], self.layout.members))
+        next(self._read_many([position], self.layout.members, check=True))
 
     def _chosen(self, *, settled_only: bool, quality: Quality | None) -> Int[np.ndarray, " n"]:
         rows, count = np.arange(len(self.index), dtype=np.int32), len(self.index)
@@ -162,7 +165,7 @@ class ShardReader:
         """Raise ``ShardError`` where ``option`` has left no sample, with the reason."""
         if len(rows):
             return
-        if not self.index.grade.any():
+        if not self.index.outcome.any():
             stage = self.record.plan.recipe.get("stage")
             fault += f": they {f'end with stage {stage}' if stage else 'have no drapes'}, and only drapes settle and "
             fault += "have a grade"

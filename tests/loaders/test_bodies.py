@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gcd_dataset.shards.unfinished import filling
 from torch.utils.data import ConcatDataset, DataLoader
 
 from gcd_dataset.bodies import POSES, BodyMesh
@@ -19,7 +20,11 @@ from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
+<<<<<<< HEAD
 from gcd_dataset.shards import BodyWriter
+=======
+from gcd_dataset.shards import BODIES, BodyWriter
+>>>>>>> making
 from tests.shards.people import MESH, fake_person, fill, publish, segmentation
 
 COUNT = 3

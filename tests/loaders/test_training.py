@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, IterableDataset, Subset
 
-from gcd_dataset.errors import ConfigError, ShardError, TransformError
+from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders import (
     Augmented,
     ElasticSampler,

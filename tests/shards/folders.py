@@ -15,9 +15,9 @@ SHARD_SIZE = 4
 
 
 def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
-    """Write samples to a folder with one writer."""
+    """Write samples to a new folder."""
     with open_writer(folder, seed=seed) as writer:
-        for index in indices:
+        for index in sorted(indices):
             writer.write(fake_sample(seed, index))
     return folder
 
@@ -51,6 +51,11 @@ def forbidden(path: Path, mode: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, str]:
+<<<<<<< HEAD
     """Name of each file, hidden ones and those in folders included, to the hash of its content."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+=======
+    """Path to hash of the content of every file, hidden ones included."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+>>>>>>> making
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

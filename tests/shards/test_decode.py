@@ -133,6 +133,6 @@ def test_the_examples_of_the_documentation_run(tmp_path: Path) -> None:
     assert len(blocks) == 2
     for block in blocks:
         done = subprocess.run(
-            [sys.executable, "-c", block], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True
+            [sys.executable, "-c", block], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False
         )
-        assert done.stdout.count("gcd_0000000") == 20
+        assert done.stdout.count("gcd_0000000") == 20, done.stderr
