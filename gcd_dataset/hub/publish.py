@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import groupby
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
@@ -171,7 +170,7 @@ def upload(
             )
         rest = [CommitOperationAdd(path, staged.folder / path) for path in staged.files if path not in new]
         stale = [path for path in present if REPLACED.fullmatch(path) and path not in staged.files]
-        operations = [*rest, *map(CommitOperationDelete, stale)]
+        operations: list[CommitOperationAdd | CommitOperationDelete] = [*rest, *map(CommitOperationDelete, stale)]
         message = f"{staged.garments} garments"
         commit = api.create_commit(name, operations, repo_type="dataset", commit_message=message)
     return str(commit.oid)
@@ -236,10 +235,10 @@ def _parts(
             parts[name] = _Part(readers[divided], numbered)
     for split, reader in readers.items():
         if split != divided:
-            shards = reader.index.shard.tolist()
-            grouped = groupby(range(len(reader)), key=lambda position, shards=shards: shards[position])
-            numbered = {reader.record.shards[shard].number: list(own) for shard, own in grouped}
-            parts[HUB_NAMES.get(split, split)] = _Part(reader, numbered)
+            shards: dict[int, list[int]] = {}
+            for position, shard in enumerate(reader.index.shard.tolist()):
+                shards.setdefault(reader.record.shards[shard].number, []).append(position)
+            parts[HUB_NAMES.get(split, split)] = _Part(reader, shards)
     return parts
 
 
