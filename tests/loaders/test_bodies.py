@@ -20,11 +20,7 @@ from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
-<<<<<<< HEAD
 from gcd_dataset.shards import BodyWriter
-=======
-from gcd_dataset.shards import BODIES, BodyWriter
->>>>>>> making
 from tests.shards.people import MESH, fake_person, fill, publish, segmentation
 
 COUNT = 3

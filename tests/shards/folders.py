@@ -51,11 +51,6 @@ def forbidden(path: Path, mode: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-<<<<<<< HEAD
-    """Name of each file, hidden ones and those in folders included, to the hash of its content."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-=======
     """Path to hash of the content of every file, hidden ones included."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
->>>>>>> making
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
