@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from gcd_dataset.shards.unfinished import filling
 from torch.utils.data import ConcatDataset, DataLoader
 
 from gcd_dataset.bodies import POSES, BodyMesh
