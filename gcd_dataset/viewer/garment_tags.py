@@ -140,7 +140,7 @@ class GarmentTags:
         """Write to the cache; without room or permission there is none."""
         words = list(self._positions)
         parts = [self.positions(*word) for word in words]
-        content = {
+        content: dict[str, np.ndarray] = {
             "words": np.frombuffer(json.dumps(words).encode(), np.uint8),
             "counts": np.array([len(rows) for rows in parts], np.int32),
             "positions": np.concatenate([np.zeros(0, np.int64), *parts]).astype(np.int32),
