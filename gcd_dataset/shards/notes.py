@@ -17,6 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
+import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -104,7 +106,7 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
     position = 0
     try:
-        for key, members in samples_in(memoryview(read_file(path))):
+        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
@@ -113,6 +115,14 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
+
+
+def _mapped(path: Path) -> memoryview:
+    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
+    with reading(path), open_regular(path) as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 class Row(NamedTuple):

@@ -244,7 +244,7 @@ def test_a_member_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> N
     path = tmp_path / "train-00000.tar"
     path.write_bytes(header)
     os.truncate(path, 8**11 + 2048)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .* over the limit"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .* bytes of JSON, over the limit"):
         ShardReader(tmp_path)
 
 
