@@ -112,12 +112,12 @@ class SplitIndex:
             if missing := [name for name in names if name not in arrays]:
                 raise ShardError(f"section {missing[0]} is missing")
             index = cls(record, *(arrays[name] for name in names))
-            index._require_consistent()
+            index.require_consistent()
             return index
         except ShardError as error:
             raise ShardError(f"{path}: not the index of these shards ({error}): {remedy}") from error
 
-    def _require_consistent(self) -> None:
+    def require_consistent(self) -> None:
         """Raise ``ShardError`` unless all samples lie inside their shards, one after the other."""
         count, of_views = self.record.count, self.record.count if self.has_views else 0
         lengths = (count, count, of_views, count, count)

@@ -32,7 +32,7 @@ from gcd_dataset.files import open_regular
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.shards.access import REMEDY, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
@@ -250,20 +250,28 @@ class Note:
 
 def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
     """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
-    starts = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
-    rows, members = [], dict[str, None]()
+    pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
+    rows, members = [], tuple[str, ...]()
     for sample in stored_samples(path):
-        pictures = starts.get(sample.number)
-        content = sample.members | ({} if pictures is None else pictures.members)
-        members |= dict.fromkeys(content)
-        rows.append(row_of(plan, content, sample.start, None if pictures is None else pictures.start))
+        picture = pictures.get(sample.number)
+        content = sample.members | ({} if picture is None else picture.members)
+        try:
+            members = members or tuple(content)
+            if META not in content or tuple(content) != members:
+                other = sorted(set(content) ^ {META, *members}) or [META]
+                raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
+            if rows[-1].number != sample.number:
+                raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
+        except ShardError as error:
+            raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
     return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
 
 
 def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
     """The record of a shard, from its files. Raises ``ShardError``."""
-    sizes = [hashed(file) for file in (path, views) if file is not None]
-    return ShardRecord(number, count, *(value for size in sizes for value in size))
+    of_views = (0, "") if views is None else hashed(views)
+    return ShardRecord(number, count, *hashed(path), *of_views)
 
 
 def hashed(path: Path) -> tuple[int, str]:
@@ -407,5 +415,11 @@ def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, Split
         np.array([GRADES.index(row[3]) for row in rows], np.uint8),
         np.array([OUTCOMES.index(row[4]) for row in rows], np.uint8),
     )
+    try:
+        index.require_consistent()
+    except ShardError as error:
+        raise ShardError(
+            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}"
+        ) from error
     record = replace(record, index_sha256=hashlib.sha256(index.to_bytes()).hexdigest())
     return record, replace(index, record=record)

@@ -1,6 +1,6 @@
 """A cache of single samples, each a tar of its own, which any number of processes may fill and read.
 
-    00012/gcd_000012345.tar     all members of sample 12345, pictures included
+00012/gcd_000012345.tar     all members of sample 12345, pictures included
 """
 
 import contextlib

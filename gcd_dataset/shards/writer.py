@@ -51,11 +51,13 @@ DRAFT = re.compile(r"\..+-\d{5,}\.part")
 def shard_size_of(count: int, wearers: int = 1) -> int:
     """Samples of a shard in a split of ``count`` samples, in whole designs of ``wearers`` samples.
 
+    A split of 20 designs or more has 20 shards or more.
+
     >>> [shard_size_of(count) for count in (7, 100, 1000, 100_000)], shard_size_of(100, wearers=2)
-    ([1, 5, 32, 128], 6)
+    ([1, 5, 32, 128], 4)
     """
     size = 128 if count > LARGE else min(max(count // SHARDS, 1), MOST)
-    return -(-size // wearers) * wearers
+    return max(size // wearers, 1) * wearers
 
 
 def draft_name(split: str, number: int, *, views: bool = False) -> str:
