@@ -248,8 +248,11 @@ class Note:
             raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
 
 
-def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
-    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
+def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan | None) -> Note:
+    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``.
+
+    ``plan``: by default that of the first sample, as far as its ``meta.json`` tells.
+    """
     pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
     rows, members = [], tuple[str, ...]()
     for sample in stored_samples(path):
@@ -260,11 +263,16 @@ def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan)
             if META not in content or tuple(content) != members:
                 other = sorted(set(content) ^ {META, *members}) or [META]
                 raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            if plan is None:
+                kind = BODIES.kind if set(BODIES.members) == set(content) else GARMENTS.kind
+                plan = plan_of_sample(read_meta(content[META]), Plan(kind, 0, {}, 0, 1))
             rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
             if rows[-1].number != sample.number:
                 raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
         except ShardError as error:
             raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
+    if plan is None:
+        raise ShardError(f"{path}: no samples, and its note is lost: run gcd generate again")
     return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
 
 
@@ -282,21 +290,13 @@ def hashed(path: Path) -> tuple[int, str]:
 
 
 def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -> Note:
-    """The note of a shard; made again where it is lost. Raises ``ShardError``.
-
-    ``plan``: the plan of a lost note; by default that of the first sample, as far as its ``meta.json`` tells.
-    """
+    """The note of a shard; made again as by ``note_of`` where it is lost. Raises ``ShardError``."""
     name = note_name(split, number)
     if place.exists(name):
         return Note.from_bytes(next(place.read([name])), place.location(name))
     record = ShardRecord(number, 0, 0, "")
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
-    if plan is None:
-        if (first := next(stored_samples(path), None)) is None:
-            raise ShardError(f"{place.location(name)}: no such file: run gcd generate again")
-        kind = BODIES.kind if BODIES.members[-1] in first.members else GARMENTS.kind
-        plan = plan_of_sample(read_meta(first.members[META]), Plan(kind, 0, {}, 0, 1))
     return note_of(path, views, split, number, plan)
 
 
