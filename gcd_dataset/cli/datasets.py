@@ -180,9 +180,9 @@ def _publish(options: argparse.Namespace) -> int:
         endpoint=options.endpoint,
         on_staged=list_files,
     )
-    files = len(done.staged.files)
+    files = len(done.files)
     if done.commit is None:
-        print(f"{done.staged.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
+        print(f"{done.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
     else:
         print(f"{options.repo}@{done.commit}: {files} files uploaded")
     return 0
