@@ -51,6 +51,8 @@ class Staged:
     manifest: Manifest
     files: Mapping[str, int]
     """Path to size [bytes] of the files to upload."""
+    commit: str | None = None
+    """Commit of the repository once they are uploaded."""
 
     @property
     def garments(self) -> int:
@@ -58,22 +60,8 @@ class Staged:
         return sum(self.manifest.counts.values())
 
 
-@dataclass(frozen=True)
-class Published:
-    """The result of ``publish``: the staged files and the commit."""
-
-    staged: Staged
-    commit: str | None
-    """Commit of the repository; ``None`` for a dry run."""
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The samples of one published split, by shards."""
-
-    reader: ShardReader
-    shards: Mapping[int, Sequence[int]]
-    """Number of a shard to positions of its samples."""
+Part = tuple[ShardReader, dict[int, list[int]]]
+"""The samples of a published split: their reader, number of a shard to positions of its samples."""
 
 
 def publish(
@@ -89,7 +77,7 @@ def publish(
     endpoint: str | None = None,
     token: str | None = None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
-) -> Published:
+) -> Staged:
     """Upload a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
 
     ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
@@ -99,8 +87,9 @@ def publish(
     folder = Path(dataset) / "published" if out is None else Path(out)
     staged = stage(Path(dataset), repo, folder, shares=shares, license=license, endpoint=endpoint, partial=partial)
     on_staged(staged)
-    commit = None if dry_run else upload(staged, repo, endpoint=endpoint, token=token, private=private)
-    return Published(staged, commit)
+    if dry_run:
+        return staged
+    return replace(staged, commit=upload(staged, repo, endpoint=endpoint, token=token, private=private))
 
 
 def stage(
@@ -132,7 +121,7 @@ def stage(
     with locked(folder / ".staging.lock", "staging it"):
         manifest = _write_splits(folder, source, parts, shares if divided else None)
     settled = {name: int(ShardReader(folder, name).index.settled.sum()) for name in parts}
-    members, preview = next(iter(parts.values())).reader.layout.members, _preview(folder, next(iter(parts)))
+    members, preview = next(iter(parts.values()))[0].layout.members, _preview(folder, next(iter(parts)))
     if preview is not None:
         write_changed(folder / PREVIEW, preview)
     is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
@@ -223,22 +212,22 @@ def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
 
 def _parts(
     dataset: Path, readers: Mapping[str, ShardReader], divided: str | None, shares: Mapping[str, float]
-) -> dict[str, _Part]:
+) -> dict[str, Part]:
     """Published split to its samples: parts of the divided split, then the others shard by shard."""
-    parts = {}
+    parts: dict[str, Part] = {}
     if divided is not None:
         positions = partition(readers[divided], shares)
         _warn_of_empty_splits(dataset, shares, positions)
         for name, own in positions.items():
             size = shard_size_of(len(own))
             numbered = {number: own[number * size : (number + 1) * size] for number in range(-(-len(own) // size))}
-            parts[name] = _Part(readers[divided], numbered)
+            parts[name] = readers[divided], numbered
     for split, reader in readers.items():
         if split != divided:
             shards: dict[int, list[int]] = {}
             for position, shard in enumerate(reader.index.shard.tolist()):
                 shards.setdefault(reader.record.shards[shard].number, []).append(position)
-            parts[HUB_NAMES.get(split, split)] = _Part(reader, shards)
+            parts[HUB_NAMES.get(split, split)] = reader, shards
     return parts
 
 
@@ -255,19 +244,18 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
 
 
 def _write_splits(
-    folder: Path, source: Manifest, parts: Mapping[str, _Part], shares: Mapping[str, float] | None
+    folder: Path, source: Manifest, parts: Mapping[str, Part], shares: Mapping[str, float] | None
 ) -> Manifest:
     """Write the shards and indices of all splits, remove others, write the manifest; ``shares``: of divided splits."""
     place, names = FolderPlace(folder), set[str]()
     is_whole = not any(map(source.missing, source.splits))
-    garments = sum(len(own) for part in parts.values() for own in part.shards.values())
-    for name, part in parts.items():
-        plan = part.reader.record.plan
-        size = max(map(len, part.shards.values()))
+    garments = sum(len(own) for _, shards in parts.values() for own in shards.values())
+    for name, (reader, shards) in parts.items():
+        plan, size = reader.record.plan, max(map(len, shards.values()))
         recipe = dict(plan.recipe) if shares is None else {**plan.recipe, "part": {"of": dict(shares)}}
         plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
-        for number, positions in part.shards.items():
-            names |= _write_shard(folder, name, number, part.reader, positions, plan)
+        for number, positions in shards.items():
+            names |= _write_shard(folder, name, number, reader, positions, plan)
     for path in tar_files(folder):
         if path.relative_to(folder).as_posix() not in names:
             with writing(path):

@@ -135,7 +135,7 @@ class SplitIndex:
             raise ShardError("a value is out of range")
         if (np.diff(np.sort(self.number)) == 0).any():
             raise ShardError("a sample occurs twice")
-        if (self.start < 0).any() or (self.end <= self.start).any() or (self.views_end < self.views_start).any():
+        if (self.start < 0).any() or (self.end <= self.start).any() or (self.views_end <= self.views_start).any():
             raise ShardError("a sample beyond the end of its shard")
 
     def __reduce__(self) -> tuple[Any, ...]:

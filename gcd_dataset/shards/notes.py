@@ -17,6 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
+import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -106,7 +108,7 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
     position = 0
     try:
-        for key, members in samples_in(memoryview(read_file(path))):
+        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
@@ -115,6 +117,14 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
+
+
+def _mapped(path: Path) -> memoryview:
+    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
+    with reading(path), open_regular(path) as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 class Row(NamedTuple):
@@ -250,8 +260,11 @@ class Note:
             raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
 
 
-def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
-    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
+def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan | None) -> Note:
+    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``.
+
+    ``plan``: by default that of the first sample, as far as its ``meta.json`` tells.
+    """
     pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
     rows, members = [], tuple[str, ...]()
     for sample in stored_samples(path):
@@ -262,11 +275,16 @@ def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan)
             if META not in content or tuple(content) != members:
                 other = sorted(set(content) ^ {META, *members}) or [META]
                 raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            if plan is None:
+                kind = BODIES.kind if set(BODIES.members) == set(content) else GARMENTS.kind
+                plan = plan_of_sample(read_meta(content[META]), Plan(kind, 0, {}, 0, 1))
             rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
             if rows[-1].number != sample.number:
                 raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
         except ShardError as error:
             raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
+    if plan is None:
+        raise ShardError(f"{path}: no samples, and its note is lost: run gcd generate again")
     return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
 
 
@@ -284,10 +302,7 @@ def hashed(path: Path) -> tuple[int, str]:
 
 
 def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -> Note:
-    """The note of a shard; made again where it is lost. Raises ``ShardError``.
-
-    ``plan``: the plan of a lost note; by default that of the first sample, as far as its ``meta.json`` tells.
-    """
+    """The note of a shard; made again as by ``note_of`` where it is lost. Raises ``ShardError``."""
     name = note_name(split, number)
     if place.exists(name):
         return Note.from_bytes(next(place.read([name])), place.location(name))
@@ -299,10 +314,6 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
             head = file.read(BLOCK)
         if any(head) and KEY.match(head.decode("latin-1")) is None:
             raise ShardError(f"{place.location()}: {FOREIGN}")
-        if (first := next(stored_samples(path), None)) is None:
-            raise ShardError(f"{place.location(name)}: no such file: run gcd generate again")
-        kind = BODIES.kind if BODIES.members[-1] in first.members else GARMENTS.kind
-        plan = plan_of_sample(read_meta(first.members[META]), Plan(kind, 0, {}, 0, 1))
     return note_of(path, views, split, number, plan)
 
 

@@ -20,6 +20,7 @@ from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder
+from gcd_dataset.names import require_name
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.codec import encode_sample
@@ -296,7 +297,7 @@ class ShardWriter:
         shard_size: int | None = None,
         layout: Layout = GARMENTS,
     ) -> None:
-        self._place, self._split, self._count = FolderPlace(folder), split, count
+        self._place, self._split, self._count = FolderPlace(folder), require_name(split, "split"), count
         make_folder(self._place.folder)
         if any(name == split for name, _ in shards_named(self._place.names())):
             raise ConfigError(f"{self._place.location()}: holds split {split} already: choose another folder")

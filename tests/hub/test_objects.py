@@ -8,9 +8,10 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
 from gcd_dataset.hub import fetch
-from gcd_dataset.hub.download import DOWNLOAD_FILE, download
+from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote, RemoteStore
 from gcd_dataset.hub.source import Folder, Url, parse_source
+from gcd_dataset.shards.folder import DOWNLOAD_FILE
 from tests.hub.server import read_folder
 from tests.hub.sets import MEMBERS, PICTURES, sample
 from tests.hub.store import Fault, Store, running_store

@@ -302,8 +302,8 @@ def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
     done = publish(
         fill(tmp_path / "data", range(4)), "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=lines.append
     )
-    assert done.commit is None and lines == [done.staged] and not hub.log
-    assert done.staged.folder == tmp_path / "data" / "published"
+    assert done.commit is None and lines == [done] and not hub.log
+    assert done.folder == tmp_path / "data" / "published"
 
 
 def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
