@@ -133,8 +133,8 @@ class GeneratedGarments(Garments):
     def verify(self, index: int) -> None:
         """Make garment ``index`` again; raise ``ShardError`` unless it equals the cached one, or a second new one."""
         position = self._position(index)
-        before = None if self._sample_cache is None else self._sample_cache.read(position)
-        before, after = before or self._made(position), self._made(position)
+        cached = None if self._sample_cache is None else self._sample_cache.read(position)
+        before, after = cached or self._made(position), self._made(position)
         for member, data in after.items():
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")

@@ -6,24 +6,19 @@ import shlex
 import shutil
 import tarfile
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from gcd_dataset.shards.contents import warn_of_others
+from gcd_dataset.shards.unfinished import filling, unfinished
 
 from gcd_dataset.cli import main
-from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import View
 from gcd_dataset.shards import ShardWriter, read_index
-from gcd_dataset.shards.contents import warn_of_others
-from gcd_dataset.shards.layout import MEMBERS, Bytes, garments_layout
-from gcd_dataset.shards.unfinished import filling, unfinished
+from gcd_dataset.shards.layout import MEMBERS, Bytes
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
-from tests.hub.server import Hub, read_folder, running_hub
-from tests.loaders.test_shards import assert_all_same
+from tests.hub.server import Hub, running_hub
 from tests.shards import people
-from tests.shards.folders import fill, open_writer
+from tests.shards.folders import fill
 
 # Warnings inside ``huggingface_hub`` are not ours to fix.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -157,68 +152,6 @@ def hub() -> Iterator[Hub]:
         yield server
 
 
-def test_publish_and_download(
-    hub: Hub, data: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)  # as HF_ENDPOINT sets it
-    monkeypatch.setenv("HF_TOKEN", hub.token)
-    before = read_folder(data)
-    assert main(["publish", str(data), "me/garments", "--dry-run"]) == 0
-    assert "would be uploaded to me/garments; nothing was sent" in said(capsys)
-    assert not hub.log
-    assert main(["publish", str(data), "me/garments"]) == 0
-    commit = hub.repos["me/garments"].commits[-1][0]
-    assert f"me/garments@{commit}" in said(capsys)
-    assert {name: data for name, data in read_folder(data).items() if not name.startswith("published/")} == before
-
-    monkeypatch.chdir(tmp_path)
-    assert main(["download", "me/garments", "--quiet"]) == 0
-    splits = [split for split in ("train", "validation", "test") if (tmp_path / f"garments/index-{split}.npz").exists()]
-    assert sum(len(GarmentDataset("garments", split)) for split in splits) == 10
-    assert main(["verify", "garments", "--full"]) == 0
-    some = ["download", "me/garments", "--split", "train", "--fields", "panels,edges", "stitches", "--quiet"]
-    assert main([*some, "--out", "some"]) == 0
-    assert main(["verify", "some", "--full"]) == 0
-    assert GarmentDataset("some").fields == ("meta", "panels", "edges", "stitches")
-    assert_all_same(GarmentDataset("some", fields=["edges"]), GarmentDataset("garments", fields=["edges"]))
-    said(capsys)
-    assert main(["info", "me/garments"]) == 0
-    assert f"hf://datasets/me/garments@{commit}" in said(capsys)
-
-
-def test_captions_and_views_can_be_downloaded_alone(hub: Hub, tmp_path: Path) -> None:
-    picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
-    assert picture is not None
-    with ShardWriter(tmp_path / "data", seed=0, recipe={"fake": True}, layout=layout) as writer:
-        for index in range(3):
-            view = View(picture, {"fov": 40.0})
-            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=(view,)))
-    hub.publish("me/garments", tmp_path / "data")
-    options = ["--endpoint", hub.endpoint, "--quiet", "--out", str(tmp_path / "some")]
-    assert main(["download", "me/garments", "--fields", "caption,view_0", *options]) == 0
-    some = GarmentDataset(tmp_path / "some")
-    assert some.fields == ("meta", "caption", "view_0")
-    assert [item["caption"] for item in some] == ["skirt 0", "skirt 1", "skirt 2"]
-    assert main(["download", "me/garments", "--fields", "views", *options[:-1], str(tmp_path / "views")]) == 0
-    assert GarmentDataset(tmp_path / "views").fields == ("meta", "view_0")
-    assert GarmentDataset(tmp_path / "views", fields=["views"])[2]["views"].shape == (1, 16, 16, 3)
-
-
-def test_splits_that_share_designs_are_a_fault_also_without_bodies(
-    hub: Hub, data: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    with open_writer(data, split="test") as writer:
-        writer.write(fake_sample(0, 3))
-    hub.publish("me/garments", data)
-    some = str(tmp_path / "some")
-    options = ["--fields", "design", "--endpoint", hub.endpoint, "--quiet", "--out", some]
-    assert main(["download", "me/garments", *options]) == 0
-    said(capsys)
-    for folder in (str(data), some):
-        assert main(["verify", folder]) == 1
-        assert f"{folder}: test and train share 1 design: scores on one are biased" in said(capsys)
-
-
 def small(out: Path, count: int) -> list[str]:
     return ["generate", str(out), f"--count={count}", "--stage=pattern", "--quiet"]
 
@@ -279,22 +212,12 @@ def test_a_damaged_mark_still_reports_an_unfinished_data_set(data: Path, note: b
     assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its run was stopped")
 
 
-def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
-    hub.publish("me/garments", data)
-    pictures = [tmp_path / "here.png", tmp_path / "there.png"]
-    for what, png in zip([str(data), "me/garments"], pictures, strict=True):
-        assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
-    here, there = (png.read_bytes() for png in pictures)
-    assert here == there
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (["download", "me/nothing"], 1, "me/nothing"),
         (["download", "."], 2, "a local folder"),
         (["download", "one two"], 2, "neither a URL nor a repository"),
-        (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices: there are"),
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),
         (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "give per cent"),
         (["publish", "nowhere", "me/garments"], 1, "nowhere: no such folder"),

@@ -131,10 +131,11 @@ def summary_lines(out: str, *, counts: bool = True) -> Iterator[str]:
 def _download(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
-    from gcd_dataset.hub.download import download, downloaded_from
+    from gcd_dataset.hub.download import download
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
+    from gcd_dataset.shards.folder import downloaded_from
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):
@@ -179,9 +180,9 @@ def _publish(options: argparse.Namespace) -> int:
         endpoint=options.endpoint,
         on_staged=list_files,
     )
-    files = len(done.staged.files)
+    files = len(done.files)
     if done.commit is None:
-        print(f"{done.staged.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
+        print(f"{done.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
     else:
         print(f"{options.repo}@{done.commit}: {files} files uploaded")
     return 0

@@ -16,19 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcd_dataset.errors import ConfigError, OutputError, ShardError
+from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.fetch import fetch, sha256_of
 from gcd_dataset.hub.remote import Remote, RemoteStore, run_all
 from gcd_dataset.hub.source import MAIN, Repo, Url
-from gcd_dataset.shards.access import locked, read_limited, reading, writing
+from gcd_dataset.shards.access import locked, reading, writing
+from gcd_dataset.shards.folder import DOWNLOAD_FILE, downloaded_from
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import is_picture
-from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
-from gcd_dataset.shards.meta import decode_json
-
-DOWNLOAD_FILE = "download.json"
 
 
 class _Tar(NamedTuple):
@@ -65,18 +62,6 @@ def download(
             write_changed(folder / index_name(split), index.to_bytes())
         write_changed(folder / MANIFEST, manifest.to_bytes())
     return manifest
-
-
-def downloaded_from(folder: Path) -> str | None:
-    """Source and revision of a downloaded folder; ``None`` for another one. Raises ``ShardError``."""
-    path = folder / DOWNLOAD_FILE
-    with reading(path):
-        if not path.exists():
-            return None
-    try:
-        return str(decode_json(read_limited(path, LARGEST_JSON))["source"])
-    except (ShardError, ValueError, KeyError, TypeError) as error:
-        raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error
 
 
 def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str], *, offline: bool = False) -> bool:

@@ -10,13 +10,14 @@ import asyncio
 import contextlib
 import errno
 import fcntl
-import functools
 import hashlib
 import logging
+import math
 import os
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,8 +26,7 @@ from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import writing
 
 Headers = Mapping[str, str]
-Take = Callable[[bytes], None]
-"""Called with the bytes of a file in order."""
+Take = Callable[[bytes], None]  # called with the bytes of a file in order
 
 PATIENCE = 300.0  # s of attempts without a received byte
 FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s between attempts: each wait is twice the last
@@ -35,35 +35,37 @@ LITTLE = 1 << 16  # bytes: attempts that bring fewer do not renew the patience
 MOST_REDIRECTS = 5  # the Hub and its storage take three
 PIECE = 1 << 26  # bytes of one request to an object store
 
-WEB = ("http://", "https://")
-S3 = ("s3://", "s3a://")
+WEB, S3 = ("http://", "https://"), ("s3://", "s3a://")
 BUSY, REFUSED, GONE = frozenset({408, 425, 429, 500, 502, 503, 504}), frozenset({401, 403}), frozenset({404, 410})
-NO_CREDENTIALS = re.compile("Credential|NoAuth")
-"""Class names of errors about missing credentials in botocore, google.auth and azure.identity."""
+NO_CREDENTIALS = re.compile("Credential|NoAuth")  # in names of errors of botocore, google.auth, azure.identity
 INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
-"""Errors of ``fsspec`` back ends for an invalid request."""
+# s3fs sets these for HTTP status 301, 400, 405, 416 and 501.
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
-"""``errno`` of other such errors: s3fs sets them for HTTP status 301, 400, 405, 416 and 501."""
 
 log = logging.getLogger(__name__)
 
 
 class Passing(Exception):  # noqa: N818 -- a state of the server
-    """An error that may pass."""
+    """An error that may pass; ``wait``: seconds that the server asks for."""
 
     wait = 0.0
-    """Seconds that the server asks for."""
 
 
 class Span(NamedTuple):
-    """Bytes of a file."""
+    """Bytes of a file, up to ``end`` or its last one.
+
+    ``limit``: most bytes of the whole file; ``None``: the server may send bytes before ``start``, which are skipped.
+    """
 
     address: str
     start: int
     end: int | None
-    """``None``: the end of the file."""
     limit: int | None
-    """Most bytes of the file that are received; ``None``: bytes before ``start`` may come too, and are skipped."""
+
+    def too_long(self, size: str) -> RemoteError:
+        """The error about a file of more than ``limit`` bytes."""
+        told = f"{self.address}: has {size} bytes, over the limit of {self.limit} for this kind of file"
+        return RemoteError(f"{told}: check the address, or tell its publisher")
 
 
 class Files:
@@ -86,29 +88,26 @@ class Files:
         return f"{self.url}/{name}"
 
     def read(self, name: str, start: int = 0, end: int | None = None, *, limit: int) -> tuple[bytes, Headers]:
-        """Bytes ``start`` to ``end`` of a file, by default the whole, and the headers of the answer.
+        """Bytes ``start`` to ``end`` of a file, by default all, and the headers of the answer.
 
-        Raises ``RemoteError`` for more than ``limit`` bytes, before they are received, and for a server that sends
-        whole files only.
+        Raises ``RemoteError`` for more than ``limit`` bytes, and for a part from a server that sends whole files only.
         """
         content = bytearray()
         headers = self._receive(Span(self.address(name), start, end, limit), content.extend)
         return bytes(content), headers
 
-    def append(self, name: str, file: Path, size: int, on_progress: Callable[[int], None] | None = None) -> None:
+    def append(self, name: str, file: Path, size: int, on_progress: Callable[[int], None]) -> None:
         """Append the missing bytes of a file of ``size`` bytes to ``file``. Raises ``OutputError`` too."""
         with writing(file), file.open("ab", buffering=0) as opened:
-            start = opened.tell()
 
             def take(piece: bytes) -> None:
                 with writing(file):
                     rest = memoryview(piece)
                     while rest:
                         rest = rest[opened.write(rest) :]
-                if on_progress is not None:
-                    on_progress(opened.tell())
+                on_progress(opened.tell())
 
-            if start < size:
+            if (start := opened.tell()) < size:
                 self._receive(Span(self.address(name), start, size, None), take)
             os.fsync(opened.fileno())
 
@@ -194,14 +193,15 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
     async with response:
         _require(span, response)
         skip, left = start if response.status == 200 else 0, None if end is None else end - start
-        if limit is not None and end is None and (response.content_length or 0) > limit:
-            raise _too_long(span, str(response.content_length))
+        most = math.inf if limit is None or end is not None else limit
+        if (response.content_length or 0) > most:
+            raise span.too_long(str(response.content_length))
         async for piece in response.content.iter_any():
             part = piece[skip:] if left is None else piece[skip : skip + left]
             skip -= min(skip, len(piece))
             start += len(part)
-            if limit is not None and end is None and start > limit:
-                raise _too_long(span, f"more than {limit}")
+            if start > most:
+                raise span.too_long(f"more than {limit}")
             if part:
                 take(part)
             if left is not None and (left := left - len(part)) == 0:
@@ -227,20 +227,10 @@ def _require(span: Span, response: Any) -> None:
     if status not in (200, 206) or (status == 206 and not sent.startswith(f"bytes {span.start}-")):
         raise RemoteError(f"{address}: answered with status {status} {shown(sent)}: check the address")
     if status == 200 and span.start and span.limit is not None:
-        raise RemoteError(
-            f"{address}: this server sends whole files only, and each garment would cost a whole shard: use gcd "
-            "download"
-        )
+        raise RemoteError(f"{address}: this server sends whole files only, not single garments: use gcd download")
 
 
-def _too_long(span: Span, size: str) -> RemoteError:
-    return RemoteError(
-        f"{span.address}: has {size} bytes, over the limit of {span.limit} for this kind of file: check the address, "
-        "or tell its publisher"
-    )
-
-
-@functools.cache
+@cache
 def _web(process: int) -> Any:
     """The HTTP file system of a process: a forked child must not use its parent's connections."""
     import aiohttp
@@ -263,7 +253,7 @@ def _from_store(span: Span, take: Take) -> Headers:
         if end is None and limit is not None:
             content = store.cat_file(path, start=0, end=limit + 1)
             if len(content) > limit:
-                raise _too_long(span, f"more than {limit}")
+                raise span.too_long(f"more than {limit}")
             take(content)
         while end is not None and start < end:
             stop = min(start + PIECE, end)
@@ -304,20 +294,19 @@ def _asking(address: str) -> Iterator[None]:
         raise Passing(f"no answer ({message})") from error
 
 
-@functools.cache
+@cache
 def _store(process: int, root: str) -> Any:
     """The file system of a bucket or host, one per process: a forked child must not use its parent's connections."""
     from fsspec.config import conf
     from fsspec.core import url_to_fs
 
-    options: dict[str, Any] = {}
-    if root.startswith(S3):
-        # No retries in s3fs and botocore: this module retries.
-        config = {"retries": {"total_max_attempts": 1}, "connect_timeout": ANSWER, "read_timeout": ANSWER}
-        options["config_kwargs"] = config | dict(conf.get("s3", {}).get("config_kwargs", {}))
-    store = url_to_fs(root, skip_instance_cache=True, **options)[0]
-    if root.startswith(S3):
-        store.retries = 1
+    if not root.startswith(S3):
+        return url_to_fs(root, skip_instance_cache=True)[0]
+    # No retries in s3fs and botocore: this module retries.
+    config = {"retries": {"total_max_attempts": 1}, "connect_timeout": ANSWER, "read_timeout": ANSWER}
+    config |= dict(conf.get("s3", {}).get("config_kwargs", {}))
+    store = url_to_fs(root, skip_instance_cache=True, config_kwargs=config)[0]
+    store.retries = 1
     return store
 
 
@@ -332,7 +321,7 @@ def fetch(
     sha256: str,
     *,
     part: Path | None = None,
-    on_progress: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], None] = lambda size: None,
 ) -> None:
     """Fetch a file of known size and hash as ``target``, unless it exists: one process does, others wait for it.
 
@@ -346,25 +335,23 @@ def fetch(
             if is_mine and target.exists():
                 part.unlink()  # made by this call, after another process had finished
             elif is_mine:
-                _complete(files, name, part, size, sha256, on_progress)
+                _complete(partial(files.append, name, part, size, on_progress), part, size, sha256, files.address(name))
                 make_folder(target.parent)
                 part.replace(target)
 
 
-def _complete(
-    files: Files, name: str, part: Path, size: int, sha256: str, on_progress: Callable[[int], None] | None
-) -> None:
+def _complete(append: Callable[[], None], part: Path, size: int, sha256: str, address: str) -> None:
     for _ in range(2):
         if part.stat().st_size > size:
             os.truncate(part, 0)
-        files.append(name, part, size, on_progress)
+        append()
         if sha256_of(part) == sha256:
             return
         os.truncate(part, 0)
     part.unlink()
     raise RemoteError(
-        f"{files.address(name)}: received bytes do not match the published hash; none are kept: try again later, or "
-        "tell its publisher"
+        f"{address}: received bytes do not match the published hash; none are kept: try again later, or tell its "
+        "publisher"
     )
 
 

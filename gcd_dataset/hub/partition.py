@@ -111,8 +111,8 @@ def _traits(reader: ShardReader) -> _Traits:
         edges, body = (np.ascontiguousarray(arrays[field]) for field in ("edges", "body"))
         is_common = not len(body) or read_meta(members[META])["body"] == NEUTRAL
         rows.append((_hash(members[DESIGN]), _hash(body.data), _hash(edges.data), is_common))
-    design, body_hash, pattern, common = zip(*rows, strict=True)
-    return _Traits(*(np.array(column, np.int64) for column in (design, body_hash, pattern)), np.array(common))
+    table = np.array(rows, np.int64)
+    return _Traits(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(bool))
 
 
 def _hash(data: Bytes) -> int:

@@ -8,9 +8,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import groupby
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
 from gcd_dataset.files import make_folder
@@ -32,13 +31,14 @@ from gcd_dataset.shards.tar import END
 from gcd_dataset.shards.writer import shard_size_of
 
 CARD, CROISSANT = "README.md", "croissant.json"
-CLIENTS = ("httpx2", "httpx")  # HTTP libraries of huggingface_hub 2 and 1
+CLIENTS = ("httpx2", "httpx")  # HTTP libraries of huggingface_hub 2 and 1; errors of requests are OSErrors
+ANY_ENDPOINT = "1.31"  # first tested version of huggingface_hub that publishes to any endpoint
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
 REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """Other names of splits to the Hub's names."""
 PREVIEWED = 100  # garments
-TEXTS = ("caption.txt", "measures.json", "design.txt")
+TEXTS, FRONT = ("caption.txt", "measures.json", "design.txt"), "front.jpg"
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +51,8 @@ class Staged:
     manifest: Manifest
     files: Mapping[str, int]
     """Path to size [bytes] of the files to upload."""
+    commit: str | None = None
+    """Commit of the repository once they are uploaded."""
 
     @property
     def garments(self) -> int:
@@ -58,22 +60,8 @@ class Staged:
         return sum(self.manifest.counts.values())
 
 
-@dataclass(frozen=True)
-class Published:
-    """The result of ``publish``: the staged files and the commit."""
-
-    staged: Staged
-    commit: str | None
-    """Commit of the repository; ``None`` for a dry run."""
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The samples of one published split, by shards."""
-
-    reader: ShardReader
-    shards: Mapping[int, Sequence[int]]
-    """Number of a shard to positions of its samples."""
+Part = tuple[ShardReader, dict[int, list[int]]]
+"""The samples of a published split: their reader, number of a shard to positions of its samples."""
 
 
 def publish(
@@ -89,7 +77,7 @@ def publish(
     endpoint: str | None = None,
     token: str | None = None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
-) -> Published:
+) -> Staged:
     """Upload a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
 
     ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
@@ -99,8 +87,9 @@ def publish(
     folder = Path(dataset) / "published" if out is None else Path(out)
     staged = stage(Path(dataset), repo, folder, shares=shares, license=license, endpoint=endpoint, partial=partial)
     on_staged(staged)
-    commit = None if dry_run else upload(staged, repo, endpoint=endpoint, token=token, private=private)
-    return Published(staged, commit)
+    if dry_run:
+        return staged
+    return replace(staged, commit=upload(staged, repo, endpoint=endpoint, token=token, private=private))
 
 
 def stage(
@@ -132,7 +121,7 @@ def stage(
     with locked(folder / ".staging.lock", "staging it"):
         manifest = _write_splits(folder, source, parts, shares if divided else None)
     settled = {name: int(ShardReader(folder, name).index.settled.sum()) for name in parts}
-    members, preview = next(iter(parts.values())).reader.layout.members, _preview(folder, next(iter(parts)))
+    members, preview = next(iter(parts.values()))[0].layout.members, _preview(folder, next(iter(parts)))
     if preview is not None:
         write_changed(folder / PREVIEW, preview)
     is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
@@ -158,15 +147,19 @@ def upload(
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api, name = HfApi(endpoint=hub_endpoint(endpoint), token=token), _repo_name(repo)
+    _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         present = api.list_repo_files(name, repo_type="dataset")
         if new := [path for path in staged.files if path.endswith(".tar") and path not in present]:
-            options: dict[str, Any] = {"allow_patterns": new, "commit_message": f"Tars of {staged.garments} garments"}
-            api.upload_folder(repo_id=name, folder_path=staged.folder, repo_type="dataset", **options)
+            wanted = new if any(path.endswith(".tar") for path in present) else "*.tar"
+            folder, message = staged.folder, f"Tars of {staged.garments} garments"
+            api.upload_folder(
+                repo_id=name, folder_path=folder, repo_type="dataset", allow_patterns=wanted, commit_message=message
+            )
         rest = [CommitOperationAdd(path, staged.folder / path) for path in staged.files if path not in new]
         stale = [path for path in present if REPLACED.fullmatch(path) and path not in staged.files]
-        operations = [*rest, *map(CommitOperationDelete, stale)]
+        operations: list[CommitOperationAdd | CommitOperationDelete] = [*rest, *map(CommitOperationDelete, stale)]
         message = f"{staged.garments} garments"
         commit = api.create_commit(name, operations, repo_type="dataset", commit_message=message)
     return str(commit.oid)
@@ -219,22 +212,22 @@ def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
 
 def _parts(
     dataset: Path, readers: Mapping[str, ShardReader], divided: str | None, shares: Mapping[str, float]
-) -> dict[str, _Part]:
+) -> dict[str, Part]:
     """Published split to its samples: parts of the divided split, then the others shard by shard."""
-    parts = {}
+    parts: dict[str, Part] = {}
     if divided is not None:
         positions = partition(readers[divided], shares)
         _warn_of_empty_splits(dataset, shares, positions)
         for name, own in positions.items():
             size = shard_size_of(len(own))
             numbered = {number: own[number * size : (number + 1) * size] for number in range(-(-len(own) // size))}
-            parts[name] = _Part(readers[divided], numbered)
+            parts[name] = readers[divided], numbered
     for split, reader in readers.items():
         if split != divided:
-            shards = reader.index.shard.tolist()
-            grouped = groupby(range(len(reader)), key=lambda position, shards=shards: shards[position])
-            numbered = {reader.record.shards[shard].number: list(own) for shard, own in grouped}
-            parts[HUB_NAMES.get(split, split)] = _Part(reader, numbered)
+            shards: dict[int, list[int]] = {}
+            for position, shard in enumerate(reader.index.shard.tolist()):
+                shards.setdefault(reader.record.shards[shard].number, []).append(position)
+            parts[HUB_NAMES.get(split, split)] = reader, shards
     return parts
 
 
@@ -251,19 +244,18 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
 
 
 def _write_splits(
-    folder: Path, source: Manifest, parts: Mapping[str, _Part], shares: Mapping[str, float] | None
+    folder: Path, source: Manifest, parts: Mapping[str, Part], shares: Mapping[str, float] | None
 ) -> Manifest:
     """Write the shards and indices of all splits, remove others, write the manifest; ``shares``: of divided splits."""
     place, names = FolderPlace(folder), set[str]()
     is_whole = not any(map(source.missing, source.splits))
-    garments = sum(len(own) for part in parts.values() for own in part.shards.values())
-    for name, part in parts.items():
-        plan = part.reader.record.plan
-        size = max(map(len, part.shards.values()))
+    garments = sum(len(own) for _, shards in parts.values() for own in shards.values())
+    for name, (reader, shards) in parts.items():
+        plan, size = reader.record.plan, max(map(len, shards.values()))
         recipe = dict(plan.recipe) if shares is None else {**plan.recipe, "part": {"of": dict(shares)}}
         plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
-        for number, positions in part.shards.items():
-            names |= _write_shard(folder, name, number, part.reader, positions, plan)
+        for number, positions in shards.items():
+            names |= _write_shard(folder, name, number, reader, positions, plan)
     for path in tar_files(folder):
         if path.relative_to(folder).as_posix() not in names:
             with writing(path):
@@ -280,19 +272,27 @@ def _write_shard(
     folder: Path, split: str, number: int, reader: ShardReader, positions: Sequence[int], plan: Plan
 ) -> set[str]:
     """Write a shard of checked samples, its pictures and its note; the names of the tars. Raises ``ShardError``."""
-    record, index, paths = ShardRecord(number, 0, 0, ""), reader.index, []
+    record, paths = ShardRecord(number, 0, 0, ""), []
     for position in positions:
         reader.check(position)
-    for views in (False, True) if index.has_views else (False,):
-        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
-        spans = [(reader.record.shards[index.shard[row]], int(starts[row]), int(ends[row])) for row in positions]
-        samples = [reader.store.part(reader.split, *span, views=views) for span in spans]
+    for views in (False, True) if reader.index.has_views else (False,):
+        spans = _spans(reader, views)
+        samples = [reader.store.part(reader.split, *spans[position], views=views) for position in positions]
         paths.append(folder / record.name(split, views=views))
         make_folder(paths[-1].parent)
         write_changed(paths[-1], b"".join([*samples, bytes(END)]))
     note = note_of(paths[0], paths[1] if len(paths) > 1 else None, split, number, plan)
     write_changed(folder / note_name(split, number), note.to_bytes())
     return {path.relative_to(folder).as_posix() for path in paths}
+
+
+@lru_cache(maxsize=4)
+def _spans(reader: ShardReader, views: bool) -> list[tuple[ShardRecord, int, int]]:
+    """Shard, start and end of each sample, or of its pictures."""
+    index, shards = reader.index, reader.record.shards
+    starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
+    found = zip(index.shard.tolist(), starts.tolist(), ends.tolist(), strict=True)
+    return [(shards[shard], start, end) for shard, start, end in found]
 
 
 def _preview(folder: Path, split: str) -> bytes | None:
@@ -304,28 +304,34 @@ def _preview(folder: Path, split: str) -> bytes | None:
         log.warning("without a preview, which needs pyarrow: pip install 'gcd-dataset[publish]'")
         return None
     reader = ShardReader(folder, split)
-    members = [member for member in (META, *TEXTS, "front.jpg") if member in reader.layout.members]
+    members = [member for member in (META, *TEXTS, FRONT) if member in reader.layout.members]
     rows, positions = [], range(min(PREVIEWED, len(reader)))
     for position, found in zip(positions, reader.read_many(positions, members), strict=True):
         meta = json.loads(bytes(found[META]))
-        row = {
-            "key": reader.key(position),
-            "grade": meta.get("grade"),
-            "outcome": (meta.get("drape") or {}).get("outcome"),
-        }
+        row = {"key": reader.key(position), "grade": meta["grade"], "outcome": (meta["drape"] or {}).get("outcome")}
         row |= {member.partition(".")[0]: bytes(found[member]).decode() for member in TEXTS if member in found}
-        rows.append(
-            row | ({"front": {"bytes": bytes(found["front.jpg"]), "path": None}} if "front.jpg" in found else {})
-        )
-    features = {
-        name: {"_type": "Image"} if name == "front" else {"dtype": "string", "_type": "Value"} for name in rows[0]
-    }
-    picture = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
-    schema = pyarrow.schema({name: picture if name == "front" else pyarrow.string() for name in rows[0]})
-    schema = schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
-    output = io.BytesIO()
+        rows.append(row | ({"front": {"bytes": bytes(found[FRONT])}} if FRONT in found else {}))
+    text, picture = pyarrow.string(), pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+    schema = pyarrow.schema({name: picture if name == "front" else text for name in rows[0]})
+    kinds = {name: {"_type": "Image"} if name == "front" else {"_type": "Value", "dtype": "string"} for name in rows[0]}
+    schema, output = schema.with_metadata({"huggingface": json.dumps({"info": {"features": kinds}})}), io.BytesIO()
     parquet.write_table(pyarrow.Table.from_pylist(rows, schema), output)
     return output.getvalue()
+
+
+def _require_endpoint(endpoint: str) -> None:
+    """Raise ``ConfigError`` for an endpoint other than ``HF_ENDPOINT`` where huggingface_hub cannot publish to it."""
+    from huggingface_hub import __version__ as version
+    from huggingface_hub import constants
+
+    def number(text: str) -> list[int]:
+        return [int(part) for part in text.split(".")[:2]]
+
+    if number(version) < number(ANY_ENDPOINT) and endpoint != constants.ENDPOINT:
+        raise ConfigError(
+            f"--endpoint {endpoint}: huggingface_hub {version} publishes to HF_ENDPOINT only: set it, or install "
+            f"huggingface_hub {ANY_ENDPOINT} or later"
+        )
 
 
 @contextmanager

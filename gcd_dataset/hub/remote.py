@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -102,10 +103,9 @@ def open_store(
 ) -> Store:
     """The store of a folder, a URL or a repository; ``root``: a folder to download ``splits`` into, and to read.
 
-    Raises ``ConfigError`` for any other source, and for options that do not apply to it; ``ShardError`` for a folder
-    whose download is incomplete; else as ``Store``.
+    Raises ``ConfigError`` for any other source, and for options that do not apply to it; else as ``Store``.
     """
-    from gcd_dataset.hub.download import download, downloaded_from, is_downloaded
+    from gcd_dataset.hub.download import download, is_downloaded
 
     remote = remote or Remote()
     parsed = parse_source(source, remote.revision)
@@ -118,12 +118,7 @@ def open_store(
         return RemoteStore(parsed, remote)
     elif not is_downloaded(folder := user_path(root), parsed, splits, offline=not remote.allowed):
         download(parsed, folder, remote, splits=splits)
-    store = FolderStore(root, cache_dir=remote.cache_dir)
-    if (origin := downloaded_from(store.folder)) is not None:
-        if not (store.folder / MANIFEST).exists():
-            raise ShardError(f"{store.folder}: the download of {origin} is incomplete: run gcd download again")
-        store.source, store.remedy = origin, "delete it, and run gcd download again"
-    return store
+    return FolderStore(root, cache_dir=remote.cache_dir)
 
 
 class RemoteStore(Store):
@@ -182,6 +177,9 @@ class RemoteStore(Store):
             raise MissingError(f"{error}: {REPUBLISH}") from error
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
+        return self._fetched(self.files, split, shard, views)
+
+    def _fetched(self, files: Files, split: str, shard: ShardRecord, views: bool) -> Path:
         folder, kind = self.cache / shard.sha256, "views" if views else "tar"
         size, sha256 = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
         name = shard.name(split, views=views)
@@ -190,7 +188,7 @@ class RemoteStore(Store):
             if not size:
                 raise ShardError(f"{self.location(name)}: these garments have no pictures: leave their fields out")
             cache.make_room(self.cache, size, cache.size_in_bytes(self._remote.max_cache_size))
-            fetch(self.files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
+            fetch(files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
         cache.touch(folder)
         return folder / kind
 
@@ -214,7 +212,8 @@ class RemoteStore(Store):
 
     def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:
         """Fetch whole tars of several shards into the cache, in parallel. Raises as ``path`` does."""
-        run_all(self.files, lambda shard: self.path(split, shard, views=views), shards)
+        files = copy(self.files)  # stopped after an error
+        run_all(files, lambda shard: self._fetched(files, split, shard, views), shards)
 
     def _parse_manifest(self, content: bytes) -> Manifest:
         return parse_manifest(content, f"{self._asked}/{MANIFEST}", self.remedy)
@@ -286,8 +285,6 @@ def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> N
             files.stopped = True
             pool.shutdown(cancel_futures=True)
             raise
-        finally:
-            files.stopped = False
 
 
 def _write_cache(path: Path, content: bytes) -> None:

@@ -174,7 +174,9 @@ def _log_estimate(recipe: Recipe, folder: Path) -> None:
     from gcd_dataset.generator.drape.device import cores
 
     names = FolderPlace(folder).names()
-    work = work_of(folder, {split: recipe.indices_in(split) for split in recipe.splits}, recipe.seed, recipe.config)
+    work = work_of(
+        folder, {split: recipe.indices_in(split).tolist() for split in recipe.splits}, recipe.seed, recipe.config
+    )
     stored = sum(len(task.indices) for task in work.tasks() if task.tar in names)
     missing, config = recipe.count - stored, recipe.config
     seconds = CPU_SECONDS[config.stage] * missing / cores()

@@ -48,7 +48,7 @@ log = logging.getLogger("gcd_dataset")
 class Made(NamedTuple):
     """A sample that was made, encoded; or the fault for which it was skipped."""
 
-    index: int
+    number: int
     members: Mapping[str, Bytes] | None
     fault: str = ""
     failed: bool = False
@@ -254,7 +254,7 @@ class _Round:
                 continue
             if index not in asked:
                 return False
-            made = next(made for made in samples if made.index == index)  # another process may have added some
+            made = next(made for made in samples if made.number == index)  # another process may have added some
             if made.members is None:
                 draft.skip(index, made.fault)
             else:
@@ -310,7 +310,7 @@ class _Earlier:
         record = ShardRecord(number, 0, 0, "")
         path, views = folder / record.name(own), folder / record.views_name(own)
         if self._read.get(own, (None,))[0] != path:
-            content = {sample.number: sample.members for sample in stored_samples(path)}
+            content: dict[int, Mapping[str, Bytes]] = {s.number: s.members for s in stored_samples(path)}
             for sample in stored_samples(views) if views.exists() else ():
                 content[sample.number] = {**content[sample.number], **sample.members}
             self._read[own] = path, content

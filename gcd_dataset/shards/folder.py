@@ -12,8 +12,9 @@ from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.limits import LARGEST_FILE
+from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_manifest
+from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.published import is_published
@@ -21,6 +22,7 @@ from gcd_dataset.shards.store import Store, command_of
 
 __all__ = ["FolderStore", "is_set", "splits_in"]
 
+DOWNLOAD_FILE = "download.json"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
@@ -32,6 +34,9 @@ class FolderStore(Store):
 
     def __init__(self, folder: Path | str, *, cache_dir: Path | str | None = None) -> None:
         self.folder, self._cache = user_path(folder), default_cache(cache_dir)
+        self.source = downloaded_from(self.folder)
+        if self.source is not None:
+            self.remedy = "delete it, and run gcd download again"
         self._manifest: Manifest | None = None
         self._gathered: Gathered | None = None
         self._files: dict[str, _OpenFile] = {}
@@ -93,6 +98,8 @@ class FolderStore(Store):
     def _gather(self) -> Gathered:
         if self._gathered is None:
             place = FolderPlace(self.folder)
+            if self.source is not None:
+                raise ShardError(f"{self.folder}: the download of {self.source} is incomplete: run gcd download again")
             if is_published(self.folder) and not shards_named(place.names()):
                 raise ShardError(
                     f"{self.folder}: no shards: this is GarmentCodeData as published: read it with "
@@ -144,3 +151,15 @@ def is_set(folder: Path) -> bool:
     """Whether a folder holds a data set: a manifest or shards. Raises ``ShardError`` where it cannot be read."""
     names = FolderPlace(folder).names()
     return MANIFEST in names or bool(shards_named(names))
+
+
+def downloaded_from(folder: Path) -> str | None:
+    """Source and revision of a downloaded folder; ``None`` for another one. Raises ``ShardError``."""
+    path = folder / DOWNLOAD_FILE
+    with reading(path):
+        if not path.exists():
+            return None
+    try:
+        return str(decode_json(read_limited(path, LARGEST_JSON))["source"])
+    except (ShardError, ValueError, KeyError, TypeError) as error:
+        raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error

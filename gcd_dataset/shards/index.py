@@ -112,12 +112,12 @@ class SplitIndex:
             if missing := [name for name in names if name not in arrays]:
                 raise ShardError(f"section {missing[0]} is missing")
             index = cls(record, *(arrays[name] for name in names))
-            index._require_consistent()
+            index.require_consistent()
             return index
         except ShardError as error:
             raise ShardError(f"{path}: not the index of these shards ({error}): {remedy}") from error
 
-    def _require_consistent(self) -> None:
+    def require_consistent(self) -> None:
         """Raise ``ShardError`` unless all samples lie inside their shards, one after the other."""
         count, of_views = self.record.count, self.record.count if self.has_views else 0
         lengths = (count, count, of_views, count, count)
@@ -135,7 +135,7 @@ class SplitIndex:
             raise ShardError("a value is out of range")
         if (np.diff(np.sort(self.number)) == 0).any():
             raise ShardError("a sample occurs twice")
-        if (self.start < 0).any() or (self.end <= self.start).any() or (self.views_end < self.views_start).any():
+        if (self.start < 0).any() or (self.end <= self.start).any() or (self.views_end <= self.views_start).any():
             raise ShardError("a sample beyond the end of its shard")
 
     def __reduce__(self) -> tuple[Any, ...]:

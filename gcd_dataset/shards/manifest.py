@@ -246,7 +246,8 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read_manifest`` does."""
     try:
         entry = decode_json(content, limit=LARGEST_MANIFEST)
-        if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
+        schema = entry.get("schema") if isinstance(entry, Mapping) else None
+        if not isinstance(schema, int) or not _is_count(schema):
             raise ShardError("schema is missing")
         if schema != SCHEMA:
             raise ShardError(other_schema(path, schema, entry.get("generator")))

@@ -17,6 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
+import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,7 +34,7 @@ from gcd_dataset.files import open_regular
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.shards.access import REMEDY, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
@@ -70,9 +72,11 @@ __all__ = [
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
 """Folder of the shards of a smaller data set, whose samples are copied while it grows."""
-SHARD = re.compile(r"(.+)-(\d{5,9})\.tar")
+SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
+NOTHING = "no shards: give a folder made by gcd generate"
+FOREIGN = "tars of another program: read them with webdataset, or with load_dataset(\"webdataset\", …) of datasets"
 META = "meta.json"
 
 
@@ -104,7 +108,7 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
     position = 0
     try:
-        for key, members in samples_in(memoryview(read_file(path))):
+        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
@@ -113,6 +117,14 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
+
+
+def _mapped(path: Path) -> memoryview:
+    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
+    with reading(path), open_regular(path) as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 class Row(NamedTuple):
@@ -248,22 +260,38 @@ class Note:
             raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
 
 
-def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan) -> Note:
-    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``."""
-    starts = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
-    rows, members = [], dict[str, None]()
+def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan | None) -> Note:
+    """The note of a finished shard, from its tar and that of its pictures. Raises ``ShardError``.
+
+    ``plan``: by default that of the first sample, as far as its ``meta.json`` tells.
+    """
+    pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
+    rows, members = [], tuple[str, ...]()
     for sample in stored_samples(path):
-        pictures = starts.get(sample.number)
-        content = sample.members | ({} if pictures is None else pictures.members)
-        members |= dict.fromkeys(content)
-        rows.append(row_of(plan, content, sample.start, None if pictures is None else pictures.start))
+        picture = pictures.get(sample.number)
+        content = sample.members | ({} if picture is None else picture.members)
+        try:
+            members = members or tuple(content)
+            if META not in content or tuple(content) != members:
+                other = sorted(set(content) ^ {META, *members}) or [META]
+                raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            if plan is None:
+                kind = BODIES.kind if set(BODIES.members) == set(content) else GARMENTS.kind
+                plan = plan_of_sample(read_meta(content[META]), Plan(kind, 0, {}, 0, 1))
+            rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
+            if rows[-1].number != sample.number:
+                raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
+        except ShardError as error:
+            raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
+    if plan is None:
+        raise ShardError(f"{path}: no samples, and its note is lost: run gcd generate again")
     return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
 
 
 def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
     """The record of a shard, from its files. Raises ``ShardError``."""
-    sizes = [hashed(file) for file in (path, views) if file is not None]
-    return ShardRecord(number, count, *(value for size in sizes for value in size))
+    of_views = (0, "") if views is None else hashed(views)
+    return ShardRecord(number, count, *hashed(path), *of_views)
 
 
 def hashed(path: Path) -> tuple[int, str]:
@@ -274,10 +302,7 @@ def hashed(path: Path) -> tuple[int, str]:
 
 
 def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -> Note:
-    """The note of a shard; made again where it is lost. Raises ``ShardError``.
-
-    ``plan``: the plan of a lost note; by default that of the first sample, as far as its ``meta.json`` tells.
-    """
+    """The note of a shard; made again as by ``note_of`` where it is lost. Raises ``ShardError``."""
     name = note_name(split, number)
     if place.exists(name):
         return Note.from_bytes(next(place.read([name])), place.location(name))
@@ -285,10 +310,10 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
     if plan is None:
-        if (first := next(stored_samples(path), None)) is None:
-            raise ShardError(f"{place.location(name)}: no such file: run gcd generate again")
-        kind = BODIES.kind if BODIES.members[-1] in first.members else GARMENTS.kind
-        plan = plan_of_sample(read_meta(first.members[META]), Plan(kind, 0, {}, 0, 1))
+        with open_regular(path) as file:
+            head = file.read(BLOCK)
+        if any(head) and KEY.match(head.decode("latin-1")) is None:
+            raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
 
 
@@ -329,7 +354,8 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     if any(map(OLD.fullmatch, names)):
         raise ShardError(other_schema(place.location(), 2, None))
     if not (shards := shards_named(names)):
-        raise ShardError(f"{place.location()}: no shards: give a folder made by gcd generate")
+        is_foreign = any(name.endswith(".tar") for name in names)
+        raise ShardError(f"{place.location()}: {FOREIGN if is_foreign else NOTHING}")
     notes = _notes(place, names, shards)
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):
@@ -407,5 +433,11 @@ def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, Split
         np.array([GRADES.index(row[3]) for row in rows], np.uint8),
         np.array([OUTCOMES.index(row[4]) for row in rows], np.uint8),
     )
+    try:
+        index.require_consistent()
+    except ShardError as error:
+        raise ShardError(
+            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}"
+        ) from error
     record = replace(record, index_sha256=hashlib.sha256(index.to_bytes()).hexdigest())
     return record, replace(index, record=record)

@@ -165,7 +165,7 @@ class UrlPlace(Place):
             if self._opened is None:
                 with self._asking(OutputError):
                     self._opened = fsspec.core.url_to_fs(self._url)
-            return self._opened  # type: ignore[no-any-return]
+            return self._opened
 
     @contextlib.contextmanager
     def _asking(self, error: type[OutputError | ShardError]) -> Iterator[None]:

@@ -124,10 +124,8 @@ class ShardReader:
             raise ConfigError(
                 f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
             )
-        views = any(map(is_picture, wanted))
-        main = views and not all(map(is_picture, wanted))
         rows = self.rows(positions).tolist()
-        tars = [tar for tar, is_wanted in ((False, main or not views), (True, views)) if is_wanted]
+        tars = [tar for tar in (False, True) if any(is_picture(member) is tar for member in wanted)]
         mask = sum(VIEWS if tar else MAIN for tar in tars)
         parts = iter(self.store.parts(self.split, [(*self._span(row, tar), tar) for row in rows for tar in tars]))
         for row in rows:

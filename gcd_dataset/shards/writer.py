@@ -20,6 +20,7 @@ from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder
+from gcd_dataset.names import require_name
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.codec import encode_sample
@@ -50,11 +51,13 @@ DRAFT = re.compile(r"\..+-\d{5,}\.part")
 def shard_size_of(count: int, wearers: int = 1) -> int:
     """Samples of a shard in a split of ``count`` samples, in whole designs of ``wearers`` samples.
 
+    A split of 20 designs or more has 20 shards or more.
+
     >>> [shard_size_of(count) for count in (7, 100, 1000, 100_000)], shard_size_of(100, wearers=2)
-    ([1, 5, 32, 128], 6)
+    ([1, 5, 32, 128], 4)
     """
     size = 128 if count > LARGE else min(max(count // SHARDS, 1), MOST)
-    return -(-size // wearers) * wearers
+    return max(size // wearers, 1) * wearers
 
 
 def draft_name(split: str, number: int, *, views: bool = False) -> str:
@@ -294,7 +297,7 @@ class ShardWriter:
         shard_size: int | None = None,
         layout: Layout = GARMENTS,
     ) -> None:
-        self._place, self._split, self._count = FolderPlace(folder), split, count
+        self._place, self._split, self._count = FolderPlace(folder), require_name(split, "split"), count
         make_folder(self._place.folder)
         if any(name == split for name, _ in shards_named(self._place.names())):
             raise ConfigError(f"{self._place.location()}: holds split {split} already: choose another folder")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from gcd_dataset.hub.publish import Published, publish
+    from gcd_dataset.hub.publish import publish
     from gcd_dataset.making.conversion import convert
     from gcd_dataset.making.garments import generate, generate_recipe
     from gcd_dataset.making.people import generate_people
@@ -27,7 +27,6 @@ __all__ = [
     "Job",
     "Progress",
     "ProgressCallback",
-    "Published",
     "convert",
     "doctor",
     "export",
@@ -39,7 +38,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
-    "gcd_dataset.hub.publish": ("Published", "publish"),
+    "gcd_dataset.hub.publish": ("publish",),
     "gcd_dataset.making.conversion": ("convert",),
     "gcd_dataset.making.garments": ("generate", "generate_recipe"),
     "gcd_dataset.making.people": ("generate_people",),

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
-LARGE = (".tar", ".npz", ".h5")
+LARGE = (".tar",)
 """Endings of files in the large-file storage."""
 
 
@@ -55,8 +55,6 @@ class Fault:
     """Offset of a byte of the file; one of its bits is changed."""
     whole: bool = False
     """Ignore ``Range`` and send the whole file."""
-    flip_share: float | None = None
-    """Position of a byte in the sent data, from 0 (first) to 1 (last); one of its bits is changed."""
 
 
 @dataclass
@@ -65,8 +63,6 @@ class Repo:
 
     commits: list[tuple[str, dict[str, bytes]]] = field(default_factory=list)
     private: bool = False
-    tags: dict[str, str] = field(default_factory=dict)
-    """Name to commit."""
 
     def commit(self, files: Mapping[str, bytes]) -> str:
         """Add a commit; return its hash."""
@@ -79,7 +75,6 @@ class Repo:
 
     def at(self, revision: str) -> tuple[str, dict[str, bytes]] | None:
         """Commit and files of a branch, tag or commit."""
-        revision = self.tags.get(revision, revision)
         if revision == "main":
             return self.commits[-1] if self.commits else None
         return next((commit for commit in self.commits if commit[0] == revision), None)
@@ -185,14 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._serve()
 
-    def do_HEAD(self) -> None:
-        self._serve()
-
-    def do_POST(self) -> None:
-        self._serve()
-
-    def do_PUT(self) -> None:
-        self._serve()
+    do_POST = do_PUT = do_GET  # noqa: N815 -- named by http.server
 
     def _serve(self) -> None:
         self.body = self._read_body()
@@ -229,13 +217,11 @@ class _Handler(BaseHTTPRequestHandler):
                     return fault
         return None
 
-    # ----------------------------------------------------------------------------------------------------- answers
-
     def _json(self, value: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> None:
         self._answer(status, json.dumps(value).encode(), {"Content-Type": "application/json", **(headers or {})})
 
     def _answer(self, status: int, body: bytes, headers: Mapping[str, str]) -> None:
-        part = b"" if self.command == "HEAD" else self._cut(body)
+        part = self._cut(body)
         self._note(status, len(part))  # before the answer: a test may read the log as soon as it has the answer
         self.send_response(status)
         for name, value in {"Content-Length": str(len(body)), **headers}.items():
@@ -259,29 +245,20 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _file(self, data: bytes, headers: Mapping[str, str]) -> None:
         """Send a file, or the requested range."""
-        if self.fault is not None and self.fault.flip is not None and self.command == "GET":
+        if self.fault is not None and self.fault.flip is not None:
             data = _flipped(data, self.fault.flip)
         whole = self.fault is not None and self.fault.whole
         match = None if whole else re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
         if match is None:
             headers_sent = dict(self.fault.headers) if self.fault is not None else {}
-            self._answer(
-                200, self._spoilt(data), {"Accept-Ranges": "none" if whole else "bytes", **headers_sent, **headers}
-            )
+            self._answer(200, data, {"Accept-Ranges": "none" if whole else "bytes", **headers_sent, **headers})
             return
         start, end = int(match[1]), min(int(match[2]) + 1 if match[2] else len(data), len(data))
         if start >= len(data):
             self._answer(416, b"", {"Content-Range": f"bytes */{len(data)}"})
             return
         headers_sent = {"Content-Range": f"bytes {start}-{end - 1}/{len(data)}", "Accept-Ranges": "bytes"}
-        self._answer(206, self._spoilt(data[start:end]), headers_sent | dict(headers))
-
-    def _spoilt(self, data: bytes) -> bytes:
-        if self.fault is None or self.fault.flip_share is None:
-            return data
-        return _flipped(data, int(self.fault.flip_share * (len(data) - 1)))
-
-    # ------------------------------------------------------------------------------------------------------ reading
+        self._answer(206, data[start:end], headers_sent | dict(headers))
 
     def _repo_at(self, name: str, revision: str) -> tuple[str, dict[str, bytes]] | None:
         """Commit and files; ``None`` after an error response, if repository or revision are missing."""
@@ -317,13 +294,6 @@ class _Handler(BaseHTTPRequestHandler):
         names = [name for name in found[1] if not folder or name.startswith(f"{folder}/")]
         self._json([_entry(name, found[1][name]) for name in names])
 
-    def paths_info(self, repo: str, revision: str) -> None:
-        if (found := self._repo_at(repo, revision)) is None:
-            return
-        text = self.body.decode()
-        asked = json.loads(text)["paths"] if text.startswith("{") else parse_qs(text).get("paths", [])
-        self._json([_entry(name, found[1][name]) for name in asked if name in found[1]])
-
     def resolve(self, repo: str, revision: str, path: str) -> None:
         if (found := self._repo_at(repo, revision)) is None:
             return
@@ -341,8 +311,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def storage(self, oid: str, path: str) -> None:
         self._file(self.hub.large[oid], {"ETag": f'"{oid}"'})
-
-    # ------------------------------------------------------------------------------------------------------ writing
 
     def create(self) -> None:
         asked = json.loads(self.body)
@@ -416,7 +384,6 @@ ROUTES: list[tuple[str, Callable[..., None]]] = [
     (r"/files/(?P<path>.+)", _Handler.static),
     (rf"/api/datasets/{NAME}(?:/revision/(?P<revision>.+))?", _Handler.info),
     (rf"/api/datasets/{NAME}/tree/(?P<revision>[^/]+)/?(?P<folder>.*)", _Handler.tree),
-    (rf"/api/datasets/{NAME}/paths-info/(?P<revision>[^/]+)", _Handler.paths_info),
     (rf"/datasets/{NAME}/resolve/(?P<revision>[^/]+)/(?P<path>.+)", _Handler.resolve),
     (r"/storage/(?P<oid>[^/]+)/(?P<path>.+)", _Handler.storage),
     (r"/api/repos/create", _Handler.create),

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
-from gcd_dataset.hub.download import DOWNLOAD_FILE, download
+from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.hub.source import Repo, Url
+from gcd_dataset.shards.folder import DOWNLOAD_FILE
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.manifest import Manifest, read_manifest
 from tests.hub.server import Fault, Hub, read_folder
@@ -109,7 +110,7 @@ def test_a_stopped_download_continues(hub: Hub, commit: str, folder: Path, tmp_p
     with pytest.raises(RemoteError, match="received data are kept"):
         bring(hub, tmp_path)
     with pytest.raises(ShardError, match=r"the download of hf://.* is incomplete: run gcd download again"):
-        open_store(tmp_path / "data")
+        open_store(tmp_path / "data").manifest()
     hub.faults.clear()
     hub.log.clear()
     assert without_record(bring(hub, tmp_path)) == read_folder(folder)
@@ -123,8 +124,9 @@ def test_a_killed_download_continues(hub: Hub, commit: str, folder: Path, tmp_pa
     hub.faults = [Fault(r"storage/[^/]+/train-00002", cut=30_000, hold=True, times=99)]
     child = multiprocessing.get_context("fork").Process(target=bring, args=(hub, tmp_path))
     child.start()
-    part = tmp_path / "data" / ".train-00002.tar.part"
-    while not part.exists() or part.stat().st_size < 30_000 or not (tmp_path / "data" / "train-00001.tar").exists():
+    data = tmp_path / "data"
+    part, others = data / ".train-00002.tar.part", [data / f"train-0000{number}.tar" for number in (0, 1)]
+    while not (part.exists() and part.stat().st_size >= 30_000 and all(path.exists() for path in others)):
         assert child.is_alive()
         time.sleep(0.01)
     child.kill()

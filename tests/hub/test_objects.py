@@ -8,9 +8,10 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
 from gcd_dataset.hub import fetch
-from gcd_dataset.hub.download import DOWNLOAD_FILE, download
+from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote, RemoteStore
-from gcd_dataset.hub.source import Folder, Url, parse_source, parse_target
+from gcd_dataset.hub.source import Folder, Url, parse_source
+from gcd_dataset.shards.folder import DOWNLOAD_FILE
 from tests.hub.server import read_folder
 from tests.hub.sets import MEMBERS, PICTURES, sample
 from tests.hub.store import Fault, Store, running_store
@@ -128,13 +129,9 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         opened("s3://bucket/set", tmp_path)
 
 
-def test_sources_and_targets_are_parsed(tmp_path: Path) -> None:
+def test_sources_are_parsed(tmp_path: Path) -> None:
     assert parse_source("s3://bucket/set/") == Url("s3://bucket/set")
-    assert parse_target(tmp_path.as_uri()) == parse_source(tmp_path) == Folder(tmp_path)
-    assert parse_target("gs://bucket/set/") == Url("gs://bucket/set")
-    for url in ("hf://datasets/org/set", "https://example.org/set", "nothing://a", "simplecache::s3://a/b"):
-        with pytest.raises(ConfigError, match="cannot be written to: give a folder, or a URL such as s3://BUCKET"):
-            parse_target(url)
+    assert parse_source(tmp_path.as_uri()) == parse_source(tmp_path) == Folder(tmp_path)
     for source in ("no folder", "nothing://a", "simplecache::s3://a/b", "org/a@b c", "s3://a\nb"):
         with pytest.raises(ConfigError, match=r"no such folder, and neither a URL|is not a revision"):
             parse_source(source)

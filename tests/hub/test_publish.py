@@ -272,9 +272,6 @@ def published(staged: Staged) -> dict[str, bytes]:
 def test_an_upload_is_downloaded_unchanged(hub: Hub, staged: Staged, tmp_path: Path) -> None:
     commit = upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
     assert hub.repos["org/new-set"].commits[-1] == (commit, published(staged))
-    where: dict[str, Any] = {"repo_type": "dataset", "endpoint": hub.endpoint, "cache_dir": tmp_path / "theirs"}
-    snapshot = Path(huggingface_hub.snapshot_download("org/new-set", revision=commit, **where))
-    assert read_folder(snapshot) == published(staged)
     download(Repo("org/new-set"), tmp_path / "data", Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "ours"))
     assert read_manifest(tmp_path / "data") == staged.manifest
     assert len(same(tmp_path / "data", "test", ShardReader(staged.folder, "test"))) == staged.manifest.counts["test"]
@@ -305,13 +302,21 @@ def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
     done = publish(
         fill(tmp_path / "data", range(4)), "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=lines.append
     )
-    assert done.commit is None and lines == [done.staged] and not hub.log
-    assert done.staged.folder == tmp_path / "data" / "published"
+    assert done.commit is None and lines == [done] and not hub.log
+    assert done.folder == tmp_path / "data" / "published"
 
 
 def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
+
+
+def test_an_endpoint_unsupported_by_an_old_client_is_reported(
+    hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
+    with pytest.raises(ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
 
 
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:

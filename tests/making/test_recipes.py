@@ -1,16 +1,14 @@
 """Data sets of recipes: splits, manifest, verification and making on demand."""
 
-import json
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from gcd_dataset.verbs.making import plan_garments, store_samples
-from gcd_dataset.verbs.recipes import LOCK, ensure_recipe, recipe_faults
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
@@ -18,11 +16,15 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.hub.partition import leaks
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
+from gcd_dataset.making.recipes import LOCK, ensure_recipe, recipe_faults
+from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
-from gcd_dataset.verbs import generate, generate_recipe
+from gcd_dataset.shards.manifest import RecipeRecord
+from gcd_dataset.shards.pattern_arrays import stored_patterns
+from gcd_dataset.verbs import Job, Progress, generate, generate_recipe
 from tests.generator.test_recipes import TINY, written
-from tests.shards.folders import contents
+from tests.making.real import contents
 
 
 @pytest.fixture(scope="module")
@@ -77,16 +79,39 @@ def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> N
     assert len(manifest.recipe.patterns) == 64
 
 
+def stopped(folder: Path, recipe: Recipe, after: int) -> None:
+    """Make samples of a recipe until Ctrl-C after ``after`` of them."""
+
+    def report(progress: Progress) -> None:
+        if progress.made == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate_recipe(folder, recipe, workers=0, on_progress=report)
+
+
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
-    folder = tmp_path / "stopped"
-    task = plan_garments(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
-    run = store_samples(task, workers=0)
-    for _ in range(7):
-        next(run)
-    run.close()
-    assert any("lacks" in fault and "run gcd generate again" in fault for fault in recipe_faults(folder, recipe))
-    assert generate_recipe(folder, recipe, workers=2).made == 13
-    assert contents(folder) == contents(made)
+    stopped(tmp_path, recipe, 7)
+    assert any(
+        "no split train: run gcd generate --recipe tiny again" in fault for fault in recipe_faults(tmp_path, recipe)
+    )
+    assert generate_recipe(tmp_path, recipe, workers=2).made == 13
+    assert contents(tmp_path) == contents(made)
+
+
+def test_jobs_make_the_data_set_of_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The pattern hashes of the shards add up, whoever made them."""
+    for number in (1, 0, 2):
+        generate_recipe(tmp_path, recipe, workers=0, job=Job(number, 3))
+    assert contents(tmp_path) == contents(made)
+
+
+def test_the_hash_of_the_notes_is_that_of_the_stored_patterns(made: Path, recipe: Recipe) -> None:
+    stored = (PatternHash.of(stored_patterns(ShardReader(made, split))) for split in recipe.splits)
+    whole = sum(stored, PatternHash())
+    record = (read_manifest(made) or pytest.fail("no manifest")).recipe
+    assert record is not None
+    assert (record.patterns, whole.count) == (whole.text, 20)
 
 
 def test_a_complete_data_set_is_not_made_again(copy: Path, recipe: Recipe) -> None:
@@ -97,14 +122,13 @@ def test_a_complete_data_set_is_not_made_again(copy: Path, recipe: Recipe) -> No
 
 def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
     other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
-    with pytest.raises(ConfigError, match=r"made by recipe tiny \(\w{12}\), asked for tiny \(\w{12}\): use the same"):
+    with pytest.raises(ConfigError, match=r"made with recipe='tiny \(\w{12}\)', asked for recipe='tiny \(\w{12}\)'"):
         generate_recipe(copy, other)
-    with pytest.raises(ConfigError, match="the data set of recipe tiny: continue with --recipe"):
+    with pytest.raises(ConfigError, match=r"made with recipe='tiny \(\w{12}\)', asked for recipe=None"):
         generate(copy, 20, seed=3, config=recipe.config)
-    plain = tmp_path / "plain"
-    generate(plain, 1, seed=3, config=recipe.config)
-    with pytest.raises(ConfigError, match="made without a recipe, asked for tiny"):
-        generate_recipe(plain, recipe)
+    generate(tmp_path / "plain", 1, seed=3, config=recipe.config)
+    with pytest.raises(ConfigError, match="made with recipe=None, asked for recipe='tiny"):
+        generate_recipe(tmp_path / "plain", recipe)
 
 
 # -------------------------------------------------------------------------------------------------------------- verify
@@ -120,12 +144,15 @@ def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
     assert "names recipe tiny" in message
 
 
-def manifest_with(folder: Path, **entries: str) -> None:
-    """Set entries of ``recipe`` in a folder's ``manifest.json``."""
-    path = folder / "manifest.json"
-    content = json.loads(path.read_text())
-    content["recipe"] |= entries
-    path.write_text(json.dumps(content))
+def manifest_with(folder: Path, seed: int | None = None, **entries: str) -> None:
+    """Set entries of ``recipe``, and the seed of all splits, in a folder's ``manifest.json``."""
+    manifest = read_manifest(folder) or pytest.fail("no manifest")
+    recipe = replace(manifest.recipe or RecipeRecord("tiny", ""), **entries)
+    splits = {
+        name: split if seed is None else replace(split, plan=replace(split.plan, seed=seed))
+        for name, split in manifest.splits.items()
+    }
+    (folder / "manifest.json").write_bytes(replace(manifest, recipe=recipe, splits=splits).to_bytes())
 
 
 def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
@@ -147,11 +174,7 @@ def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -
     same = written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 1.0"))
     asked, folder = find_recipe(same), tmp_path / "other"
     generate(folder, 20, seed=4, config=other.config)
-    path = folder / "manifest.json"
-    content = json.loads(path.read_text())
-    content["splits"]["train"]["seed"] = 3
-    content["recipe"] = {"name": "tiny", "sha256": asked.sha256, "patterns": ""}
-    path.write_text(json.dumps(content))
+    manifest_with(folder, seed=3, sha256=asked.sha256)
     message = list(recipe_faults(folder, asked))
     assert "no hash of the patterns yet" in message[0]
     assert len(message) == 21
@@ -159,7 +182,10 @@ def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -
 
 
 def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:
-    for path in copy.glob("*test*"):
+    manifest = read_manifest(copy) or pytest.fail("no manifest")
+    splits = {name.replace("test", "tset"): split for name, split in manifest.splits.items()}
+    (copy / "manifest.json").write_bytes(replace(manifest, splits=splits).to_bytes())
+    for path in copy.rglob("*test*"):
         path.rename(path.with_name(path.name.replace("test", "tset")))
     message = list(recipe_faults(copy, recipe))
     assert any("split tset does not belong to tiny" in line for line in message)
@@ -178,15 +204,13 @@ def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp
 
 
 def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
-    reader = ShardReader(copy, "test")
-    row, column = int(reader.rows([0])[0]), reader.layout.members.index("edges.npy")
     shard = copy / "test-00000.tar"
     content = bytearray(shard.read_bytes())
-    content[int(reader.index.table.offset[row, column]) + 200] ^= 1
+    content[content.index(b".pattern.z\0") + 600] ^= 1
     shard.write_bytes(content)
     (message,) = recipe_faults(copy, recipe)
     assert "test-00000.tar" in message
-    assert "edges.npy" in message
+    assert "pattern.z" in message
 
 
 # ------------------------------------------------------------------------------------------------------------- publish
@@ -288,8 +312,8 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
 
 SCRIPT = """
 import sys
-import gcd_dataset.verbs.making as making
-making.STARTUP = 0.1  # s: start workers for few samples, too
+import gcd_dataset.making.garments as garments
+garments.STARTUP = 0.1  # s: start workers for few samples, too
 from gcd_dataset.loaders import GarmentDataset
 print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
 """
@@ -330,7 +354,7 @@ def test_an_interrupted_making_goes_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("gcd_dataset.verbs.making.seal", interrupted)
+        patched.setattr("gcd_dataset.making.run.gather", interrupted)
         with pytest.raises(KeyboardInterrupt):
             ensure_recipe(recipe, folder)
     ensure_recipe(recipe, folder)
