@@ -72,9 +72,11 @@ __all__ = [
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
 """Folder of the shards of a smaller data set, whose samples are copied while it grows."""
-SHARD = re.compile(r"(.+)-(\d{5,9})\.tar")
+SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
+NOTHING = "no shards: give a folder made by gcd generate"
+FOREIGN = "tars of another program: read them with webdataset, or with load_dataset(\"webdataset\", …) of datasets"
 META = "meta.json"
 
 
@@ -307,6 +309,11 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     record = ShardRecord(number, 0, 0, "")
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
+    if plan is None:
+        with reading(path), open_regular(path) as file:
+            head = file.read(BLOCK)
+        if any(head) and KEY.match(head.decode("latin-1")) is None:
+            raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
 
 
@@ -347,7 +354,8 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     if any(map(OLD.fullmatch, names)):
         raise ShardError(other_schema(place.location(), 2, None))
     if not (shards := shards_named(names)):
-        raise ShardError(f"{place.location()}: no shards: give a folder made by gcd generate")
+        is_foreign = any(name.endswith(".tar") for name in names)
+        raise ShardError(f"{place.location()}: {FOREIGN if is_foreign else NOTHING}")
     notes = _notes(place, names, shards)
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):
