@@ -111,8 +111,8 @@ class Hdf5Garments(Garments):
 
     def _is_empty(self, field: str) -> bool:
         """Whether a field is empty in all garments of the file."""
-        least = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0
-        return self._ends[field] is not None and int(np.diff(self._ends[field]).max(initial=0)) <= least
+        least, ends = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0, self._ends[field]
+        return ends is not None and int(np.diff(ends).max(initial=0)) <= least
 
     def _description(self) -> list[str]:
         return [f"{self.split} of {self.path}"]

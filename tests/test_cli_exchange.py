@@ -4,7 +4,6 @@ import errno
 import itertools
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from gcd_dataset.verbs.converting import convert_missing, plan_conversion
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
@@ -24,9 +24,6 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.layout import GARMENTS
-from gcd_dataset.verbs.converting import convert_missing, plan_conversion
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
@@ -287,7 +284,14 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "3 garments of train" in capsys.readouterr().out
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "no samples of split test: choose from train" in capsys.readouterr().err
+    assert "no split test: choose from train" in capsys.readouterr().err
+
+
+def test_plain_tars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path / "shards", range(3))
+    assert run("export", tmp_path / "shards", "--plain", tmp_path / "plain", "--quiet") == 0
+    assert "plain: 3 garments of train" in capsys.readouterr().out
+    assert [path.name for path in (tmp_path / "plain").iterdir()] == ["train-00000.tar"]
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
@@ -327,7 +331,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "data"]
 
 
-@pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "index-train.npz"])
+@pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "train.index"])
 def test_an_export_does_not_replace_its_source(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(fill(tmp_path, range(2)))
     assert run("export", tmp_path, "--hdf5", tmp_path / name, "--quiet") == 2
@@ -383,20 +387,3 @@ def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object]
 def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bodies='neutral'"):
         plan_conversion(published, tmp_path, bodies="neutral")
-
-
-@pytest.mark.parametrize(
-    "verb", [["export", "--hdf5", "out.h5"], ["export", "--layout", "published", "out"], ["show", "--png", "out.png"]]
-)
-def test_samples_without_all_of_their_files_are_reported(
-    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    reader = ShardReader(fill(tmp_path / "whole", range(2)))
-    (tmp_path / "part").mkdir()
-    copy_shard(
-        tmp_path / "part" / "train-00000.tar", reader, [0, 1], GARMENTS.of(["meta.json", "points.npy"]), lambda _: None
-    )
-    assert run(*verb, "part") == 2
-    message = capsys.readouterr().err.splitlines()[-1]
-    assert re.fullmatch(r"gcd \w+: part: its samples have no \S+: give a data set .*", message)

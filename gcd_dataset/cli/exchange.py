@@ -202,7 +202,8 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
     again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
     with Bar("garment", options.quiet, verb="export", again=again) as bar:
         folder = require_folder(options.what)
-        bar.run(partial(export, folder, out, "published" if form == "layout" else form, split=options.split))
+        exported: Any = "published" if form == "layout" else form
+        bar.run(partial(export, folder, out, exported, split=options.split))
     done = bar.progress
     layout = " in the published layout" if form == "layout" else ""
     print(f"{out}: {done.count} garments of {done.split}{layout}")

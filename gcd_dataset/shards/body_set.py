@@ -165,7 +165,7 @@ def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> d
     """
     found = {member: _decoded(member, members[member]) for member in {MEMBER_OF[field] for field in fields}}
     values = {field: found[MEMBER_OF[field]] for field in fields}
-    for field in values.keys() & {"name", "arm_angle"}:
+    for field in values.keys() - {"measures"}:
         values[field] = values[field][field]
     if "measures" in values:
         values["measures"] = measure_row(Measurements.from_file_values(values["measures"]))

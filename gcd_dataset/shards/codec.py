@@ -227,8 +227,17 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     }
 
 
-NO_MESH = BoxMesh(*(np.zeros((0, n), k) for n, k in ((3, float), (3, int), (2, float), (3, int))),
-                  *(np.zeros(0, int), np.zeros(0, int)), (), (), np.zeros((0, 2), int))  # fmt: skip
+NO_MESH = BoxMesh(
+    vertices=np.zeros((0, 3)),
+    faces=np.zeros((0, 3), int),
+    uv=np.zeros((0, 2)),
+    corners=np.zeros((0, 3), int),
+    uv_vertex=np.zeros(0, int),
+    panel_id=np.zeros(0, int),
+    panel_names=(),
+    panel_labels=(),
+    seams=np.zeros((0, 2), int),
+)
 """The mesh of a sample that ends with stage ``pattern``."""
 
 

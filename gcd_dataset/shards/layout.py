@@ -26,7 +26,6 @@ __all__ = [
     "CAPTION",
     "FAILED",
     "FIELDS",
-    "FOREIGN",
     "GARMENTS",
     "JOINT",
     "MEMBERS",
@@ -37,7 +36,6 @@ __all__ = [
     "Bytes",
     "Layout",
     "fields_of",
-    "foreign_layout",
     "garments_layout",
     "index_name",
     "is_extra",
@@ -102,9 +100,9 @@ class Layout:
     """The kind and the members of the samples of a data set."""
 
     kind: str
-    """``garments``, ``bodies`` or ``foreign``."""
+    """``garments`` or ``bodies``."""
     members: tuple[str, ...]
-    """The files of a sample in order; the first is ``meta.json``, except in foreign tars."""
+    """The files of a sample in order; the first is ``meta.json``."""
     reader: str
     """The class in ``gcd_dataset.loaders`` that reads such samples, for messages."""
     schema: int = SCHEMA
@@ -139,7 +137,6 @@ def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
 
 
 GARMENTS = garments_layout()
-FOREIGN = "foreign"
 BODIES = Layout("bodies", ("meta.json", "measures.json", "person.z"), "BodyDataset")
 
 
@@ -210,11 +207,6 @@ def member_of(field: str) -> str:
     if field in FIELDS:
         return FIELDS[field]
     return CAPTION if field == "caption" else f"{field.removesuffix('_json')}.{'json' if '_json' in field else 'jpg'}"
-
-
-def foreign_layout(members: Sequence[str]) -> Layout:
-    """The layout of tars by other programs: any members; a sample may lack some."""
-    return Layout(FOREIGN, tuple(members), "GarmentDataset")
 
 
 def key_of(index: int) -> str:

@@ -17,6 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
+import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -70,9 +72,11 @@ __all__ = [
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
 """Folder of the shards of a smaller data set, whose samples are copied while it grows."""
-SHARD = re.compile(r"(.+)-(\d{5,9})\.tar")
+SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
+NOTHING = "no shards: give a folder made by gcd generate"
+FOREIGN = "tars of another program: read them with webdataset, or with load_dataset(\"webdataset\", …) of datasets"
 META = "meta.json"
 
 
@@ -104,7 +108,7 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
     position = 0
     try:
-        for key, members in samples_in(memoryview(read_file(path))):
+        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
@@ -113,6 +117,14 @@ def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSampl
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
+
+
+def _mapped(path: Path) -> memoryview:
+    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
+    with reading(path), open_regular(path) as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 class Row(NamedTuple):
@@ -297,6 +309,11 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     record = ShardRecord(number, 0, 0, "")
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
+    if plan is None:
+        with reading(path), open_regular(path) as file:
+            head = file.read(BLOCK)
+        if any(head) and KEY.match(head.decode("latin-1")) is None:
+            raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
 
 
@@ -337,7 +354,8 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     if any(map(OLD.fullmatch, names)):
         raise ShardError(other_schema(place.location(), 2, None))
     if not (shards := shards_named(names)):
-        raise ShardError(f"{place.location()}: no shards: give a folder made by gcd generate")
+        is_foreign = any(name.endswith(".tar") for name in names)
+        raise ShardError(f"{place.location()}: {FOREIGN if is_foreign else NOTHING}")
     notes = _notes(place, names, shards)
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import webdataset as wds
 from torch.utils.data import DataLoader, IterableDataset
 
 from gcd_dataset.errors import ConfigError, ShardError
@@ -195,6 +196,15 @@ def test_harmful_headers_are_refused_before_webdataset_sees_them(tmp_path: Path,
     shard.write_bytes(content + shard.read_bytes())
     with pytest.raises(ShardError, match=rf"train-00000\.tar: a damaged archive \([^\n]*{message}"):
         list(stream)
+
+
+@pytest.mark.parametrize("name", ["thing-000000.tar", "train-00000.tar", "train.tar"])
+@pytest.mark.parametrize("streaming", [False, True])
+def test_tars_of_other_programs_are_left_to_webdataset(tmp_path: Path, name: str, streaming: bool) -> None:
+    with wds.TarWriter(str(tmp_path / name)) as writer:
+        writer.write({"__key__": "a1", "txt": "hi", "json": {"a": 1}})
+    with pytest.raises(ShardError, match=rf"^{tmp_path}/?: tars of another program: read them with webdataset"):
+        GarmentDataset(tmp_path, streaming=streaming)
 
 
 @pytest.mark.parametrize("size", [1, 100, 511, 512, 513, 10_240, 1 << 20])

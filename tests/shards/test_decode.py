@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -122,3 +123,16 @@ def test_a_damaged_member_is_named() -> None:
 def test_the_face_imports_neither_torch_nor_warp() -> None:
     code = "import sys, gcd_dataset; gcd_dataset.decode; sys.exit(any(n in sys.modules for n in ('torch', 'warp')))"
     assert subprocess.run([sys.executable, "-c", code], env=os.environ, check=False).returncode == 0
+
+
+def test_the_examples_of_the_documentation_run(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text()
+    for number in range(20):
+        write_shard(tmp_path / "garments", [fake_sample(0, number)], number)
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        done = subprocess.run(
+            [sys.executable, "-c", block], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False
+        )
+        assert done.stdout.count("gcd_0000000") == 20, done.stderr
