@@ -156,13 +156,11 @@ def test_shards_published_files_and_metrics_know_nothing_of_the_generator() -> N
             )
 
 
-def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it() -> None:
+def test_servers_are_reached_by_the_hub_and_by_the_place_of_a_run_alone() -> None:
     for path in sources():
         part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
-        assert part == "hub" or not any(
-            name.startswith(("huggingface_hub", "httpx", "fsspec", "s3fs")) for name in names
-        )
-        assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)
+        clients = [name for name in names if name.startswith(("huggingface_hub", "aiohttp", "fsspec", "s3fs"))]
+        assert not clients or part == "hub" or (path.name == "place.py" and clients == ["fsspec"]), path
 
 
 def test_shards_import_neither_releases_nor_the_hub() -> None:

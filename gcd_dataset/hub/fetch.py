@@ -20,6 +20,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
 from gcd_dataset.files import make_folder
@@ -189,7 +191,8 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
     if start or end is not None:
         asked["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
     async with asyncio.timeout(ANSWER):
-        response = await session.get(web.encode_url(address), headers=asked, max_redirects=MOST_REDIRECTS)
+        options = {"headers": asked, "max_redirects": MOST_REDIRECTS, "proxy": _proxy(address)}
+        response = await session.get(web.encode_url(address), **options)
     async with response:
         _require(span, response)
         skip, left = start if response.status == 200 else 0, None if end is None else end - start
@@ -237,8 +240,13 @@ def _web(process: int) -> Any:
     import fsspec
 
     timeout = aiohttp.ClientTimeout(total=None, sock_connect=ANSWER, sock_read=ANSWER)
-    options = {"trust_env": True, "timeout": timeout}  # proxies from the environment
-    return fsspec.filesystem("http", client_kwargs=options, skip_instance_cache=True)
+    return fsspec.filesystem("http", client_kwargs={"timeout": timeout}, skip_instance_cache=True)
+
+
+def _proxy(address: str) -> str | None:
+    """The proxy that the environment names. Not by aiohttp, which would also send passwords of ``.netrc``."""
+    parts = urlsplit(address)
+    return None if proxy_bypass(parts.hostname or "") else getproxies().get(parts.scheme)
 
 
 # -------------------------------------------------------------------------------------------------------- object stores

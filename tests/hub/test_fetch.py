@@ -68,6 +68,14 @@ def test_a_server_without_ranges_is_read_from_the_start(hub: Hub, files: Files, 
     assert files.read("a.tar", 0, 1000, limit=1000)[0] == DATA[:1000]
 
 
+def test_the_proxy_of_the_environment_is_used(hub: Hub, files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("http_proxy", hub.endpoint)
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    assert Files("http://data.invalid/files").read("a.tar", limit=len(DATA))[0] == DATA
+    assert files.read("a.tar", limit=len(DATA))[0] == DATA
+    assert [request.path for request in hub.asked()] == ["http://data.invalid/files/a.tar", "/files/a.tar"]
+
+
 def test_an_outage_is_waited_out(hub: Hub, tmp_path: Path) -> None:
     hub.static["a.tar"] = DATA
     hub.stop()

@@ -94,7 +94,11 @@ def test_a_store_may_be_pickled_and_forked(hub: Hub, commit: str, tmp_path: Path
     assert read(pickle.loads(pickle.dumps(store)), 6) == sample(6, MEMBERS)
 
 
-def test_a_private_repository_needs_a_token_that_no_other_host_gets(hub: Hub, folder: Path, tmp_path: Path) -> None:
+def test_a_private_repository_needs_a_token_that_no_other_host_gets(
+    hub: Hub, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "netrc").write_text("default login me password secret\n")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     hub.publish("org/garments", folder, private=True)
     with pytest.raises(RefusedError, match=r"refused .* run hf auth login or set HF_TOKEN"):
         opened(hub, tmp_path)
