@@ -116,6 +116,7 @@ def test_damage_in_the_cache_is_logged_and_repaired(
         path.write_bytes(damaged)
         with pytest.raises(ShardError, match=r"gcd_000000000\.tar"):
             ds.verify(0)
+        path.write_bytes(damaged)
         caplog.clear()
         assert same(ds[0], items[0])
         assert "gcd_000000000.tar" in caplog.text

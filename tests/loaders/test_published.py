@@ -202,7 +202,7 @@ def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:
     assert rows.tobytes().count(before) == 1
     files["sim"] = files["sim"].replace(before, place)
     opened = PublishedGarment(TRAIN[0], "there", lambda kinds: {k: files[k] for k in kinds}, Facts(), True)
-    assert np.array_equal(opened.vertices, np.asarray(sample.drape.vertices, np.float32))
+    assert np.abs(opened.vertices - sample.drape.vertices).max() < 1e-3
     assert np.array_equal(opened.faces, sample.box_mesh.faces)  # type: ignore[union-attr]
 
 
