@@ -111,11 +111,11 @@ def _index(options: argparse.Namespace) -> int:
     return 0
 
 
-def summary_lines(out: str, *, counts: bool = True) -> Iterator[str]:
+def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
     """Lines about the data set in a folder: its samples by split if there are several, and what it lacks."""
     from gcd_dataset.shards.folder import FolderStore
 
-    if "://" in out:
+    if "://" in str(out):
         return
     try:
         store = FolderStore(out)
