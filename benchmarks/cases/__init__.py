@@ -15,7 +15,6 @@ CASES: Mapping[str, str] = {
     "drape": "benchmarks.cases.drape",
     "engines": "benchmarks.cases.engines",
     "fabrics": "benchmarks.cases.fabrics",
-    "fleet": "benchmarks.cases.fleet",
     "generated": "benchmarks.cases.generated",
     "imports": "benchmarks.cases.imports",
     "libraries": "benchmarks.cases.libraries",
