@@ -211,7 +211,7 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
                 break
         if left:
             raise Passing(f"ends at byte {start} of {end}")
-        return (response.history or (response,))[0].headers  # type: ignore[no-any-return]
+        return (response.history or (response,))[0].headers
 
 
 def _require(span: Span, response: Any) -> None:
