@@ -1,5 +1,6 @@
 """Files of a server: continued, verified, fetched once, within bounds of time and memory."""
 
+import fcntl
 import hashlib
 import multiprocessing
 import socket
@@ -263,6 +264,14 @@ def test_a_file_shorter_than_its_size_is_reported(hub: Hub, files: Files, tmp_pa
     hub.static["a.tar"] = DATA[:1000]
     with pytest.raises(RemoteError, match=r"a\.tar: shorter than in its manifest"):
         brought(files, tmp_path)
+
+
+def test_a_stop_ends_the_wait_for_another_process(files: Files, tmp_path: Path) -> None:
+    with (tmp_path / ".a.tar.part").open("wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        threading.Timer(0.2, setattr, (files, "stopped", True)).start()
+        with pytest.raises(RemoteError, match="stopped"):
+            brought(files, tmp_path)
 
 
 def test_a_stop_ends_a_wait(files: Files, hub: Hub) -> None:
