@@ -38,8 +38,8 @@ class Fault:
     """A fault of the next ``times`` requests with a path that matches ``pattern``.
 
     ``drop``: close the connection without an answer. ``status``: answer with it. ``cut``: close the connection after
-    so many bytes of the body; ``hold``: keep it open then, and send nothing more. ``flip``: change a bit of this byte of
-    the file. ``whole``: ignore ``Range``.
+    so many bytes of the body; ``hold``: keep it open then, and send nothing more. ``flip``: change a bit of this byte
+    of the file. ``whole``: ignore ``Range``.
     """
 
     pattern: str
