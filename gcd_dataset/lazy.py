@@ -15,8 +15,8 @@ def lazy_names(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """``__getattr__`` and ``__dir__`` (PEP 562) of a package.
 
-    ``names_of_module``: module, with its whole name or below the package, to the names that it defines. A module is imported when one of its
-    names is first used. ``dir`` lists ``__all__``.
+    ``names_of_module``: module, with its whole name or below the package, to the names that it defines. A module is
+    imported when one of its names is first used. ``dir`` lists ``__all__``.
     """
     module_of_name = {name: module for module, names in names_of_module.items() for name in names}
 

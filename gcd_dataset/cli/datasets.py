@@ -103,6 +103,8 @@ def _index(options: argparse.Namespace) -> int:
     from gcd_dataset.making.run import place_for
     from gcd_dataset.verbs import index
 
+    if "://" not in options.dataset:
+        require_folder(options.dataset)
     manifest = index(place_for(options.dataset)).manifest
     for split, record in manifest.splits.items():
         print(f"{options.dataset}: {split}: {record.count} samples in {len(record.shards)} shards")
@@ -111,11 +113,11 @@ def _index(options: argparse.Namespace) -> int:
     return 0
 
 
-def summary_lines(out: str, *, counts: bool = True) -> Iterator[str]:
+def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
     """Lines about the data set in a folder: its samples by split if there are several, and what it lacks."""
     from gcd_dataset.shards.folder import FolderStore
 
-    if "://" in out:
+    if "://" in str(out):
         return
     try:
         store = FolderStore(out)

@@ -121,10 +121,11 @@ def _generate(
         else:
             _require_devices(config)
             make = partial(make_shards, maker=maker_of(seed, config, workers, keeps_all=named is not None))
+        work = work_of(out, splits, seed, config, named)
         devices = devices_of(config) if engine == "local" and config.stage == "drape" else ()
         logging = run_log(log, on_progress, options=options, recipe=recipe_of(config), devices=devices)
         on_progress = opened.enter_context(logging)
-        return run(work_of(out, splits, seed, config, named), make, job=job, on_progress=on_progress)
+        return run(work, make, job=job, on_progress=on_progress)
 
 
 def work_of(

@@ -13,10 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from gcd_dataset.errors import ConfigError, ShardError, shown
+from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.store import place_of
 from gcd_dataset.making.tasks import Job, Task, Work
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.cache import default_cache
@@ -33,7 +34,7 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import FolderPlace, Place, place_of
+from gcd_dataset.shards.place import FolderPlace, Place
 from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
 from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
@@ -106,7 +107,6 @@ def begin(work: Work) -> None:
     place = work.place
     if isinstance(place, FolderPlace):
         make_folder(place.folder)
-        _warn_of_others(place)
     if (plan := _stored_plan(work)) is None:
         return
     if plan.count < work.plan.count:
@@ -165,31 +165,26 @@ def _grow(work: Work) -> None:
 
 
 def _restore_notes(work: Work) -> None:
-    """Make lost notes again. Raises ``ShardError`` for a shard that does not belong to the data set."""
+    """Make lost notes again. Raises ``ShardError`` for a shard that does not belong to the data set.
+
+    Looked at are the shards without notes, and one with a note: published garments may differ in their numbers alone.
+    """
     names = work.place.names()
-    lost = [shard for shard in shards_named(names) if note_name(*shard) not in names]
-    if not lost:
+    shards = shards_named(names)
+    lost = [shard for shard in shards if note_name(*shard) not in names]
+    if not shards:
         return
-    tasks = {(task.split, task.number): task for task in work.tasks()}
     first = next(iter(work.splits))
-    for split, number in lost:
-        task = tasks.get((first if split == FAILED and FAILED not in work.splits else split, number))
+    tasks = {(task.split, task.number): task for task in work.tasks()} if lost else {}
+    for split, number in lost or shards[:1]:
+        own = first if split == FAILED and FAILED not in work.splits else split
+        task = tasks.get((own, number)) if lost else next((t for t in work.tasks() if t[1:3] == (own, number)), None)
         note = None if task is None else read_note(work.place, split, number, task.plan)
         if task is None or note is None or not note.done <= set(task.indices):
             path = work.place.location(ShardRecord(number, 0, 0, "").name(split))
-            raise ShardError(f"{path}: not a shard of this data set: move it elsewhere, then start again")
-        work.place.write(note_name(split, number), note.to_bytes())
-
-
-def _warn_of_others(place: FolderPlace) -> None:
-    """Log a warning before a new data set is written into a folder with other files."""
-    with reading(place.folder):
-        names = sorted(path.name for path in place.folder.iterdir() if not path.name.startswith("."))
-    if MANIFEST in names or shards_named(names):
-        return
-    if others := [shown(name) for name in names if name != "views" and not name.startswith("mesh-")]:
-        named = ", ".join(others[:NAMED]) + (f" and {len(others) - NAMED} more" if len(others) > NAMED else "")
-        log.warning("%s: holds other files (%s), which stay beside the data set: right folder?", place.folder, named)
+            raise ConfigError(f"{path}: not a shard of this data set: move it elsewhere, or choose another folder")
+        if lost:
+            work.place.write(note_name(split, number), note.to_bytes())
 
 
 # --------------------------------------------------------------------------------------------------------------- making
@@ -367,4 +362,17 @@ def _warn_of_patterns(place: Place, manifest: Manifest) -> None:
 
 def place_for(out: Path | str) -> Place:
     """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to."""
-    return place_of(out, default_cache(None))
+    place = place_of(out, default_cache(None))
+    if isinstance(place, FolderPlace) and place.folder.is_dir():
+        _warn_of_others(place)
+    return place
+
+
+def _warn_of_others(place: FolderPlace) -> None:
+    """Log a warning before a new data set is written into a folder with other files."""
+    names = sorted(name for name in place.names() if "/" not in name and not name.startswith("."))
+    if MANIFEST in names or shards_named(names):
+        return
+    if others := [shown(name) for name in names if name != "views" and not name.startswith("mesh-")]:
+        named = ", ".join(others[:NAMED]) + (f" and {len(others) - NAMED} more" if len(others) > NAMED else "")
+        log.warning("%s: holds other files (%s), which stay beside the data set: right folder?", place.folder, named)

@@ -310,7 +310,7 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     path = place.fetch(record.name(split))
     views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
     if plan is None:
-        with open_regular(path) as file:
+        with reading(path), open_regular(path) as file:
             head = file.read(BLOCK)
         if any(head) and KEY.match(head.decode("latin-1")) is None:
             raise ShardError(f"{place.location()}: {FOREIGN}")

@@ -303,7 +303,7 @@ def test_an_older_format_is_refused(tmp_path: Path) -> None:
 
 def test_tars_of_others_are_not_taken_for_shards(copy: Path, tmp_path: Path) -> None:
     shutil.copy(copy / "train-00000.tar", copy / "train-00012.tar")
-    with pytest.raises(ShardError, match=r"train-00012\.tar: not a shard of this data set: move it elsewhere"):
+    with pytest.raises(ConfigError, match=r"train-00012\.tar: not a shard of this data set: move it elsewhere"):
         make(copy, COUNT)
 
 
