@@ -15,11 +15,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.verbs.ray_engine import ray_cluster
+
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.verbs.ray_engine import ray_cluster
 
 __all__ = ["add_arguments", "run"]
 

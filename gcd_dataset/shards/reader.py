@@ -88,9 +88,9 @@ class ShardReader:
     def __len__(self) -> int:
         return len(self._row)
 
-    def rows(self, positions: Iterable[int]) -> Int[np.ndarray, " n"]:
+    def rows(self, positions: Sequence[int] | Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """The rows of ``index`` for positions."""
-        return self._row[np.fromiter(positions, np.int64)]
+        return self._row[np.asarray(positions, np.int64)]
 
     def number(self, position: int) -> int:
         """The index of the sample at a position."""

@@ -15,17 +15,18 @@ import pytest
 
 ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras")
 
+from gcd_dataset.generator.drapers.ray_actor import RayDraper, start_actor  # noqa: E402
+from gcd_dataset.verbs.making import generate  # noqa: E402
+
 from gcd_dataset.cli import main  # noqa: E402
 from gcd_dataset.errors import GcdError  # noqa: E402
 from gcd_dataset.generator.drapers import ray_actor  # noqa: E402
 from gcd_dataset.generator.drapers.local import LocalDraper  # noqa: E402
-from gcd_dataset.generator.drapers.ray_actor import RayDraper, start_actor  # noqa: E402
 from gcd_dataset.generator.maker import produce  # noqa: E402
 from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
+from gcd_dataset.making.progress import Progress  # noqa: E402
 from gcd_dataset.records import Sample  # noqa: E402
 from gcd_dataset.verbs import ray_engine  # noqa: E402
-from gcd_dataset.verbs.making import generate  # noqa: E402
-from gcd_dataset.making.progress import Progress  # noqa: E402
 from tests.test_cli import one_line, wait_for_bytes  # noqa: E402
 
 pytestmark = [
