@@ -130,7 +130,11 @@ def _concatenated(
     return torch.from_numpy(out)
 
 
-NUMPY_TYPES = {torch.float16: np.dtype("f2"), torch.float32: np.dtype("f4"), torch.float64: np.dtype("f8")}
+NUMPY_TYPES: Mapping[torch.dtype, np.dtype[Any]] = {
+    torch.float16: np.dtype("f2"),
+    torch.float32: np.dtype("f4"),
+    torch.float64: np.dtype("f8"),
+}
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:

@@ -321,9 +321,9 @@ def _absent(parts: Sequence[_Part]) -> dict[str, str]:
     stored = {field: member for field, member in fields_of(members).items() if not is_view_field(field)}
     pictures = [field for field, member in stored.items() if is_picture(member)]
     found = decode_fields(members, [field for field in stored if field not in pictures])
-    empty = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
-    empty |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
-    return absent_when_empty(empty.__contains__, stored)
+    missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
+    missing |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
+    return absent_when_empty(missing.__contains__, stored)
 
 
 def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:

@@ -13,7 +13,6 @@ CASES: Mapping[str, str] = {
     "bodies_draped": "benchmarks.cases.bodies_draped",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
-    "engines": "benchmarks.cases.engines",
     "fabrics": "benchmarks.cases.fabrics",
     "generated": "benchmarks.cases.generated",
     "imports": "benchmarks.cases.imports",

@@ -216,7 +216,7 @@ def _packed_items(items: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Tensor
 
 
 def _items(folder: Path, fields: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-    dataset = GarmentDataset(folder, fields=fields)
+    dataset: Any = GarmentDataset(folder, fields=fields)
     return ({field: item[field].numpy() for field in fields} for item in (dataset[i] for i in range(len(dataset))))
 
 

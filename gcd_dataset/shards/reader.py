@@ -124,7 +124,7 @@ class ShardReader:
             raise ConfigError(
                 f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
             )
-        rows = self.rows(positions).tolist()
+        rows = self.rows(list(positions)).tolist()
         tars = [tar for tar in (False, True) if any(is_picture(member) is tar for member in wanted)]
         mask = sum(VIEWS if tar else MAIN for tar in tars)
         parts = iter(self.store.parts(self.split, [(*self._span(row, tar), tar) for row in rows for tar in tars]))

@@ -1,5 +1,6 @@
 """The loaders benchmark: all loaders yield the same garments."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,8 +53,12 @@ def test_a_figure_is_the_median_over_pairs_of_epochs() -> None:
     figures = {figure.metric: figure.value for figure in _ratios(spent)}
     assert figures["geometry_over_memmap"] == 2.0
     assert figures["geometry_arrow"] == 1.0
-    counted = {name: [0] for name in "ab"}
-    times = cpu_ms_of({name: lambda indices, n=name: counted[n].append(len(indices)) for name in "ab"}, 5, 2, seconds=0)
+    counted: dict[str, list[int]] = {"a": [], "b": []}
+
+    def counting(name: str) -> Callable[[Sequence[int]], None]:
+        return lambda indices: counted[name].append(len(indices))
+
+    times = cpu_ms_of({name: counting(name) for name in counted}, 5, 2, seconds=0)
     assert {name: sum(sizes) for name, sizes in counted.items()} == {"a": 10, "b": 10}  # one epoch before the clock
     assert np.min(times["a"]) >= 0
 
