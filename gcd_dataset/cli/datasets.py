@@ -103,6 +103,8 @@ def _index(options: argparse.Namespace) -> int:
     from gcd_dataset.making.run import place_for
     from gcd_dataset.verbs import index
 
+    if "://" not in options.dataset:
+        require_folder(options.dataset)
     manifest = index(place_for(options.dataset)).manifest
     for split, record in manifest.splits.items():
         print(f"{options.dataset}: {split}: {record.count} samples in {len(record.shards)} shards")

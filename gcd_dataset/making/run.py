@@ -17,6 +17,7 @@ from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.store import place_of
 from gcd_dataset.making.tasks import Job, Task, Work
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.cache import default_cache
@@ -33,7 +34,7 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import FolderPlace, Place, place_of
+from gcd_dataset.shards.place import FolderPlace, Place
 from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
 from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
@@ -362,7 +363,7 @@ def _warn_of_patterns(place: Place, manifest: Manifest) -> None:
 def place_for(out: Path | str) -> Place:
     """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to."""
     place = place_of(out, default_cache(None))
-    if isinstance(place, FolderPlace):
+    if isinstance(place, FolderPlace) and place.folder.is_dir():
         _warn_of_others(place)
     return place
 

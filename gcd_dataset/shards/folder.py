@@ -61,10 +61,9 @@ class FolderStore(Store):
     def index(self, split: str) -> SplitIndex:
         manifest = self.manifest()
         if split not in manifest.splits:
-            known = tuple(manifest.splits)
-            raise ShardError(
-                f"{self.folder}: no split {split}: choose from {', '.join(known)}{did_you_mean(split, known)}"
-            )
+            nearest = did_you_mean(split, manifest.splits)
+            known = ", ".join(manifest.splits)
+            raise ShardError(f"{self.folder}: no samples of split {split}: choose from {known}{nearest}")
         record, path = manifest.splits[split], self.folder / index_name(split)
         if not record.count:
             raise ShardError(f"{self.folder}: no samples of split {split}: none is finished")
@@ -149,6 +148,9 @@ def splits_in(folder: Path | str) -> tuple[str, ...]:
 
 def is_set(folder: Path) -> bool:
     """Whether a folder holds a data set: a manifest or shards. Raises ``ShardError`` where it cannot be read."""
+    with reading(folder):
+        if not folder.is_dir():
+            return False
     names = FolderPlace(folder).names()
     return MANIFEST in names or bool(shards_named(names))
 

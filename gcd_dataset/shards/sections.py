@@ -185,7 +185,7 @@ def _decoded(content: bytes, start: int, head: _Head) -> np.ndarray:
         array = np.frombuffer(content, f"<{head.kind.decode()}", count, start)
         return array.reshape(head.rows, head.columns) if head.columns else array
     is_coded = 1 <= head.order <= 3 and 1 <= head.planes <= 4 and (head.order < 3 or head.columns == 3)
-    if not is_coded or head.size != count * head.planes or LARGEST_STEP < abs(head.step) != WHOLE:
+    if not is_coded or head.size != count * head.planes or (abs(head.step) > LARGEST_STEP and head.step != WHOLE):
         raise ShardError(f"a section of coding {head.order}, step {head.step}, {head.rows} rows and {head.size} bytes")
     code = np.frombuffer(content, np.uint8, count, start).astype(np.uint32)
     for plane in range(1, head.planes):

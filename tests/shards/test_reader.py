@@ -118,7 +118,7 @@ def test_a_broken_index_or_manifest_is_named(folder: Path, name: str) -> None:
 
 
 def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ShardError, match="no split test: choose from train"):
+    with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         ShardReader(folder, "test")
     with pytest.raises(ShardError, match="no shards: give a folder made by gcd generate"):
         ShardReader(tmp_path)
