@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.writer import SHARD_SIZE
+from gcd_dataset.shards.writer import LARGEST as SHARD_SIZE
 
 __all__ = ["RATE", "Bill", "Fleet", "Machine", "ObjectStore", "Run", "bill", "expected_seconds", "limits", "simulate"]
 

@@ -2,34 +2,37 @@
 
     python -m benchmarks.run engines --stage mesh --count 128 --workers 2
 
-Each engine makes a few garments, as its start, then ``--count``, encoded as for a shard; the start of the local
+Each engine makes shards of a few garments, as its start, then of ``--count``; the start of the local
 engine's processes is subtracted from its second run. CPU seconds are those of this process and all its descendants,
 including Ray's, read from /proc when the last garment arrives.
 """
 
 import argparse
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.cases.figures import Figure, Measured
-from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.verbs.ray_engine import ray_cluster
+from gcd_dataset.making.garments import maker_of, work_of
+from gcd_dataset.making.ray import ray_cluster
+from gcd_dataset.making.run import make_shards
+from gcd_dataset.shards.layout import TRAIN
 
 __all__ = ["add_arguments", "run"]
 
 TICKS = os.sysconf("SC_CLK_TCK")
-SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU time per garment by stage [s]; sets the number of garments per Ray task
+STAGES = ("pattern", "mesh")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=512, help="garments")
-    parser.add_argument("--stage", choices=SECONDS, default="pattern")
+    parser.add_argument("--stage", choices=STAGES, default="pattern")
     parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
 
 
@@ -63,14 +66,19 @@ def _spent(made: Iterator[Any], count: int, begun: tuple[float, float]) -> tuple
 
 @contextmanager
 def _engine(engine: str, config: MakeConfig, workers: int) -> Iterator[Callable[[int], Iterator[Any]]]:
-    """For the block, a function that makes a given number of garments with the engine, one by one."""
-    if engine == "local":
-        yield lambda count: produce(0, range(count), config, workers=workers, finished=encode_sample)
-        return
-    os.environ["RAY_ADDRESS"] = "local"
-    with ray_cluster(config, workers) as cluster:
-        seconds = SECONDS[config.stage]
-        yield lambda count: cluster.produce(0, range(count), finished=encode_sample, seconds=seconds)
+    """For the block, a function that stores a given number of garments with the engine, yielding each."""
+    with ExitStack() as opened:
+        make = partial(make_shards, maker=maker_of(0, config, workers))
+        if engine == "ray":
+            os.environ["RAY_ADDRESS"] = "local"
+            make = opened.enter_context(ray_cluster(config, workers)).make_shards
+
+        def made(count: int) -> Iterator[Any]:
+            folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
+            work = work_of(folder, {TRAIN: range(count)}, 0, config)
+            return make(work.place, list(work.tasks()))
+
+        yield made
 
 
 def _cpu_seconds() -> float:

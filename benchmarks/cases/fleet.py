@@ -14,7 +14,7 @@ from typing import Any
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.fleet import Fleet, Machine, ObjectStore, as_row, bill, expected_seconds, limits, simulate
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.writer import SHARD_SIZE
+from gcd_dataset.shards.writer import LARGEST as SHARD_SIZE
 
 __all__ = ["add_arguments", "run"]
 

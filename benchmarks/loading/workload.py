@@ -9,6 +9,7 @@ import numpy as np
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Sample, Seam
 from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.folder import is_set
 
 __all__ = ["CONFIGS", "large_sample", "write_shards"]
 
@@ -54,7 +55,9 @@ def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
 
 def write_shards(folder: Path, count: int) -> Path:
     """Write the first ``count`` garments as shards, keeping existing ones. Returns the folder."""
+    if is_set(folder):
+        return folder
     with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
-        for index in sorted(set(range(count)) - writer.done):
+        for index in range(count):
             writer.write(large_sample(index))
     return folder

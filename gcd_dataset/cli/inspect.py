@@ -222,9 +222,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     garments = {
         split: r for split, r in readers.items() if isinstance(r, ShardReader) and r.layout.kind == GARMENTS.kind
     }
-    if len(garments) == len(readers) and all(
-        DESIGN in reader.layout.members for reader in garments.values()
-    ):
+    if len(garments) == len(readers) and all(DESIGN in reader.layout.members for reader in garments.values()):
         yield from (
             f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(garments)
         )

@@ -76,7 +76,7 @@ SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
 NOTHING = "no shards: give a folder made by gcd generate"
-FOREIGN = "tars of another program: read them with webdataset, or with load_dataset(\"webdataset\", …) of datasets"
+FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
 META = "meta.json"
 
 

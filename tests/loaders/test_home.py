@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.folder import splits_in
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ShardError
