@@ -120,11 +120,11 @@ def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
         }
 
 
-def test_ray_is_imported_by_its_engine_alone() -> None:
+def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "ray" for m in imports_of(p))}
-    assert users == {"making/ray.py"}
+    assert users == {"generator/drapers/ray_actor.py", "verbs/ray_engine.py"}
     # Every Ray task imports the engine; tasks that make patterns need neither Warp nor torch. Ray is optional.
-    assert not loaded_by("gcd_dataset.making.ray") & {"ray", "warp", "torch"}
+    assert not loaded_by("gcd_dataset.verbs.ray_engine") & {"ray", "warp", "torch"}
 
 
 LAYERS = {
@@ -156,13 +156,11 @@ def test_shards_published_files_and_metrics_know_nothing_of_the_generator() -> N
             )
 
 
-def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it() -> None:
+def test_servers_are_reached_by_the_hub_and_by_the_place_of_a_run_alone() -> None:
     for path in sources():
         part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
-        stores = ("fsspec", "s3fs")
-        assert part == "hub" or not any(name.startswith(("huggingface_hub", "httpx")) for name in names)
-        assert part in ("hub", "making") or not any(name.startswith(stores) for name in names)
-        assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)
+        clients = [name for name in names if name.startswith(("huggingface_hub", "aiohttp", "fsspec", "s3fs"))]
+        assert not clients or part == "hub" or (path.name == "place.py" and clients == ["fsspec"]), path
 
 
 def test_shards_import_neither_releases_nor_the_hub() -> None:

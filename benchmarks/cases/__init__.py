@@ -25,6 +25,7 @@ CASES: Mapping[str, str] = {
     "patterns": "benchmarks.cases.patterns",
     "pictures_matter": "benchmarks.cases.pictures_matter",
     "reconstruction": "benchmarks.cases.reconstruction",
+    "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
     "viewer": "benchmarks.cases.viewer",

@@ -8,8 +8,7 @@ import numpy as np
 
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Sample, Seam
-from gcd_dataset.shards import ShardWriter
-from gcd_dataset.shards.folder import is_set
+from gcd_dataset.shards import ShardWriter, read_manifest
 
 __all__ = ["CONFIGS", "large_sample", "write_shards"]
 
@@ -54,10 +53,10 @@ def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
 
 
 def write_shards(folder: Path, count: int) -> Path:
-    """Write the first ``count`` garments as shards, keeping existing ones. Returns the folder."""
-    if is_set(folder):
-        return folder
-    with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
-        for index in range(count):
-            writer.write(large_sample(index))
+    """Write the first ``count`` garments as shards, unless the folder holds as many. Returns the folder."""
+    manifest = read_manifest(folder) if folder.is_dir() else None
+    if manifest is None or manifest.counts != {"train": count}:
+        with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
+            for index in range(count):
+                writer.write(large_sample(index))
     return folder

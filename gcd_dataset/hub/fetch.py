@@ -20,6 +20,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
 from gcd_dataset.files import make_folder
@@ -32,6 +34,7 @@ PATIENCE = 300.0  # s of attempts without a received byte
 FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s between attempts: each wait is twice the last
 ANSWER = 10.0  # s until an answer begins, and between its pieces
 LITTLE = 1 << 16  # bytes: attempts that bring fewer do not renew the patience
+LOOK = 0.05  # s between looks at another process's lock
 MOST_REDIRECTS = 5  # the Hub and its storage take three
 PIECE = 1 << 26  # bytes of one request to an object store
 
@@ -119,7 +122,7 @@ class Files:
             nonlocal offset
             take(piece)
             offset += len(piece)
-            self._require_wanted(span)
+            self.require_wanted(span.address)
             if offset - before < LITTLE and time.monotonic() - begun > self.patience + ANSWER:
                 raise Passing(f"sent {offset - before} bytes in {time.monotonic() - begun:.0f} s")
 
@@ -149,12 +152,13 @@ class Files:
         log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
         until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
         while (left := until - time.monotonic()) > 0:
-            self._require_wanted(span)
+            self.require_wanted(span.address)
             time.sleep(min(left, FIRST_WAIT))
 
-    def _require_wanted(self, span: Span) -> None:
+    def require_wanted(self, address: str) -> None:
+        """Raise ``RemoteError`` if the requests are stopped."""
         if self.stopped:
-            raise RemoteError(f"{span.address}: stopped: start again to continue")
+            raise RemoteError(f"{address}: stopped: start again to continue")
 
 
 # ---------------------------------------------------------------------------------------------------------- web servers
@@ -177,7 +181,9 @@ def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
         raise RemoteError(f"{span.address}: cannot be read ({first_line(error)}): check the address") from error
     except aiohttp.ClientPayloadError as error:
         raise Passing("the connection was lost") from error
-    except (aiohttp.ClientError, TimeoutError, OSError) as error:
+    except TimeoutError as error:
+        raise Passing(f"no answer for {ANSWER:.0f} s") from error
+    except (aiohttp.ClientError, OSError) as error:
         raise Passing(f"no answer ({first_line(error)})") from error
     return answered
 
@@ -189,7 +195,8 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
     if start or end is not None:
         asked["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
     async with asyncio.timeout(ANSWER):
-        response = await session.get(web.encode_url(address), headers=asked, max_redirects=MOST_REDIRECTS)
+        options = {"headers": asked, "max_redirects": MOST_REDIRECTS, "proxy": _proxy(address)}
+        response = await session.get(web.encode_url(address), **options)
     async with response:
         _require(span, response)
         skip, left = start if response.status == 200 else 0, None if end is None else end - start
@@ -208,7 +215,7 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
                 break
         if left:
             raise Passing(f"ends at byte {start} of {end}")
-        return (response.history or (response,))[0].headers  # type: ignore[no-any-return]
+        return (response.history or (response,))[0].headers
 
 
 def _require(span: Span, response: Any) -> None:
@@ -237,8 +244,13 @@ def _web(process: int) -> Any:
     import fsspec
 
     timeout = aiohttp.ClientTimeout(total=None, sock_connect=ANSWER, sock_read=ANSWER)
-    options = {"trust_env": True, "timeout": timeout}  # proxies from the environment
-    return fsspec.filesystem("http", client_kwargs=options, skip_instance_cache=True)
+    return fsspec.filesystem("http", client_kwargs={"timeout": timeout}, skip_instance_cache=True)
+
+
+def _proxy(address: str) -> str | None:
+    """The proxy that the environment names. Not by aiohttp, which would also send passwords of ``.netrc``."""
+    parts = urlsplit(address)
+    return None if proxy_bypass(parts.hostname or "") else getproxies().get(parts.scheme)
 
 
 # -------------------------------------------------------------------------------------------------------- object stores
@@ -331,7 +343,7 @@ def fetch(
     part = part or target.with_name(f".{target.name}.part")
     while not target.exists():
         make_folder(part.parent)
-        with _claimed(part) as is_mine, writing(part):
+        with _claimed(part, files) as is_mine, writing(part):
             if is_mine and target.exists():
                 part.unlink()  # made by this call, after another process had finished
             elif is_mine:
@@ -356,17 +368,27 @@ def _complete(append: Callable[[], None], part: Path, size: int, sha256: str, ad
 
 
 @contextlib.contextmanager
-def _claimed(part: Path) -> Iterator[bool]:
+def _claimed(part: Path, files: Files) -> Iterator[bool]:
     """Hold the lock of ``part``, made if missing; false if another process has finished or removed it meanwhile."""
     with writing(part):
         file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        fcntl.flock(file, fcntl.LOCK_EX)
     try:
+        while not _is_locked(file, part):
+            files.require_wanted(str(part))  # so that Ctrl-C ends the wait
+            time.sleep(LOOK)
         yield part.exists() and os.path.samestat(os.fstat(file), part.lstat())
     finally:
         # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
+
+
+def _is_locked(file: int, part: Path) -> bool:
+    """Lock an open file, unless another process or thread has locked it."""
+    with writing(part), contextlib.suppress(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False
 
 
 def sha256_of(path: Path) -> str:

@@ -23,38 +23,35 @@ LARGE = (".tar",)
 
 @dataclass(frozen=True)
 class Request:
-    """A request and its answer."""
+    """A request, its ``Range`` header, and its answer: status and bytes sent of the body."""
 
     method: str
     path: str
     span: str
-    """Its ``Range`` header."""
     status: int
     size: int
-    """Bytes sent of the answer's body."""
     authorization: str
 
 
 @dataclass
 class Fault:
-    """A fault of the next ``times`` requests with a path that matches ``pattern``."""
+    """A fault of the next ``times`` requests with a path that matches ``pattern``.
+
+    ``drop``: close the connection without an answer. ``status``: answer with it. ``cut``: close the connection after
+    so many bytes of the body; ``hold``: keep it open then, and send nothing more. ``flip``: change a bit of this byte
+    of the file. ``whole``: ignore ``Range``.
+    """
 
     pattern: str
     times: int = 1
     method: str = "GET"
     drop: bool = False
-    """Close the connection without an answer."""
     status: int = 0
-    """Status code to answer with; 0: none."""
     headers: Mapping[str, str] = field(default_factory=dict)
     cut: int | None = None
-    """Close the connection after this many bytes of the body."""
     hold: bool = False
-    """After the cut, keep the connection open and send nothing more."""
     flip: int | None = None
-    """Offset of a byte of the file; one of its bits is changed."""
     whole: bool = False
-    """Ignore ``Range`` and send the whole file."""
 
 
 @dataclass
@@ -66,15 +63,13 @@ class Repo:
 
     def commit(self, files: Mapping[str, bytes]) -> str:
         """Add a commit; return its hash."""
-        seen = "".join(sha for sha, _ in self.commits) + json.dumps(
-            {name: _sha256(data) for name, data in files.items()}
-        )
-        sha = hashlib.sha1(seen.encode()).hexdigest()
+        hashes = {name: _sha256(data) for name, data in files.items()}
+        sha = hashlib.sha1(("".join(sha for sha, _ in self.commits) + json.dumps(hashes)).encode()).hexdigest()
         self.commits.append((sha, dict(files)))
         return sha
 
     def at(self, revision: str) -> tuple[str, dict[str, bytes]] | None:
-        """Commit and files of a branch, tag or commit."""
+        """Commit and files of the branch ``main`` or of a commit."""
         if revision == "main":
             return self.commits[-1] if self.commits else None
         return next((commit for commit in self.commits if commit[0] == revision), None)

@@ -1,5 +1,6 @@
 """Files of a server: continued, verified, fetched once, within bounds of time and memory."""
 
+import fcntl
 import hashlib
 import multiprocessing
 import socket
@@ -51,7 +52,7 @@ def test_no_byte_is_sent_twice_after_cuts(hub: Hub, files: Files, tmp_path: Path
 
 
 def test_a_stopped_download_continues_where_it_ended(hub: Hub, files: Files, tmp_path: Path) -> None:
-    hub.faults = [Fault("a.tar", cut=50_000), Fault("a.tar", drop=True, times=999)]
+    hub.faults = [Fault("a.tar", cut=50_000), Fault("a.tar", drop=True, times=10**6)]
     with pytest.raises(RemoteError, match="received data are kept"):
         brought(files, tmp_path)
     hub.faults.clear()
@@ -66,6 +67,14 @@ def test_a_server_without_ranges_is_read_from_the_start(hub: Hub, files: Files, 
     with pytest.raises(RemoteError, match=r"a\.tar: this server sends whole files only.*gcd download"):
         files.read("a.tar", 1000, 2000, limit=1000)
     assert files.read("a.tar", 0, 1000, limit=1000)[0] == DATA[:1000]
+
+
+def test_the_proxy_of_the_environment_is_used(hub: Hub, files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("http_proxy", hub.endpoint)
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    assert Files("http://data.invalid/files").read("a.tar", limit=len(DATA))[0] == DATA
+    assert files.read("a.tar", limit=len(DATA))[0] == DATA
+    assert [request.path for request in hub.asked()] == ["http://data.invalid/files/a.tar", "/files/a.tar"]
 
 
 def test_an_outage_is_waited_out(hub: Hub, tmp_path: Path) -> None:
@@ -83,7 +92,7 @@ def test_a_silent_server_is_asked_again(hub: Hub, files: Files, tmp_path: Path) 
 
 
 def test_a_full_disk_loses_nothing(hub: Hub, files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hub.faults = [Fault("a.tar", cut=50_000), Fault("a.tar", drop=True, times=999)]
+    hub.faults = [Fault("a.tar", cut=50_000), Fault("a.tar", drop=True, times=10**6)]
     with pytest.raises(RemoteError):
         brought(files, tmp_path)
     hub.faults.clear()
@@ -171,7 +180,7 @@ def test_patience_bounds_the_wait_that_a_server_asks_for(hub: Hub, after: str) -
 @pytest.mark.usefixtures("short_answers")
 @pytest.mark.parametrize("cut", [0, 1])
 def test_a_server_that_stalls_is_given_up(hub: Hub, files: Files, cut: int) -> None:
-    hub.faults = [Fault("a.tar", cut=cut, hold=True, times=999)]
+    hub.faults = [Fault("a.tar", cut=cut, hold=True, times=10**6)]
     begun = time.monotonic()
     with pytest.raises(RemoteError, match="no answer"):
         files.read("a.tar", limit=len(DATA))
@@ -255,6 +264,14 @@ def test_a_file_shorter_than_its_size_is_reported(hub: Hub, files: Files, tmp_pa
     hub.static["a.tar"] = DATA[:1000]
     with pytest.raises(RemoteError, match=r"a\.tar: shorter than in its manifest"):
         brought(files, tmp_path)
+
+
+def test_a_stop_ends_the_wait_for_another_process(files: Files, tmp_path: Path) -> None:
+    with (tmp_path / ".a.tar.part").open("wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        threading.Timer(0.2, setattr, (files, "stopped", True)).start()
+        with pytest.raises(RemoteError, match="stopped"):
+            brought(files, tmp_path)
 
 
 def test_a_stop_ends_a_wait(files: Files, hub: Hub) -> None:

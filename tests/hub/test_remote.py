@@ -94,7 +94,11 @@ def test_a_store_may_be_pickled_and_forked(hub: Hub, commit: str, tmp_path: Path
     assert read(pickle.loads(pickle.dumps(store)), 6) == sample(6, MEMBERS)
 
 
-def test_a_private_repository_needs_a_token_that_no_other_host_gets(hub: Hub, folder: Path, tmp_path: Path) -> None:
+def test_a_private_repository_needs_a_token_that_no_other_host_gets(
+    hub: Hub, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "netrc").write_text("default login me password secret\n")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     hub.publish("org/garments", folder, private=True)
     with pytest.raises(RefusedError, match=r"refused .* run hf auth login or set HF_TOKEN"):
         opened(hub, tmp_path)
@@ -208,7 +212,7 @@ def test_a_truncated_tar_in_the_cache_is_not_read(hub: Hub, commit: str, tmp_pat
 
 
 def test_a_shard_that_differs_from_its_hash_is_never_cached(hub: Hub, commit: str, tmp_path: Path) -> None:
-    hub.faults = [Fault(r"storage/.*tar", flip=300, times=999)]
+    hub.faults = [Fault(r"storage/.*tar", flip=300, times=10**6)]
     store = opened(hub, tmp_path)
     with pytest.raises(RemoteError, match=r"train-0000\d\.tar: received bytes do not match the published hash"):
         ensure(store)

@@ -61,7 +61,7 @@ def test_more_tags_are_requested_on_demand_and_kept(
 
 def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_path: Path) -> None:
     album = opened(hub, tmp_path)
-    hub.faults.append(Fault(r"\.tar", times=1000, status=503))
+    hub.faults.append(Fault(r"\.tar", times=10**6, status=503))
     album.read_tags()
     assert album.known == 0 and "503" in album.problem
     hub.faults.clear()
@@ -72,7 +72,7 @@ def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_pat
 def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, commit: str, tmp_path: Path) -> None:
     album = opened(hub, tmp_path)
     start = int(album._reader.index.start[2])
-    hub.faults.append(Fault(r"train-00000\.tar", times=1000, flip=start + 700))
+    hub.faults.append(Fault(r"train-00000\.tar", times=10**6, flip=start + 700))
     album.read_tags()
     assert album.known == COUNT and not album.problem
     assert album.facets().outcomes == {"settled": COUNT}
