@@ -47,7 +47,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "download": (
         "gcd download org/garments --split test",
-        "gcd download org/garments --fields points panels edges stitches --out garments",
+        "gcd download org/garments --no-views --out garments",
     ),
     "publish": (
         "gcd publish shards org/garments --dry-run",

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError, shown
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.shards.access import read_file
+from gcd_dataset.shards.access import read_file, writing
 from gcd_dataset.shards.place import VIEWS, FolderPlace, Place
 
 __all__ = ["UrlPlace", "place_of"]

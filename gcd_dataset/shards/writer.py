@@ -45,6 +45,7 @@ from gcd_dataset.shards.tar import END, tar_entry
 __all__ = ["DRAFT", "Draft", "ShardWriter", "draft_name", "remove_drafts", "shard_size_of"]
 
 LARGE, SHARDS, MOST = 8192, 20, 32
+LARGEST = 128  # samples of a shard, in a split of more than ``LARGE``
 DRAFT = re.compile(r"\..+-\d{5,}\.part")
 
 
@@ -56,7 +57,7 @@ def shard_size_of(count: int, wearers: int = 1) -> int:
     >>> [shard_size_of(count) for count in (7, 100, 1000, 100_000)], shard_size_of(100, wearers=2)
     ([1, 5, 32, 128], 4)
     """
-    size = 128 if count > LARGE else min(max(count // SHARDS, 1), MOST)
+    size = LARGEST if count > LARGE else min(max(count // SHARDS, 1), MOST)
     return max(size // wearers, 1) * wearers
 
 

@@ -1,0 +1,95 @@
+"""The parts of the Ray engine that run without Ray."""
+
+import errno
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.making import ray
+from gcd_dataset.making.ray import code_versions, gpu_share, mismatch, with_cluster_device
+from tests.test_cli import one_line
+
+
+def test_ray_does_not_keep_its_handler_of_sigterm() -> None:
+    """It would abort the process."""
+    before = signal.getsignal(signal.SIGTERM)
+    with ray._own_handler():
+        signal.signal(signal.SIGTERM, lambda *_: None)
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(("asked", "gpus", "device"), [("auto", 4, "cuda"), ("auto", 0, "cpu"), ("cpu", 4, "cpu")])
+def test_the_cluster_decides_the_device(asked: str, gpus: int, device: str) -> None:
+    config = with_cluster_device(MakeConfig(device=asked), gpus)
+    assert recipe_of(config) == recipe_of(MakeConfig(device=device))
+
+
+@pytest.mark.parametrize(("asked", "message"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
+def test_gpus_that_ray_cannot_give_are_reported(asked: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        with_cluster_device(MakeConfig(device=asked), 0)
+
+
+def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
+    """As many tasks as the CPUs of any node have room for are no more than its GPUs have."""
+    resources = [{"CPU": 8.0, "GPU": 1.0}, {"CPU": 96.0, "GPU": 8.0}, {"CPU": 32.0}]
+    share = gpu_share([{"Alive": True, "Resources": part} for part in resources])
+    for part in resources[:2]:
+        assert part["CPU"] / ray.CPUS_BESIDE_GPU * share >= part["GPU"] - 1e-3
+    assert gpu_share([{"Alive": False, "Resources": resources[0]}, {"Alive": True, "Resources": resources[2]}]) == 0
+
+
+def test_versions_that_differ_are_named_with_both() -> None:
+    message = mismatch(versions(), versions() | {"numpy": "1.0"})
+    assert message is not None
+    assert message.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
+    assert mismatch(versions(), dict(versions())) is None
+    assert "gcd_dataset missing instead of" in str(mismatch(versions(), {}))
+    assert len(code_versions()["sources"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (MemoryError(), "node 10.0.0.7: out of memory: give fewer --workers, or a node with more memory"),
+        (MemoryError("Unable to allocate 3 GiB"), "out of memory (Unable to allocate 3 GiB): give fewer --workers"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room there, or remove"),
+        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied: correct this there, or remove"),
+    ],
+)
+def test_a_fault_of_a_node_is_named_with_its_remedy(fault: OSError | MemoryError, message: str) -> None:
+    said = str(ray._node_fault("10.0.0.7", fault))
+    assert message in said
+    assert said.endswith("then give the same command again to continue")
+
+
+def test_an_address_without_a_server_fails_soon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", type(sys)("ray"))
+    monkeypatch.setattr(sys.modules["ray"], "is_initialized", lambda: False, raising=False)
+    monkeypatch.setattr(sys.modules["ray"], "shutdown", lambda: None, raising=False)
+    command = ["generate", str(tmp_path / "out"), "--count", "1", "--stage", "pattern", "--engine", "ray"]
+    for address, message in (
+        ("127.0.0.1:1", "RAY_ADDRESS 127.0.0.1:1: no Ray cluster answers"),
+        ("ray://host:10001", "give HOST:PORT"),
+    ):
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        assert main(command) == 2
+        assert message in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_ray_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main(["generate", str(tmp_path / "out"), "--count", "1", "--engine", "ray"]) == 2
+    assert "pip install 'gcd-dataset[ray]'" in one_line(capsys.readouterr().err)
+    assert main(["generate", str(tmp_path / "out"), "--count", "1", "--engine", "ray", "--stage", "body"]) == 2
+    assert "stage body is made on this machine: leave --engine out" in one_line(capsys.readouterr().err)
