@@ -406,10 +406,9 @@ def shards(tmp_path: Path) -> Path:
 
 def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) -> None:
     reader = ShardReader(shards)
-    column = reader.layout.members.index("verts.npy")
-    path = shards / reader.index.shards[0]
+    path = shards / reader.record.shards[0].name("train")
     content = bytearray(path.read_bytes())
-    content[int(reader.index.table.offset[2, column]) + 200] ^= 1
+    content[int(reader.index.end[2]) - 700] ^= 1
     path.write_bytes(content)
     report = doctor(shards)
     assert names(report) == {"unreadable"}

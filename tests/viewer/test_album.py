@@ -151,7 +151,7 @@ def test_a_damaged_garment_is_left_white_on_a_sheet(
     shutil.copytree(folder, copy)
     (shard,) = copy.glob("*.tar")
     content = bytearray(shard.read_bytes())
-    content[int(reader.index.table.offset[0, 0])] ^= 1
+    content[int(reader.index.start[0]) + 512] ^= 1
     shard.write_bytes(content)
     assert sheet_of(copy, "--index", "0-3") == (1, (2, 2))
     assert "gcd show: " in capsys.readouterr().err
