@@ -27,7 +27,7 @@ from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_fields, decode_sample, read_meta
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, is_picture, key_of, members_of
 
 __all__ = [
     "DerivedGarments",
@@ -126,7 +126,7 @@ class Garments(Dataset[GarmentFields], ABC):
         Raises as ``ds[i]`` does, and ``ConfigError`` where members are missing, as in a download of some fields.
         """
         members = self._members(self._position(index), tuple(self._member_of.values()))
-        if missing := [member for member in MEMBERS if member not in members]:
+        if missing := [member for member in MEMBERS if member not in members and not is_picture(member)]:
             raise ConfigError(f"sample {index}: the data set holds no {missing[0]}: give one with all members")
         return decode_sample(members)
 

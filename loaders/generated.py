@@ -33,6 +33,7 @@ from gcd_dataset.shards.layout import (
     SCHEMA,
     Bytes,
     fields_of,
+    garments_layout,
     is_view_field,
     key_of,
     members_of,
@@ -108,7 +109,8 @@ class GeneratedGarments(Garments):
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
-        available, absent = fields_of(self._layout.members), absent_at_stage(self.config.stage, empty)
+        full = garments_layout(caption=self.config.captions, views=self.config.views)
+        available, absent = fields_of(full.members), absent_at_stage(self.config.stage, empty)
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers
         self._recipe = recipe_of(self.config)
@@ -140,7 +142,7 @@ class GeneratedGarments(Garments):
                 raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
     def sample(self, index: int | str) -> Sample:
-        known = partial(self._cached, fields=self._member_of)
+        known = partial(self._cached, fields=fields_of(self._layout.members))
         options = {"finished": self._encoded, "known": known, "pictured": True}
         return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
 

@@ -13,8 +13,8 @@
 ``mesh.z``           faces_of, rows_of: faces and rows of ``uv`` of each panel; corners, uv, uv_vertex, labels, seams
 ``verts.z``          verts
 ``points.z``         xyz and normals of surface points, in the order of the faces
-``front.jpg``        pictures; one grey pixel if none was rendered. In a tar of their own, see ``layout``
-``back.jpg``
+``front.jpg``        pictures of a drape, unless ``picture`` is 0; one grey pixel if none could be rendered. In a tar of
+``back.jpg``         their own, see ``layout``
 ``view_K.jpg``       a picture from any side, K = 0, 1, …               } optional: in every sample of a data set,
 ``view_K.json``      its camera, light, place and materials             } or in none
 ===================  ===================================================================================================
@@ -182,7 +182,9 @@ def _storing(sample: Sample) -> Iterator[None]:
 
 def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     """All members except ``meta.json``, in file order."""
-    pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
+    pictures = {}
+    if sample.front or sample.back or (sample.drape is not None and sample.provenance.recipe.get("picture", 1)):
+        pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
     views = {
         name: data
         for number, view in enumerate(sample.views)
@@ -413,7 +415,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
-            **{name: pictures[name] for name in ("front", "back") if pictures[name] != NO_PICTURE},
+            **{name: pictures[name] for name in ("front", "back") if pictures.get(name, NO_PICTURE) != NO_PICTURE},
         )
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, GcdError):

@@ -124,15 +124,16 @@ class Layout:
         return replace(self, members=tuple(members))
 
 
-def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
-    """The layout of garments; with a caption, or a number of views, in every sample.
+def garments_layout(*, caption: bool = False, views: int = 0, sides: bool = True) -> Layout:
+    """The layout of garments; with a caption, a number of views, or both ``sides`` as pictures in every sample.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
     (('caption.txt', 'pattern.z'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
     """
     first_array = MEMBERS.index("pattern.z")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
-    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *MEMBERS[first_array:], *pictures)
+    arrays = [member for member in MEMBERS[first_array:] if sides or not is_picture(member)]
+    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *arrays, *pictures)
     return Layout("garments", members, "GarmentDataset")
 
 
