@@ -142,7 +142,13 @@ class GarmentDataset(Garments):
         shared = [
             m for m in self._parts[0].reader.layout.members if all(m in r.layout.members for r in readers.values())
         ]
-        super().__init__(fields, transform, available=fields_of(shared), absent=_absent(self._parts), dtype=dtype)
+        super().__init__(
+            fields,
+            transform,
+            available=fields_of(shared),
+            absent=_absent(self._parts, is_remote=isinstance(store, RemoteStore)),
+            dtype=dtype,
+        )
         self.source = store.source
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
         limit = size_in_bytes(max_cache_size)
@@ -325,10 +331,10 @@ def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, 
     return tuple(dict.fromkeys(single for field in fields for single in singles[field]))
 
 
-def _absent(parts: Sequence[_Part]) -> dict[str, str]:
-    """Field to the reason why no garment has it: from the recipe, or else from the first garment."""
+def _absent(parts: Sequence[_Part], *, is_remote: bool) -> dict[str, str]:
+    """Field to the reason why no garment has it: by the first garment, and of a server by the recipe."""
     plans, views = [part.reader.record.plan for part in parts], any(part.reader.index.has_views for part in parts)
-    if all("stage" in plan.recipe for plan in plans):
+    if is_remote and all("stage" in plan.recipe for plan in plans):
         recipes = [plan.recipe for plan in plans]
         stage = max((str(recipe["stage"]) for recipe in recipes), key=("pattern", "mesh", "drape").index)
         empty = [] if any(recipe.get("points", 1) for recipe in recipes) else ["points"]
@@ -342,6 +348,8 @@ def _absent(parts: Sequence[_Part]) -> dict[str, str]:
     found = decode_fields(members, [field for field in stored if field not in pictures])
     missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
     missing |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
+    if any(part.reader.index.outcome.any() for part in parts):  # the first garment may be one without a drape
+        missing.discard("verts")
     return absent_when_empty(missing.__contains__, stored)
 
 
