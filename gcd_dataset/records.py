@@ -303,6 +303,11 @@ UV_STEP = 2.0**-10
 """Shards store positions in panels as multiples of this [cm]."""
 
 
+def as_stored(positions: Float[np.ndarray, "*n"], step: float) -> Float[np.ndarray, "*n"]:
+    """Positions as shards store them: rounded to multiples of ``POSITION_STEP`` or ``UV_STEP``."""
+    return np.rint(np.asarray(positions, float) / step) * step
+
+
 @dataclass(frozen=True, eq=False)
 class BoxMesh(Record):
     """A pattern as a triangle mesh: flat panels placed round the body, seams welded; the start of the drape.

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.records import UV_STEP, BoxMesh, Drape, Grade, Outcome, Strain
+from gcd_dataset.records import UV_STEP, BoxMesh, Drape, Grade, Outcome, Strain, as_stored
 
 __all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
 
@@ -45,7 +45,7 @@ def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | Non
     """
     if not len(mesh.faces) or not np.isfinite(vertices).all():
         return None
-    stored = replace(mesh, uv=np.rint(mesh.uv / UV_STEP) * UV_STEP)
+    stored = replace(mesh, uv=as_stored(mesh.uv, UV_STEP))
     stretches = principal_stretches(stored, vertices)
     panels = (stretches[mesh.panel_id == panel] for panel in range(len(mesh.panel_names)))
     return Strain(_ends(stretches, OUTLIERS), tuple(_ends(own, PANEL_OUTLIERS) for own in panels))

@@ -91,16 +91,14 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
 def _pack_stored(items: StoredItems) -> PackedBatch:
     """The same batch from stored rows: each is copied once."""
     batch, columns = PackedBatch(batch_size=len(items)), {field: items.column(field) for field in items.fields}
-    starts: dict[str, list[int]] = {}
+    counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
+    for field, lengths in counts.items():
+        batch[f"{field}_ptr"] = torch.from_numpy(np.array([0, *accumulate(lengths)]))
     for field, values in columns.items():
-        if field in RAGGED:
-            starts[field] = [0, *accumulate(map(len, values))]
-            batch[f"{field}_ptr"] = torch.from_numpy(np.array(starts[field]))
-    for field, values in columns.items():
-        if field in starts:
-            batch[field] = _concatenated(values, starts[field], items.dtype, batch, field)
+        if field in counts:
+            batch[field] = _concatenated(values, counts[field], items.dtype, batch, field)
         elif isinstance(values[0], np.ndarray) and all(len(value) == len(values[0]) for value in values):
-            rows = _concatenated(values, [0, len(values) * len(values[0])], items.dtype, batch, field)
+            rows = _concatenated(values, [len(values[0])] * len(values), items.dtype, batch, field)
             batch[field] = rows.view(len(values), *values[0].shape)
         else:
             batch[field] = _stacked(values, field)
@@ -108,31 +106,35 @@ def _pack_stored(items: StoredItems) -> PackedBatch:
 
 
 def _concatenated(
-    values: Sequence[np.ndarray], starts: list[int], dtype: torch.dtype | None, batch: PackedBatch, field: str
+    values: Sequence[np.ndarray], counts: list[int], dtype: torch.dtype | None, batch: PackedBatch, field: str
 ) -> Tensor:
     """Stored rows as one tensor; row numbers in them are offset by each garment's start."""
     first = values[0]
     kind = first.dtype if first.dtype.kind != "f" or dtype is None else NUMPY_TYPES.get(dtype)
     if kind is None:  # such as bfloat16, which NumPy lacks
         return torch.cat([torch.from_numpy(value).to(dtype) for value in values])
-    shape = (starts[-1], *first.shape[1:])
+    shape = (sum(counts), *first.shape[1:])
     out = read_buffer(math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
-    pointing = POINTS_TO.get(field)
-    if pointing is None:
-        np.concatenate(values, out=out, casting="unsafe")
-    elif pointing[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
-        offsets = starts_of(batch, field, pointing[0][1]).tolist()
-        for begin, end, value, offset in zip(starts, starts[1:], values, offsets, strict=False):
-            np.add(value, offset, out=out[begin:end], casting="unsafe")
-    else:
-        np.concatenate(values, out=out, casting="unsafe")
-        for column, target in pointing:
-            offset_of_row = starts_of(batch, field, target)[:-1].numpy().astype(kind).repeat(list(map(len, values)))
-            out[:, column] += offset_of_row if isinstance(column, int) else offset_of_row[:, None]
+    pointing = POINTS_TO.get(field, ())
+    if pointing and pointing[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
+        begin = 0
+        for value, count, offset in zip(values, counts, starts_of(batch, field, pointing[0][1]).tolist(), strict=False):
+            np.add(value, offset, out=out[begin : begin + count], casting="unsafe")
+            begin += count
+        return torch.from_numpy(out)
+    np.concatenate(values, out=out, casting="unsafe")
+    for chosen, target in pointing:
+        offsets = starts_of(batch, field, target).numpy()[:-1].astype(kind).repeat(counts)
+        for column in [chosen] if isinstance(chosen, int) else range(chosen.start, chosen.stop):
+            out[:, column] += offsets  # column by column: broadcasting over short rows takes four times as long
     return torch.from_numpy(out)
 
 
-NUMPY_TYPES = {torch.float16: np.dtype("f2"), torch.float32: np.dtype("f4"), torch.float64: np.dtype("f8")}
+NUMPY_TYPES: Mapping[torch.dtype, np.dtype[Any]] = {
+    torch.float16: np.dtype("f2"),
+    torch.float32: np.dtype("f4"),
+    torch.float64: np.dtype("f8"),
+}
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:

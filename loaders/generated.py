@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import torch
-from gcd_dataset.shards.sample_cache import SampleCache
 from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
@@ -39,6 +38,7 @@ from gcd_dataset.shards.layout import (
     members_of,
     recipe_hash,
 )
+from gcd_dataset.shards.sample_cache import SampleCache
 
 __all__ = ["GeneratedGarments", "Stage"]
 

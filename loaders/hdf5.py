@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from gcd_dataset.files import open_regular, user_path
 from gcd_dataset.loaders.available import absent_when_empty
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, decode_item, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import index_from_key
-from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS, read_meta
+from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS
 from gcd_dataset.shards.hdf5 import FORMAT, crc_of, form_of
 from gcd_dataset.shards.layout import (
     ARRAYS,
@@ -28,7 +27,7 @@ from gcd_dataset.shards.layout import (
     garments_layout,
     key_of,
     members_of,
-)  # fmt: skip
+)
 from gcd_dataset.shards.sections import pack
 
 __all__ = ["Hdf5Garments"]
@@ -68,7 +67,8 @@ class Hdf5Garments(Garments):
             raise ShardError(f"{self.path}: cannot be read ({error.strerror}): give a file by gcd export") from error
         with self._reading() as file:
             self._ends = self._checked(file)
-            self.split = str(file.attrs.get("split"))
+            self._numbers = self._column(file, "index", np.dtype("<i8"), (self._count,))[:]
+            self.split = bytes(file.attrs["split"]).decode()
         available = {field: MEMBER_OF[field] for field in self._ends}
         absent = absent_when_empty(self._is_empty, [field for field in FIELDS if field in available])
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
@@ -78,7 +78,7 @@ class Hdf5Garments(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        return recipe_from_meta(self._values(self._position(index), ["meta"])["meta"])
+        return recipe_from_meta(self._values(self._position(index), ["meta"])["meta"].tobytes())
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` if the rows and texts of garment ``index`` are not those written."""
@@ -95,73 +95,58 @@ class Hdf5Garments(Garments):
         item |= {field: tensor_of(rows, self.dtype) for field, rows in arrays.items()}
         return self._transformed(GarmentItem((field, item[field]) for field in self.fields), position)
 
-    def _values(self, position: int, fields: Iterable[str]) -> dict[str, Any]:
-        """Field to array; pictures and texts as bytes. Raises ``ShardError``."""
-        values = {}
+    def _values(self, position: int, fields: Iterable[str]) -> dict[str, np.ndarray]:
+        """Field to rows. Raises ``ShardError``."""
         with self._reading() as file:
-            for field in fields:
-                ends = self._ends[field]
-                rows = file[field][position if ends is None else slice(*ends[position : position + 2])]
-                values[field] = rows if field in WIDTHS else bytes(rows)
-        return values
+            return {field: file[field][slice(*self._ends[field][position : position + 2])] for field in fields}
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         values = {member: self._values(position, fields_of([member])) for member in members}
-        return {m: pack(found) if m in ARRAYS else next(iter(found.values())) for m, found in values.items()}
+        return {m: pack(rows) if m in ARRAYS else next(iter(rows.values())).tobytes() for m, rows in values.items()}
 
     def _is_empty(self, field: str) -> bool:
         """Whether a field is empty in all garments of the file."""
-        least, ends = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0, self._ends[field]
-        return ends is not None and int(np.diff(ends).max(initial=0)) <= least
+        least = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0
+        return int(np.diff(self._ends[field]).max(initial=0)) <= least
 
     def _description(self) -> list[str]:
         return [f"{self.split} of {self.path}"]
 
     def _find_key(self, key: str) -> int | None:
-        number = index_from_key(key)
-        # Garments are sorted by number.
-        position = len(self) if number is None else bisect_left(range(len(self)), number, key=self._number)
-        return position if position < len(self) and self._number(position) == number else None
-
-    def _number(self, position: int) -> int:
-        return int(read_meta(self._values(position, ["meta"])["meta"])["index"])
+        return next(iter(np.flatnonzero(self._numbers == index_from_key(key)).tolist()), None)
 
     def _key(self, position: int) -> str:
-        return key_of(self._number(position))
+        return key_of(int(self._numbers[position]))
 
     # ---------------------------------------------------------------------------------------------------------- file
 
-    def _checked(self, file: h5py.File) -> dict[str, np.ndarray | None]:
-        """The fields of the file, and the pointers of those that are no texts. Raises ``ShardError``."""
+    def _checked(self, file: h5py.File) -> dict[str, np.ndarray]:
+        """The fields of the file, and their pointers. Raises ``ShardError``."""
         form, schema, count = (file.attrs.get(name) for name in ("format", "schema", "count"))
-        if not isinstance(form, str) or form != FORMAT:
+        if not isinstance(form, bytes) or form != FORMAT.encode():
             raise ShardError(f"{self.path}: not written by gcd export --hdf5: give another file")
         if not np.array_equal(schema, SCHEMA):
             raise ShardError(f"{self.path}: of schema {schema!s:.40}, but this reader knows {SCHEMA}: export it again")
         if not isinstance(count, np.integer) or count < 0:
             raise self._broken(f"its count is {count!s:.40}")
-        self._count, ends = int(count), dict[str, np.ndarray | None]()
+        self._count, found = int(count), dict[str, np.ndarray]()
         self._column(file, "crc32", np.dtype("<u4"), (self._count,))
         for field in [field for field in MEMBER_OF if field in file]:
-            dtype, row = form_of(field) or (None, ())
-            ends[field] = None
-            if dtype is not None:
-                ptr = ends[field] = self._column(file, f"{field}_ptr", np.dtype("<i8"), (self._count + 1,))[:]
-                if ptr[0] != 0 or (np.diff(ptr) < 0).any():
-                    raise self._broken(f"{field}_ptr does not rise from 0")
-            self._column(file, field, dtype, (int(ptr[-1]) if dtype is not None else self._count, *row))
-        return ends
+            found[field] = ends = self._column(file, f"{field}_ptr", np.dtype("<i8"), (self._count + 1,))[:]
+            if ends[0] != 0 or (np.diff(ends) < 0).any():
+                raise self._broken(f"{field}_ptr does not rise from 0")
+            dtype, row = form_of(field)
+            self._column(file, field, dtype, (int(ends[-1]), *row))
+        return found
 
-    def _column(self, file: h5py.File, name: str, dtype: np.dtype | None, shape: tuple[int, ...]) -> h5py.Dataset:
-        """A data set of this file, for ``None`` of texts. Raises ``ShardError`` for another type, shape or place."""
+    def _column(self, file: h5py.File, name: str, dtype: np.dtype, shape: tuple[int, ...]) -> h5py.Dataset:
+        """An array in this file. Raises ``ShardError`` for another type, shape or place."""
         column = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
         if not isinstance(column, h5py.Dataset) or column.external or column.is_virtual or column.chunks:
             raise self._broken(f"{name} is no contiguous array of this file")
-        is_text = h5py.check_string_dtype(column.dtype) is not None
-        if column.shape != shape or (not is_text if dtype is None else column.dtype != dtype):
+        if column.shape != shape or column.dtype != dtype:
             raise self._broken(f"{name} is {column.dtype} of shape {column.shape}, expected {dtype} of shape {shape}")
-        end = (column.id.get_offset() or self._size) + column.id.get_type().get_size() * column.size
-        if column.size and end > self._size:
+        if column.size and (end := (column.id.get_offset() or self._size) + column.nbytes) > self._size:
             raise self._broken(f"{name} ends at byte {end} of {self._size}")
         return column
 

@@ -146,11 +146,11 @@ class GarmentDataset(Garments):
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
+        stored, check = _stored_fields(self.fields, shared), verify != "off"
         self._columns = {
-            name: Columns(store, name, reader.index, limit=limit, single=single, verify=verify != "off")
+            name: Columns(store, name, reader.index, stored, limit=limit, single=single, verify=check)
             for name, reader in readers.items()
         }
-        self._stored_fields = _stored_fields(self.fields, shared)
         self._is_remote, self._told = isinstance(store, RemoteStore), False
         self.window = self._window(window, limit)
         """Number of shards among which a random order moves freely; ``None``: all."""
@@ -177,29 +177,28 @@ class GarmentDataset(Garments):
     def _load(self, position: int) -> Any:
         part, row = self._locate(position)
         columns, rows = self._columns[part.reader.split], part.reader.rows([row])
-        if columns.has(int(rows[0]), self._stored_fields):
+        if columns.has(int(rows[0])):
             return self._transformed(self._stored(columns, rows)[0], position)
         with part.reader.naming(row):
             return self._item(part.reader.read(row, self._member_names), position)
 
     def __getitems__(self, indices: Sequence[int]) -> Any:
         """The items of a batch; a ``DataLoader`` calls this. Makes the columns of their shards."""
-        positions = np.fromiter(map(self._position, indices), np.int64, len(indices))
-        parts = np.searchsorted(self._ends, positions, "right")
-        if not len(positions) or (parts != parts[0]).any():
-            return self._items_one_by_one(indices, positions.tolist())
-        part, columns, begin = self._parts[parts[0]], *self._columns_of(int(parts[0]))
-        if not self._fit(columns):
-            return self._items_one_by_one(indices, positions.tolist())
-        items = self._stored(columns, part.reader.rows(positions - begin))
+        positions = list(indices)
+        if set(map(type, positions)) != {int} or min(positions) < 0 or max(positions) >= len(self):
+            positions = [self._position(index) for index in indices]
+        if not positions:
+            return []
+        number = bisect.bisect_right(self._ends, min(positions))
+        part, end = self._parts[number], self._ends[number]
+        columns = self._columns[part.reader.split]
+        if max(positions) >= end or not self._fit(columns):
+            return self._items_one_by_one(indices, positions)
+        first = end - len(part.positions) - part.positions.start  # index of the reader's first garment
+        items = self._stored(columns, part.reader.rows(np.array(positions) - first))
         if self.transform is None:
             return items
-        return [self._transformed(item, position) for item, position in zip(items, positions.tolist(), strict=True)]
-
-    def _columns_of(self, part: int) -> tuple[Columns, int]:
-        """The columns of a part, and the index of its reader's first garment."""
-        positions = self._parts[part].positions
-        return self._columns[self._parts[part].reader.split], self._ends[part] - len(positions) - positions.start
+        return [self._transformed(item, position) for item, position in zip(items, positions, strict=True)]
 
     def _items_one_by_one(self, indices: Sequence[int], positions: Sequence[int]) -> list[Any]:
         """The items of a batch out of several splits, or of a set whose columns do not fit into the cache."""
@@ -216,7 +215,7 @@ class GarmentDataset(Garments):
 
     def _fit(self, columns: Columns) -> bool:
         """Whether columns serve: in windows always, else if those of the whole split fit into the cache."""
-        fits = self.window is not None or columns.fit(self._stored_fields)
+        fits = self.window is not None or columns.fit()
         if not fits and not self._told:
             self._told = True
             log.warning(
@@ -228,7 +227,7 @@ class GarmentDataset(Garments):
         return fits
 
     def _stored(self, columns: Columns, rows: np.ndarray) -> StoredItems:
-        return StoredItems(self.fields, columns.views(rows, self._stored_fields), self.dtype, len(rows))
+        return StoredItems(self.fields, columns.views(rows.tolist()), self.dtype, len(rows))
 
     def sample(self, index: int | str) -> Sample:
         part, position = self._locate(self._position(index))
@@ -322,9 +321,9 @@ def _absent(parts: Sequence[_Part]) -> dict[str, str]:
     stored = {field: member for field, member in fields_of(members).items() if not is_view_field(field)}
     pictures = [field for field, member in stored.items() if is_picture(member)]
     found = decode_fields(members, [field for field in stored if field not in pictures])
-    empty = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
-    empty |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
-    return absent_when_empty(empty.__contains__, stored)
+    missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
+    missing |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
+    return absent_when_empty(missing.__contains__, stored)
 
 
 def _recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:

@@ -14,13 +14,12 @@ from gcd_dataset.generator.maker import _WorkerShare, produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.garments import encoded
-from gcd_dataset.making.run import Made, Wanted, make_shards
+from gcd_dataset.making.progress import Progress
+from gcd_dataset.making.run import Made, Wanted, begin, make_shards, place_for, run
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.shards.writer import Draft
 from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
@@ -68,22 +67,23 @@ def test_an_interrupted_writer_closes_its_source_at_once(monkeypatch: pytest.Mon
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 
-def test_an_interrupted_run_closes_its_source_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_closes_its_source_at_once(tmp_path: Path) -> None:
     closed = []
 
-    def made(wanted: Wanted) -> Iterator[Made]:
+    def make(wanted: Wanted) -> Iterator[Made]:
         try:
             yield Made(0, encode_sample(fake_sample(0, 0)))
         finally:
             closed.append(True)
 
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+    def interrupt(progress: Progress) -> None:
+        if progress.made:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(Draft, "add", interrupt)
-    work = Work(FolderPlace(tmp_path), Plan("garments", 0, {}, 1, 1), {"train": range(1)})
+    work = Work(place_for(tmp_path), Plan("garments", 0, {"fake": True}, 3, 1), {"train": range(3)})
+    begin(work)
     with pytest.raises(KeyboardInterrupt) as caught:
-        list(make_shards(work.place, work.tasks(), made))
+        run(work, partial(make_shards, maker=make), on_progress=interrupt)
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 
@@ -114,7 +114,7 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
     with SharedDraper(place):  # starts it: waits count from here on
-        share = _WorkerShare(5, (0,), DRAPED, place, finished=partial(encoded, 1, False), pictured=True)
+        share = _WorkerShare(5, (0,), DRAPED, place, finished=partial(encoded, 1, True), pictured=True)
         made = list(share.run())
     assert [one.members for one in made] == alone
     waited = sum_waits(*(one.waits for one in made), take_waits())

@@ -1,102 +1,129 @@
-"""Loading garments of 14 500 vertices: ``GarmentLoader``, other loaders, and a lower bound.
+"""Loading garments of 14 500 vertices by index: ours, memory maps, and libraries that store ragged arrays.
 
-All load the same synthetic garments from the page cache, in batches of 16 collated by ``collate_packed``; CPU time is
-that of all threads and workers in the cheapest of several epochs. ``webdataset`` reads the shards sequentially;
-``litdata`` and ``hdf5`` read copies that hold the loaded tensors, in random order, as ours does. ``geometry``: panels,
-faces, uv, panel of each face, vertices. ``points``: 8 192 surface points with normals, and the pattern as arrays.
-``patterns``: the pattern as arrays, design and measures (``hdf5``: the arrays only). ``floor``, the lower bound, reads
-the stored bytes and copies them once. A loader that is not installed is left out.
+All load the same garments from the page cache, in the same random order, in batches of 16 whose arrays are concatenated
+and copied once; row numbers index the batch. CPU time is that of all threads, in the median of pairs of epochs, and in
+the cheapest one. ``geometry``: panels, faces, uv, panel of each face, vertices. ``points``: 8 192 surface points with
+normals, and the pattern as arrays. ``patterns``: the pattern as arrays. ``memmap``: one mapped ``.npy`` file a field,
+in 15 lines; ``as ndarray``: the same as a plain array, whose slices cost less; figures are over the faster one.
+``webdataset`` reads our tars one after the other. A library that is not installed is left out.
+
+``open``: a data set of 229 376 samples is opened in a new process, filtered by grade, and pickled.
 """
 
 import argparse
-import math
+import pickle
 import tempfile
-from collections.abc import Mapping
+import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.loading.loaders import LOADERS
-from benchmarks.loading.timing import Cost, cost_of
-from benchmarks.loading.workload import CONFIGS, write_shards
+from benchmarks.loading.loaders import BATCH, LOADERS
+from benchmarks.loading.timing import cpu_ms_of
+from benchmarks.loading.workload import CONFIGS, write_large_index, write_shards
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator import MakeConfig
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards import ShardReader, encode_sample
 
 __all__ = ["add_arguments", "run"]
 
-WORKERS = (0, 1, 2)
-ROUNDS = 4
+MEMMAPS = ("memmap", "memmap as ndarray")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--count", type=int, default=192, help="garments; 1.1 MB each, and again for each other loader")
-    parser.add_argument(
-        "--seconds", type=float, default=1.5, help="duration for each loader, fields and number of workers"
-    )
+    parser.add_argument("--count", type=int, default=192, help="garments; 0.2 MB each, and 1.2 MB for each library")
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration for each choice of fields")
     parser.add_argument("--folder", type=Path, help="folder that keeps the garments; by default temporary")
+    parser.add_argument("--samples", type=int, default=229_376, help="samples of the large data set")
 
 
 def run(options: argparse.Namespace) -> Measured:
     """Write shards, then time the loaders. Raises ``ConfigError`` for options out of range."""
-    if options.count < 16 or options.seconds <= 0:
-        raise ConfigError("give --count of 16 or more, and --seconds of more than 0")
+    if options.count < BATCH or options.seconds <= 0:
+        raise ConfigError(f"give --count of {BATCH} or more, and --seconds of more than 0")
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as own:
-        folder = write_shards(options.folder or Path(own), options.count)
-        costs = {
-            (loader, config, workers): cost
-            for config in CONFIGS
-            for workers in WORKERS
-            for loader, cost in _costs(folder, config, workers, options).items()
-        }
-    return Measured(_figures(costs), _rows(costs))
+        folder = write_shards((options.folder or Path(own)) / "garments", options.count)
+        spent = {}
+        for config, fields in CONFIGS.items():
+            made = {name: load(folder, fields) for name, load in LOADERS.items()}
+            loaders = {name: load for name, load in made.items() if load is not None}
+            spent[config] = cpu_ms_of(loaders, options.count, BATCH, seconds=options.seconds)
+        figures = [*_ratios(spent), *_sizes(folder), *_opening(Path(own) / "large", options.samples)]
+    return Measured(figures, _rows(spent))
 
 
-Costs = Mapping[tuple[str, str, int], Cost]
+Spent = dict[str, dict[str, list[float]]]
 
 
-def _costs(folder: Path, config: str, workers: int, options: argparse.Namespace) -> dict[str, Cost]:
-    """The cheapest epoch of each loader; loaders alternate, so that other load on the machine affects all."""
-    costs: dict[str, Cost] = {}
-    for _ in range(ROUNDS):
-        for loader, load in LOADERS.items():
-            batches = load(folder, CONFIGS[config], workers)
-            if batches is not None:
-                cost = cost_of(batches, options.count, seconds=options.seconds / ROUNDS)
-                costs[loader] = min(cost, costs.get(loader, cost))
-    return costs
+def _ratios(spent: Spent) -> list[Figure]:
+    figures = []
+    for config, loaders in spent.items():
+        faster = min(MEMMAPS, key=lambda name: float(np.median(loaders[name])))
+        figures.append(
+            Figure(f"{config}_over_memmap", _over(loaders["ours"], loaders[faster]), "times the CPU time of a memmap")
+        )
+        figures.append(Figure(f"{config}_cpu_ms", min(loaders["ours"]), "ms a garment"))
+        figures += [
+            Figure(f"{config}_{name.replace(' ', '_')}", _over(loaders[name], loaders["ours"]), "times our CPU time")
+            for name in loaders
+            if name not in ("ours", *MEMMAPS)
+        ]
+    return figures
 
 
-def _figures(costs: Costs) -> list[Figure]:
-    def cpu(loader: str, config: str = "geometry") -> float:
-        cost = costs.get((loader, config, 0))
-        return math.nan if cost is None else cost.cpu_ms
+def _over(one: list[float], other: list[float]) -> float:
+    return float(np.median(np.array(one) / np.array(other)))
 
-    ratios = [
-        Figure("geometry_over_floor", cpu("ours") / cpu("floor"), "times its CPU time"),
-        Figure("webdataset_over_ours", cpu("webdataset") / cpu("ours"), "times our CPU time, geometry"),
-        Figure("litdata_over_ours", cpu("litdata") / cpu("ours"), "times our CPU time, geometry"),
-        Figure("hdf5_over_ours", cpu("hdf5") / cpu("ours"), "times our CPU time, geometry"),
+
+def _sizes(folder: Path) -> list[Figure]:
+    """Bytes of a draped garment to download, its encoding, and the making of its columns."""
+    record = ShardReader(folder).record
+    begun = time.process_time()
+    samples = list(produce(0, range(8), MakeConfig(stage="mesh", picture=0)))
+    made, times = time.process_time() - begun, []
+    for _ in range(3):
+        begun = time.process_time()
+        for sample in samples:
+            encode_sample(sample)
+        times.append(time.process_time() - begun)
+    del made
+    columns = GarmentDataset(folder, cache_dir=folder / "own_cache")
+    begun = time.process_time()
+    columns.__getitems__(range(len(columns)))
+    return [
+        Figure("bytes_per_garment", sum(shard.size for shard in record.shards) / record.count, "bytes to download"),
+        Figure("encode_cpu_ms", 1e3 * min(times) / len(samples), "ms a garment"),
+        Figure("columns_cpu_ms", 1e3 * (time.process_time() - begun) / len(columns), "ms a garment, all fields"),
     ]
-    absolute = [Figure(f"{config}_cpu_ms", cpu("ours", config), "ms a garment") for config in CONFIGS]
-    rates = [Figure(f"{config}_per_second", 1e3 / cpu("ours", config), "garments a core") for config in CONFIGS]
-    floors = [Figure("floor_cpu_ms", cpu("floor"), "ms a garment, geometry")]
-    return [figure for figure in [*ratios, *absolute, *floors, *rates] if not math.isnan(figure.value)]
 
 
-def _rows(costs: Costs) -> list[dict[str, Any]]:
-    """A row per loader and fields: CPU time and garments per second by number of workers."""
-    rows = []
-    for config in CONFIGS:
-        for loader in LOADERS:
-            found = {workers: costs.get((loader, config, workers)) for workers in WORKERS}
-            if found[0] is None:
-                continue
-            row: dict[str, Any] = {"fields": config, "loader": loader}
-            row |= {f"CPU-ms, {n} workers": f"{cost.cpu_ms:.3f}" if cost else "" for n, cost in found.items()}
-            row |= {
-                f"garments/s, {n} workers": f"{1e3 / cost.wall_ms:.0f}" if cost else "" for n, cost in found.items()
-            }
-            rows.append(row)
-    return rows
+def _opening(folder: Path, samples: int) -> list[Figure]:
+    size = write_large_index(folder, samples)
+    GarmentDataset(folder, quality="clean", fields=["verts"])
+    begun = time.process_time()
+    dataset = GarmentDataset(folder, quality="clean", fields=["verts"])
+    opened = time.process_time() - begun
+    return [
+        Figure("open_cpu_s", opened, f"s, {samples} samples filtered by grade"),
+        Figure("open_pickled_mb", len(pickle.dumps(dataset)) / 1e6, "MB"),
+        Figure("index_bytes", size / samples, "bytes a sample"),
+    ]
+
+
+def _rows(spent: Spent) -> list[dict[str, Any]]:
+    return [
+        {
+            "fields": config,
+            "loader": name,
+            "CPU-ms a garment": f"{min(times):.4f}",
+            "over ours": f"{_over(times, loaders['ours']):.2f}",
+        }
+        for config, loaders in spent.items()
+        for name, times in loaders.items()
+    ]

@@ -1,44 +1,36 @@
-"""CPU time of a process and its workers."""
+"""CPU time of batches in a random order."""
 
-import multiprocessing
 import time
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-__all__ = ["Cost", "cost_of"]
+import numpy as np
 
-
-class Cost(NamedTuple):
-    """Time per item."""
-
-    cpu_ms: float
-    wall_ms: float
+__all__ = ["cpu_ms_of"]
 
 
-def cost_of(batches: Iterable[Any], count: int, *, seconds: float) -> Cost:
-    """The cheapest epoch of ``count`` items within about ``seconds``, after one warm-up epoch.
+def cpu_ms_of(
+    loaders: Mapping[str, Callable[[Sequence[int]], Any]], count: int, batch: int, *, seconds: float
+) -> dict[str, list[float]]:
+    """CPU time of an item [ms] in each of several epochs of ``count`` items, by loader, all threads included.
 
-    Other programs on the machine slow some epochs; the cheapest epoch is disturbed least.
+    The loaders take turns with the same order, so that other programs on the machine slow all of them. Before that each
+    loads one epoch: it opens files, and fills the page cache.
     """
-    for _ in batches:  # warm-up: starts workers, checks hashes, fills the page cache
-        pass
-    costs: list[Cost] = []
-    end = time.perf_counter() + seconds
-    while not costs or time.perf_counter() < end:
-        before, begun = _cpu_seconds(), time.perf_counter()
-        for _ in batches:
-            pass
-        wall, after = time.perf_counter() - begun, _cpu_seconds()
-        cpu = sum(spent - before.get(process, 0.0) for process, spent in after.items())
-        costs.append(Cost(1e3 * cpu / count, 1e3 * wall / count))
-    return min(costs)
-
-
-def _cpu_seconds() -> dict[int, float]:
-    """Process number to CPU time [s], all threads included: 0 for this process, and each living child."""
-    spent = {0: time.process_time()}
-    for child in multiprocessing.active_children():
-        threads = Path(f"/proc/{child.pid}/task").iterdir()
-        spent[child.pid or -1] = sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads) / 1e9
+    spent: dict[str, list[float]] = {name: [] for name in loaders}
+    for load in loaders.values():
+        _epoch(load, range(count), batch)
+    end, number = time.perf_counter() + seconds, 0
+    while not number or time.perf_counter() < end:
+        order = np.random.default_rng(number).permutation(count).tolist()
+        for name, load in loaders.items():
+            before = time.process_time()
+            _epoch(load, order, batch)
+            spent[name].append(1e3 * (time.process_time() - before) / count)
+        number += 1
     return spent
+
+
+def _epoch(load: Callable[[Sequence[int]], Any], order: Sequence[int], batch: int) -> None:
+    for first in range(0, len(order), batch):
+        load(order[first : first + batch])

@@ -10,8 +10,8 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
-from gcd_dataset.shards.folder import is_set
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.manifest import MANIFEST
 from gcd_dataset.shards.meta import SEAL, sealed
 
 __all__ = ["FULL", "KIND", "OUTCOME", "full_range", "write_set"]
@@ -34,9 +34,9 @@ def write_set(folder: Path, count: int) -> Path:
     small = [encode_sample(_tagged(fake_sample(0, number), number)) for number in range(len(KINDS) * len(OUTCOMES))]
     full = full_range(count)
     _, _, shape = named_body("neutral")
-    if is_set(folder):
+    if (folder / MANIFEST).exists():
         return folder
-    with ShardWriter(folder, seed=0, recipe=RECIPE, count=count) as writer:
+    with ShardWriter(folder, seed=0, recipe=RECIPE) as writer:
         for index in range(count):
             if index in full:
                 writer.write(_tagged(replace(large_sample(index), shape=shape), index))

@@ -70,6 +70,7 @@ from gcd_dataset.records import (
     Sample,
     Strain,
     View,
+    as_stored,
 )
 from gcd_dataset.shards.layout import (
     CAPTION,
@@ -263,7 +264,7 @@ def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
         arrays["faces"] = _rows(mesh.faces, vertices, "faces")
     if not np.array_equal(_panel_id(arrays), mesh.panel_id):
         arrays["panel_id"] = mesh.panel_id
-    stored = {**arrays, "uv": np.rint(mesh.uv / UV_STEP) * UV_STEP, "panels": tensor.panels}
+    stored = {**arrays, "uv": as_stored(mesh.uv, UV_STEP), "panels": tensor.panels}
     derived = _box(stored)
     is_derived = len(derived) == vertices and (np.diff(owner) >= 0).all()
     if not (is_derived and (np.abs(derived - mesh.vertices) <= LARGEST_ERROR).all()):

@@ -13,12 +13,12 @@ import hashlib
 import mmap
 import struct
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import make_folder, open_whole
@@ -37,7 +37,7 @@ __all__ = ["Columns", "value_of"]
 HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
 MAGIC = b"gcdcol1\0"
 ALIGNED = 64  # bytes: the rows begin at a multiple of this
-MOST_OPEN = 16_384  # mapped files of a process, of the 65,530 maps that Linux allows
+MOST_OPEN = 2_048  # mapped files of a field; Linux allows a process 65,530 maps
 MEASURES_FIELD = "measures"
 DOUBLE = ("panels", "edges")  # fields of float64
 
@@ -52,10 +52,11 @@ class Column(NamedTuple):
 
 
 class Columns:
-    """The columns of a split. May be pickled, forked, and read from several threads.
+    """The columns of some fields of a split. May be pickled, forked, and read from several threads.
 
-    ``limit``: most bytes of the cache, ``None`` for no limit; the shards used longest ago are removed first.
-    ``single``: floating numbers of 8 bytes are kept as float32. ``verify=False`` does not compare the SHA-256 of tars.
+    ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
+    the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
+    ``verify=False`` does not compare the SHA-256 of tars.
     """
 
     def __init__(
@@ -63,59 +64,58 @@ class Columns:
         store: Store,
         split: str,
         index: SplitIndex,
+        fields: Iterable[str],
         *,
         limit: int | None = None,
         single: bool = False,
         verify: bool = True,
     ) -> None:
-        self._store, self._split, self._index, self._limit, self._verify = store, split, index, limit, verify
-        self._single = single
-        self._first = index.first
-        self._starts: list[int] = self._first.tolist()
-        self._open: dict[str, dict[int, Column]] = {}
-        self._bytes_of: dict[tuple[str, ...], float] = {}
+        self._store, self._split, self._index, self._fields = store, split, index, tuple(fields)
+        self._limit, self._single, self._verify = limit, single, verify
+        self._starts: list[int] = index.first.tolist()
+        self._fit: bool | None = None
+        self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": {}}
+        return {**self.__dict__, "_open": None}
 
-    def views(self, rows: Int[np.ndarray, " b"], fields: Sequence[str]) -> dict[str, list[np.ndarray]]:
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
+
+    def views(self, rows: Iterable[int]) -> dict[str, list[np.ndarray]]:
         """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
 
         ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
-        opened, places = self._open, []
-        for row in rows.tolist():
-            shard = bisect_right(self._starts, row) - 1
-            places.append((shard, row - self._starts[shard]))
-        found: dict[str, list[np.ndarray]] = {}
-        for field in fields:
-            columns = opened.get(field) or opened.setdefault(field, {})
-            found[field] = views = []
-            for shard, row in places:
-                stored, starts = columns.get(shard) or self._column(shard, field, fields)
-                views.append(stored[starts[row] : starts[row + 1]])
-        return found
+        begins, shards, numbers = self._starts, [], []
+        for row in rows:
+            shard = bisect_right(begins, row) - 1
+            shards.append(shard)
+            numbers.append(row - begins[shard])
+        return {
+            field: [
+                stored[starts[number] : starts[number + 1]]
+                for (stored, starts), number in zip(map(opened.__getitem__, shards), numbers, strict=True)
+            ]
+            for field, opened in self._open.items()
+        }
 
-    def has(self, row: int, fields: Iterable[str]) -> bool:
+    def has(self, row: int) -> bool:
         """Whether the columns of a sample are made."""
         shard = self._shard_of(row)
         folder = self._folder(self._index.record.shards[shard])
-        return all(shard in self._open.get(field, ()) or (folder / self._file(field)).exists() for field in fields)
+        return all(shard in self._open[field] or (folder / self._file(field)).exists() for field in self._fields)
 
-    def fit(self, fields: Sequence[str]) -> bool:
+    def fit(self) -> bool:
         """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
-        if self._limit is None:
-            return True
-        key = tuple(fields)
-        if key not in self._bytes_of:
-            counts = np.diff(self._first)
+        if self._fit is None:
+            counts = np.diff(self._starts)
             shard = int(np.argmax(counts > 0))
-            size = 0
-            for field in fields:
-                column = self._column(shard, field, fields)
-                size += column.rows.nbytes + 8 * len(column.starts)
-            self._bytes_of[key] = size / counts[shard] * len(self._index)
-        return self._bytes_of[key] <= self._limit
+            columns = [self._open[field][shard] for field in self._fields] if self._limit is not None else []
+            size = sum(column.rows.nbytes + 8 * len(column.starts) for column in columns)
+            self._fit = self._limit is None or size / max(counts[shard], 1) * len(self._index) <= self._limit
+        return self._fit
 
     def _file(self, field: str) -> str:
         """The file name of a field's column."""
@@ -123,33 +123,29 @@ class Columns:
         return f"{name}.f4" if self._single and field in DOUBLE else name
 
     def _shard_of(self, row: int) -> int:
-        return int(np.searchsorted(self._first, row, "right")) - 1
+        return bisect_right(self._starts, row) - 1
 
     def _folder(self, shard: ShardRecord) -> Path:
         return self._store.cache / shard.sha256
 
-    def _column(self, number: int, field: str, together: Sequence[str]) -> Column:
-        """The column of a field, made with those of ``together`` that are missing too."""
+    def _column(self, field: str, number: int) -> Column:
+        """The column of a field in a shard, made with those of the other fields that are missing too."""
         folder = self._folder(self._index.record.shards[number])
         path = folder / self._file(field)
         try:
             column = _open_column(path)
-        except (OSError, ValueError):
-            missing = [name for name in together if not _is_column(folder / self._file(name))]
+        except (OSError, ValueError, struct.error):
+            missing = [name for name in self._fields if not _is_column(folder / self._file(name))]
             self._make(number, missing)
             with reading(path):
                 column = _open_column(path)
         touch(folder)
-        columns = self._open.setdefault(field, {})
-        if len(columns) >= MOST_OPEN // 8:
-            columns.pop(next(iter(list(columns))), None)
-        columns[number] = column
         return column
 
     def _make(self, number: int, fields: Sequence[str]) -> None:
         """Make columns of a shard by one pass over its tar, and one over its pictures."""
-        shard, first = self._index.record.shards[number], int(self._first[number])
-        numbers = self._index.number[first : int(self._first[number + 1])].tolist()
+        shard = self._index.record.shards[number]
+        numbers = self._index.number[self._starts[number] : self._starts[number + 1]].tolist()
         folder = make_folder(self._folder(shard))
         for views in (False, True):
             chosen = [field for field in fields if is_picture(member_of(field)) == views]
@@ -170,6 +166,21 @@ class Columns:
             make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
                 _write_column(folder / self._file(field), column)
+
+
+class _Opened(dict[int, Column]):
+    """The open columns of a field, by the number of their shard; opens missing ones."""
+
+    def __init__(self, open_column: Callable[[int], Column]) -> None:
+        super().__init__()
+        self._open_column = open_column
+
+    def __missing__(self, shard: int) -> Column:
+        column = self._open_column(shard)
+        if len(self) >= MOST_OPEN:
+            self.pop(next(iter(list(self))), None)
+        self[shard] = column
+        return column
 
 
 def value_of(field: str, rows: np.ndarray) -> Any:
@@ -233,7 +244,8 @@ def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str,
 def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> dict[str, np.ndarray]:
     """Field to its rows in a column, for one sample. Raises ``ShardError``."""
     arrays = [field for field in fields if field in SECTIONS]
-    if lacking := [member for member in members_of(fields) if member not in members]:
+    needed = dict.fromkeys([*map(member_of, fields), *(members_of(["box"]) if "box" in fields else ())])
+    if lacking := [member for member in needed if member not in members]:
         raise ShardError(f"sample {key} has no {lacking[0]}")
     try:
         rows: dict[str, np.ndarray] = decode_fields(members, arrays) if arrays else {}

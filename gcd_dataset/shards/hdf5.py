@@ -2,14 +2,15 @@
 
 ==========================  ==========================================================================================
 ``verts``, ``faces``, …     an array field: the rows of all samples, one sample after the other
-``front``, ``view_0``, …    pictures, likewise: the bytes of their JPEG files
+``spec``, ``front``, …      a text or picture, likewise: the bytes of its JSON, text or JPEG file
 ``verts_ptr``, …            int64 [n+1]: sample i has the rows from ``ptr[i]`` to ``ptr[i + 1]``
-``meta``, ``spec``, …       a text of each sample: JSON, the caption
-``crc32``                   u4 [n]: CRC-32 of the rows and texts of each sample, in the order of its fields
-attributes                  ``format``, ``schema``, ``split``, ``count``
+``index``                   int64 [n]: number of each sample, as in its key
+``crc32``                   u4 [n]: CRC-32 of the rows of each sample, in the order of its fields
+attributes                  ``format`` and ``split``, of fixed length; ``schema``, ``count``
 ==========================  ==========================================================================================
 
-Arrays are contiguous and uncompressed: a sample takes one read per field.
+Arrays are contiguous and uncompressed: a sample takes one read per field. There are no strings of variable length: on
+a damaged heap, where they would lie, libhdf5 loops forever.
 """
 
 import io
@@ -17,14 +18,13 @@ import zlib
 from collections.abc import Generator, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
 from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.codec import IDS, WIDTHS, decode_fields
-from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of, member_of
+from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of
 from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["FORMAT", "crc_of", "form_of", "write_hdf5"]
@@ -32,18 +32,17 @@ __all__ = ["FORMAT", "crc_of", "form_of", "write_hdf5"]
 FORMAT = "gcd_dataset garments"
 
 
-def form_of(field: str) -> tuple[np.dtype, tuple[int, ...]] | None:
-    """Type and row shape of an array, or of pictures; ``None`` for texts."""
-    if field in WIDTHS:
-        return np.dtype("<i4" if field in IDS else "<f8" if field in ("panels", "edges") else "<f4"), WIDTHS[field]
-    return (np.dtype("u1"), ()) if member_of(field).endswith(".jpg") else None
+def form_of(field: str) -> tuple[np.dtype, tuple[int, ...]]:
+    """Type and row shape of a field; bytes for texts and pictures."""
+    kind = "<i4" if field in IDS else "<f8" if field in ("panels", "edges") else "<f4" if field in WIDTHS else "u1"
+    return np.dtype(kind), WIDTHS.get(field, ())
 
 
-def crc_of(values: Iterable[Any]) -> int:
-    """CRC-32 of arrays and bytes, one after the other."""
+def crc_of(values: Iterable[np.ndarray]) -> int:
+    """CRC-32 of arrays, one after the other."""
     crc = 0
     for value in values:
-        crc = zlib.crc32(value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes(), crc)
+        crc = zlib.crc32(np.ascontiguousarray(value).tobytes(), crc)
     return crc
 
 
@@ -73,35 +72,30 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
         sink.check()
 
 
-def _values(reader: ShardReader, position: int) -> dict[str, Any]:
-    """Field to array; to the bytes of a text or picture."""
+def _values(reader: ShardReader, position: int) -> dict[str, np.ndarray]:
+    """Field to rows."""
     members = reader.read(position, reader.layout.members)
     fields = fields_of(members)
     with reader.naming(position):
         arrays = decode_fields(members, [field for field in fields if field in WIDTHS])
-    return {field: arrays[field] if field in arrays else bytes(members[fields[field]]) for field in fields}
+    return {f: arrays[f] if f in arrays else np.frombuffer(members[fields[f]], np.uint8) for f in fields}
 
 
 def _allocated(sink: "_Sink", reader: ShardReader, ends: Mapping[str, np.ndarray]) -> h5py.File:
     file = h5py.File(sink, "w")
-    file.attrs.update(format=FORMAT, schema=SCHEMA, split=reader.split, count=len(reader))
+    file.attrs.update(format=np.bytes_(FORMAT), schema=SCHEMA, split=np.bytes_(reader.split), count=len(reader))
+    file.create_dataset("index", data=np.array([reader.number(position) for position in range(len(reader))], np.int64))
     file.create_dataset("crc32", (len(reader),), "<u4")
     for field in ends:
-        if (form := form_of(field)) is None:
-            file.create_dataset(field, (len(reader),), h5py.string_dtype())
-        else:
-            file.create_dataset(field, (int(ends[field][-1]), *form[1]), form[0], fill_time="never")
-            file.create_dataset(f"{field}_ptr", data=ends[field])
+        dtype, row = form_of(field)
+        file.create_dataset(field, (int(ends[field][-1]), *row), dtype, fill_time="never")
+        file.create_dataset(f"{field}_ptr", data=ends[field])
     return file
 
 
-def _store(file: h5py.File, position: int, values: Mapping[str, Any], ends: Mapping[str, np.ndarray]) -> None:
-    for field, value in values.items():
-        if form_of(field) is None:
-            file[field][position] = value
-        else:
-            rows = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else value
-            file[field][slice(*ends[field][position : position + 2])] = rows
+def _store(file: h5py.File, position: int, values: Mapping[str, np.ndarray], ends: Mapping[str, np.ndarray]) -> None:
+    for field, rows in values.items():
+        file[field][slice(*ends[field][position : position + 2])] = rows
     file["crc32"][position] = crc_of(values.values())
 
 

@@ -88,9 +88,9 @@ class ShardReader:
     def __len__(self) -> int:
         return len(self._row)
 
-    def rows(self, positions: Iterable[int]) -> Int[np.ndarray, " n"]:
+    def rows(self, positions: Sequence[int] | Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """The rows of ``index`` for positions."""
-        return self._row[np.fromiter(positions, np.int64)]
+        return self._row[np.asarray(positions, np.int64)]
 
     def number(self, position: int) -> int:
         """The index of the sample at a position."""
@@ -124,7 +124,7 @@ class ShardReader:
             raise ConfigError(
                 f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
             )
-        rows = self.rows(positions).tolist()
+        rows = self.rows(list(positions)).tolist()
         tars = [tar for tar in (False, True) if any(is_picture(member) is tar for member in wanted)]
         mask = sum(VIEWS if tar else MAIN for tar in tars)
         parts = iter(self.store.parts(self.split, [(*self._span(row, tar), tar) for row in rows for tar in tars]))

@@ -16,7 +16,7 @@ NumPy's, little-endian: ``f8``, ``i4``. By coding, the body holds
 
 Integers are coded column after column as 2 |i| - (i < 0), and written as ``planes`` planes of bytes: first the lowest
 byte of every number, then the next one. The decoded number is the integer times 2 to the power ``step``, float32, or
-the integer itself, int32, if ``step`` is 127.
+the integer itself, int32, if ``step`` is 127; other steps are -64 to 64.
 
 >>> data = pack({"a": np.array([[0.5, 2.0], [0.75, 2.0]], np.float32)}, {"a": Coding(1, step=-2)})
 >>> unpack(data)["a"].tolist()
@@ -41,6 +41,7 @@ HEAD = struct.Struct("<16sIH2sBBbxI")
 TYPES = frozenset({b"f8", b"f4", b"i8", b"i4", b"u4", b"u2", b"u1"})
 LEVEL = 9  # of Zstandard: 19 saves 1 % more and takes ten times as long
 WHOLE = 127  # step of integers
+LARGEST_STEP = 64  # of others, either way: no number exceeds float32
 LARGEST_NUMBER = (1 << 30) - 1  # its differences of differences fit into int32
 EXPANSION, ALWAYS = 64, 1 << 20  # a frame may unpack to 64 times its size, and to 1 MB in any case
 
@@ -184,8 +185,8 @@ def _decoded(content: bytes, start: int, head: _Head) -> np.ndarray:
         array = np.frombuffer(content, f"<{head.kind.decode()}", count, start)
         return array.reshape(head.rows, head.columns) if head.columns else array
     is_coded = 1 <= head.order <= 3 and 1 <= head.planes <= 4 and (head.order < 3 or head.columns == 3)
-    if not is_coded or head.size != count * head.planes:
-        raise ShardError(f"a section of coding {head.order}, {head.rows} rows and {head.size} bytes")
+    if not is_coded or head.size != count * head.planes or (abs(head.step) > LARGEST_STEP and head.step != WHOLE):
+        raise ShardError(f"a section of coding {head.order}, step {head.step}, {head.rows} rows and {head.size} bytes")
     code = np.frombuffer(content, np.uint8, count, start).astype(np.uint32)
     for plane in range(1, head.planes):
         code |= np.frombuffer(content, np.uint8, count, start + plane * count).astype(np.uint32) << np.uint32(8 * plane)

@@ -132,12 +132,12 @@ class CheckedTar:
     def read(self, size: int) -> bytes:
         """The next ``size`` bytes, fewer at the end of the file."""
         data = self._file.read(size)
-        content, begin = self._rest + data, self._position - len(self._rest)
+        content, begin = self._rest + data if self._rest else data, self._position - len(self._rest)
         self._position += len(data)
         while self._next + BLOCK <= self._position:
             header = content[self._next - begin : self._next - begin + BLOCK]
             self._next = ENDLESS if header == bytes(BLOCK) else self._next + self._checked(header)
-        self._rest = content[max(self._next - begin, 0) :]
+        self._rest = content[self._next - begin :] if self._next < self._position else b""
         return data
 
     def _checked(self, header: bytes) -> int:

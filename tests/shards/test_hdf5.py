@@ -91,7 +91,8 @@ def test_other_programs_find_arrays_and_texts(folder: Path, file: Path) -> None:
     with h5py.File(file) as data:
         start, end = data["verts_ptr"][3:5]
         assert np.array_equal(data["verts"][start:end], item["verts"].numpy())
-        assert json.loads(data["design"].asstr()[3]) == item["design"]
+        start, end = data["design_ptr"][3:5]
+        assert json.loads(data["design"][start:end].tobytes()) == item["design"]
         start, end = data["front_ptr"][3:5]
         assert data["front"][start:end].tobytes()[:2] == b"\xff\xd8"  # JPEG
         assert (data.attrs["count"], data["verts"].chunks) == (COUNT, None)
@@ -185,6 +186,7 @@ def virtual(file: h5py.File) -> None:
         (lambda file: file.attrs.__setitem__("count", -1), "its count is -1"),
         (lambda file: file.attrs.__setitem__("count", [2.5]), "its count is"),
         (replaced("spec", data=np.zeros(COUNT)), r"spec is float64 of shape \(6,\)"),
+        (replaced("spec", data=COUNT * ["text"]), r"spec is object of shape \(6,\)"),
         (replaced("panels", data=np.zeros((12, 14), ">f8")), "panels is >f8 of shape"),
         (replaced("panels", data="text"), "panels is object of shape"),
         (replaced("verts", data=np.zeros((99, 3), "<f4"), chunks=(9, 3), compression="gzip"), "verts is no contiguous"),
