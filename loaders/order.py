@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike
+from threading import Thread
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -105,6 +106,15 @@ class WindowedPermutation:
     def __call__(self, number: int) -> int:
         return self.many([number])[0]
 
+    def window_of(self, number: int) -> int:
+        """The window of a number."""
+        return int(np.searchsorted(self._windows, number, "right")) - 1
+
+    def first_of_shards(self, window: int) -> list[int]:
+        """The first garment of each shard of a window; none for a window after the last."""
+        edges = np.searchsorted(self._begin, self._windows[window : window + 2])
+        return self._first[edges[0] : edges[1]].tolist() if len(edges) == 2 else []
+
     def many(self, numbers: Sequence[int]) -> list[int]:
         """The garment at each number."""
         places = np.asarray(numbers, np.int64)
@@ -149,6 +159,7 @@ class SampleOrder:
         self.window = dataset.window if isinstance(dataset, Garments) and shuffle else None
         self._shards = tuple(dataset.shard_lengths()) if self.window is not None else ()  # type: ignore[attr-defined]
         self._windowed: tuple[int, WindowedPermutation] | None = None
+        self._fetch_ahead, self._ahead = getattr(dataset, "fetch_ahead", None), (0, -1)
         self._dataset_entries = dataset_entries(dataset)
 
     def __getitem__(self, position: int) -> int:
@@ -171,7 +182,17 @@ class SampleOrder:
             return [self[position] for position in positions]
         epoch = positions[0] // self.length
         offsets = [position - epoch * self.length for position in positions]
-        return self._permutation(epoch).many(offsets)
+        permutation = self._permutation(epoch)
+        if isinstance(permutation, WindowedPermutation) and self._fetch_ahead is not None:
+            self._look_ahead(permutation, epoch, permutation.window_of(offsets[-1]) + 1)
+        return permutation.many(offsets)
+
+    def _look_ahead(self, permutation: WindowedPermutation, epoch: int, window: int) -> None:
+        """Let a thread fetch the shards of a window, once, while the window before it is read."""
+        if self._ahead < (epoch, window):
+            self._ahead = epoch, window
+            chosen = permutation.first_of_shards(window)
+            Thread(target=self._fetch_ahead, args=(chosen,), daemon=True).start()
 
     def uses(self, positions: Sequence[int], epoch: int) -> list[int]:
         """The number of each use of a garment: its epoch; its position for data sets that repeat garments in one."""

@@ -1,6 +1,7 @@
 """``GarmentDataset``: garments from shards, by index."""
 
 import bisect
+import contextlib
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
+from gcd_dataset.errors import ConfigError, GcdError, ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.remote import Remote, RemoteStore, open_store
 from gcd_dataset.loaders.available import absent_at_stage, absent_when_empty
@@ -163,6 +164,15 @@ class GarmentDataset(Garments):
     def __len__(self) -> int:
         return self._ends[-1]
 
+    def fetch_ahead(self, indices: Iterable[int]) -> None:
+        """Bring the shards of some garments into the cache; an error is left to the read that needs them."""
+        rows: dict[str, list[int]] = {}
+        for part, row in map(self._locate, indices):
+            rows.setdefault(part.reader.split, []).extend(part.reader.rows([row]).tolist())
+        with contextlib.suppress(GcdError):
+            for split, chosen in rows.items():
+                self._columns[split].fetch(chosen)
+
     def shard_lengths(self) -> list[int]:
         """Number of garments in each shard, in order: they are read together."""
         return [length for part in self._parts for length in part.shard_lengths()]
@@ -240,6 +250,15 @@ class GarmentDataset(Garments):
         """
         recipe = recipe_from_meta(self._members(self._position(index), (META,))[META])
         return recipe if self.source is None else {**recipe, "source": self.source}
+
+    def identity(self) -> dict[str, Any]:
+        """Identity of the data set, independent of its path: length, and the recipes of its first and last garment."""
+        ends = []
+        for position in (0, len(self) - 1):
+            part, row = self._locate(position)
+            plan = part.reader.record.plan
+            ends.append({"seed": plan.seed, "index": part.reader.number(row), "recipe": dict(plan.recipe)})
+        return {"length": len(self), "ends": ends}
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with shard, key and member if the bytes of garment ``index`` are not those written."""

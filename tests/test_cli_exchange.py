@@ -137,7 +137,7 @@ def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path
     for item, other in zip(before, after, strict=True):
         for field in ("verts", "box", "faces", "labels", "seams", "panels", "edges", "stitches"):
             assert torch.equal(item[field], other[field]), field
-        assert torch.allclose(item["uv"], other["uv"], atol=1e-3)
+        assert (item["uv"] - other["uv"]).abs().max() < 2e-3  # cm: rounded in the shards, and by the published layout
 
 
 def generated(index: int, outcome: Outcome) -> Sample:
@@ -295,7 +295,7 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "3 garments of train" in capsys.readouterr().out
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "no split test: choose from train" in capsys.readouterr().err
+    assert "split test: choose from train" in capsys.readouterr().err
 
 
 def test_plain_tars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

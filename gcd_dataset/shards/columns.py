@@ -74,10 +74,11 @@ class Columns:
         self._limit, self._single, self._verify = limit, single, verify
         self._starts: list[int] = index.first.tolist()
         self._fit: bool | None = None
+        self._opened_shards: set[int] = set()
         self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": None}
+        return {**self.__dict__, "_open": None, "_opened_shards": set()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -93,6 +94,9 @@ class Columns:
             shard = bisect_right(begins, row) - 1
             shards.append(shard)
             numbers.append(row - begins[shard])
+        if not self._opened_shards.issuperset(shards):
+            self._fetch(set(shards) - self._opened_shards)
+            self._opened_shards.update(shards)
         return {
             field: [
                 stored[starts[number] : starts[number + 1]]
@@ -100,6 +104,19 @@ class Columns:
             ]
             for field, opened in self._open.items()
         }
+
+    def fetch(self, rows: Iterable[int]) -> None:
+        """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
+        self._fetch({self._shard_of(row) for row in rows} - self._opened_shards)
+
+    def _fetch(self, shards: Iterable[int]) -> None:
+        """Bring the tars of the shards whose columns are missing onto this machine, at once."""
+        records = [self._index.record.shards[shard] for shard in shards]
+        for views in (False, True):
+            files = [self._file(field) for field in self._fields if is_picture(member_of(field)) == views]
+            missing = [one for one in records if not all((self._folder(one) / name).exists() for name in files)]
+            if missing:
+                self._store.ensure(self._split, missing, views=views)
 
     def has(self, row: int) -> bool:
         """Whether the columns of a sample are made."""

@@ -48,6 +48,9 @@ class Store(ABC):
         # One by one: each sample is checked while it is in the CPU cache.
         return (self.part(split, shard, start, end, views=views) for shard, start, end, views in wanted)
 
+    def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:  # noqa: B027
+        """Bring whole tars of several shards onto this machine, at once; a folder has them. Raises ``ShardError``."""
+
     @property
     @abstractmethod
     def cache(self) -> Path:
