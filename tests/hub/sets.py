@@ -50,12 +50,12 @@ def _write_split(folder: Path, split: str, numbers: range, size: int, views: boo
     records, blocks, views_blocks = [], list[int](), list[int]()
     for shard in range(-(-len(numbers) // size)):
         own = numbers[shard * size : (shard + 1) * size]
-        record = ShardRecord(shard, len(own), 0, "")
-        tar = _write_tar(folder / record.name(split), [sample(n, MEMBERS, seed=seed) for n in own], blocks)
-        pictures = ()
+        named = ShardRecord(shard, len(own), 0, "")
+        tar = _write_tar(folder / named.name(split), [sample(n, MEMBERS, seed=seed) for n in own], blocks)
+        pictures: tuple[int, str] | tuple[()] = ()
         if views:
             pictures = _write_tar(
-                folder / record.views_name(split), [sample(n, PICTURES, seed=seed) for n in own], views_blocks
+                folder / named.views_name(split), [sample(n, PICTURES, seed=seed) for n in own], views_blocks
             )
         records.append(ShardRecord(shard, len(own), *tar, *pictures))
     members = MEMBERS + (PICTURES if views else ())

@@ -180,7 +180,7 @@ def test_a_wrong_hash_leaves_nothing(hub: Hub, commit: str, tmp_path: Path) -> N
 def test_a_disk_without_room_is_reported_before_anything_is_sent(
     hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(9, 8, 1))  # type: ignore[attr-defined]
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(9, 8, 1))
     with pytest.raises(OutputError, match=r"data: \d+ bytes are needed, and 1 are free: make room"):
         bring(hub, tmp_path)
     assert not hub.asked(r"\.tar")

@@ -158,7 +158,8 @@ def test_missing_data_sets_and_options_out_of_place_are_reported(hub: Hub, commi
         opened(hub, tmp_path, Url(f"{hub.endpoint}/files/none"))
     with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         opened(hub, tmp_path).index("test")
-    for option, value in (("max_cache_size", "lots"), ("patience", -1), ("patience", float("nan"))):
+    options: list[tuple[str, Any]] = [("max_cache_size", "lots"), ("patience", -1), ("patience", float("nan"))]
+    for option, value in options:
         with pytest.raises(ConfigError, match=f"{option}=.*: give"):
             opened(hub, tmp_path, **{option: value})
     with pytest.raises(ConfigError, match="endpoint and token are for the Hub, not for memory://x"):

@@ -4,7 +4,9 @@ import gc
 import hashlib
 import pickle
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,7 +75,7 @@ def test_positions_are_those_that_were_given() -> None:
     assert set(again.end[again.first[1:] - 1].tolist()) == {SIZE * SAMPLE * BLOCK}
 
 
-HOSTILE = {
+HOSTILE: dict[str, list[Callable[[Any], Any]]] = {
     "number": [lambda a: a - 1, lambda a: a * 0, lambda a: a[:-1], lambda a: a.astype(float)],
     "start": [lambda a: a - 1, lambda a: a[::-1].copy(), lambda a: a + SIZE * SAMPLE, lambda a: a * 0],
     "views_start": [lambda a: a[:0], lambda a: a * 0],

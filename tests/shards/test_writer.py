@@ -166,14 +166,18 @@ def draft(folder: Path, *, wait: bool = False) -> Draft | None:
 
 def begun(folder: Path, count: int) -> Path:
     """The folder with a draft of ``count`` samples."""
-    with draft(folder) or pytest.fail("locked") as opened:
+    held = draft(folder)
+    assert held is not None
+    with held as opened:
         for index in INDICES[:count]:
             opened.add(index, encode_sample(fake_sample(0, index)))
     return folder
 
 
 def finished(folder: Path) -> dict[str, str]:
-    with draft(folder) or pytest.fail("locked") as opened:
+    held = draft(folder)
+    assert held is not None
+    with held as opened:
         for index in INDICES:
             if index not in opened.done:
                 opened.add(index, encode_sample(fake_sample(0, index)))
@@ -196,14 +200,18 @@ def zeroed(path: Path) -> None:
 def test_whole_samples_of_a_damaged_draft_are_kept(damage: Callable[[Path], None], views: bool, tmp_path: Path) -> None:
     folder = begun(tmp_path / "damaged", 3)
     damage(folder / draft_name("train", 0, views=views))
-    with draft(folder) or pytest.fail("locked") as opened:
+    held = draft(folder)
+    assert held is not None
+    with held as opened:
         assert opened.done < {0, 1, 2}
         assert opened.done == set(range(len(opened.done)))
     assert finished(folder) == finished(tmp_path / "whole")
 
 
 def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
-    with draft(tmp_path):
+    held = draft(tmp_path)
+    assert held is not None
+    with held:
         assert draft(tmp_path) is None
         assert (tmp_path / ".train-00000.part").exists()
     finished(tmp_path)
@@ -225,7 +233,9 @@ def test_a_kill_between_the_names_of_a_shard_is_no_loss(tmp_path: Path, monkeypa
         patched.setattr(FolderPlace, "put", refused)
         finished(folder)
     assert (folder / "views" / "train-00000.tar").exists()
-    with draft(folder) or pytest.fail("locked") as opened:
+    held = draft(folder)
+    assert held is not None
+    with held as opened:
         assert opened.done == set(INDICES)
     assert finished(folder) == finished(tmp_path / "whole")
 
