@@ -105,7 +105,7 @@ def test_verify_names_each_fault(data: Path, capsys: Capture, harm: object, mess
 def test_a_missing_shard_is_named(data: Path, capsys: Capture) -> None:
     (data / "train-00001.tar").unlink()
     assert main(["verify", str(data)]) == 1
-    assert "train-00001.tar: no such file, but manifest.json lists it" in capsys.readouterr().err
+    assert "train-00001.tar: no such file, but manifest.json lists it" in said(capsys)
 
 
 def test_splits_that_share_designs_are_reported(data: Path, capsys: Capture) -> None:

@@ -38,9 +38,12 @@ def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
         if name == split and number not in listed:
             path = ShardRecord(number, 0, 0, "").name(split)
             yield checks.ORPHANS, path, f"shards that {MANIFEST} does not list"
-    keys = set(map(key_of, store.index(split).number.tolist())) if record.count else set()
-    for shard in record.shards:
-        yield from _member_faults(folder / shard.name(split), keys)
+    missing = [shard.name(split) for shard in record.shards if shard.name(split) not in names]
+    yield from ((checks.INCOMPLETE, name, f"shards of {MANIFEST} that are missing") for name in missing)
+    if record.count and not missing:
+        keys = set(map(key_of, store.index(split).number.tolist()))
+        for shard in record.shards:
+            yield from _member_faults(folder / shard.name(split), keys)
     if (problem := store.unfinished(split)) is not None:
         yield checks.INCOMPLETE, split, f"unfinished: {problem}"
 

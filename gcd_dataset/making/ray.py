@@ -118,8 +118,10 @@ def _fetched(ray: ModuleType, reference: Any, place: Place, task: Task) -> list[
     except ray.exceptions.RayTaskError as error:
         if isinstance(error.cause, GcdError):
             raise error.cause from None
-        cause = f"{type(error.cause).__name__}: {error.cause}"  # the node lacks this package
-        raise GcdError(f"on a node of the Ray cluster: {cause}: install this package there, {RESUME}") from None
+        cause = " ".join(f"{type(error.cause).__name__}: {error.cause}".split())[:200]
+        if "No module named" in cause:
+            raise ConfigError("node without gcd_dataset, or with another one: install the same on every node") from None
+        raise GcdError(f"on a node of the Ray cluster: {cause}: correct this there, {RESUME}") from None
     except ray.exceptions.RayError as error:
         lost = " ".join(str(error).split())[:200]
         raise GcdError(

@@ -51,11 +51,7 @@ class FolderStore(Store):
     def manifest(self) -> Manifest:
         if self._manifest is None:
             stored = read_manifest(self.folder)
-            if stored is None:
-                self._manifest = self._gather().manifest
-            else:
-                self._require_listed(stored)
-                self._manifest = stored
+            self._manifest = self._gather().manifest if stored is None else stored
         return self._manifest
 
     def index(self, split: str) -> SplitIndex:
@@ -67,11 +63,15 @@ class FolderStore(Store):
         record, path = manifest.splits[split], self.folder / index_name(split)
         if not record.count:
             raise ShardError(f"{self.folder}: no samples of split {split}: none is finished")
+        self._require_listed(split, manifest)
         with reading(path):
             is_stored = self._gathered is None and path.exists()
         if is_stored:
             return SplitIndex.from_bytes(read_limited(path, LARGEST_FILE), record, str(path))
-        return self._gather().indices[split]
+        index = self._gather().indices.get(split)
+        if index is None or index.record.shards != record.shards:
+            raise ShardError(f"{path}: no such file, and the shards differ from {MANIFEST}: run gcd index")
+        return index
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
         return self.folder / shard.name(split, views=views)
@@ -107,16 +107,15 @@ class FolderStore(Store):
             self._gathered = gather(place)
         return self._gathered
 
-    def _require_listed(self, manifest: Manifest) -> None:
+    def _require_listed(self, split: str, manifest: Manifest) -> None:
         """Raise ``ShardError`` for a shard of the manifest that is not in the folder."""
         names = FolderPlace(self.folder).names()
-        for split, record in manifest.splits.items():
-            for shard in record.shards:
-                if shard.name(split) not in names:
-                    raise ShardError(
-                        f"{self.folder / shard.name(split)}: no such file, but {MANIFEST} lists it: "
-                        f"copy it again, or make it again: {command_of(self.folder, manifest, split)}"
-                    )
+        for shard in manifest.splits[split].shards:
+            if shard.name(split) not in names:
+                raise ShardError(
+                    f"{self.folder / shard.name(split)}: no such file, but {MANIFEST} lists it: copy it again, or make "
+                    f"it again: {command_of(self.folder, manifest, split)}"
+                )
 
     def _opened(self, name: str, size: int) -> "_OpenFile":
         """A shard, opened. Raises ``ShardError`` for one of another size."""

@@ -141,7 +141,8 @@ def _split_order(name: str) -> tuple[int, str]:
 def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
     try:
         known = GarmentDataset(source, split, **options)
-        return _Split(split, GarmentDataset(source, split, _examined(known.fields), dtype=None, **options))
+        garments = GarmentDataset(source, split, _examined(known.fields), dtype=None, **options)
+        return _Split(split, garments, name_of=garments._key)
     except RemoteError:
         raise
     except ShardError as error:

@@ -109,7 +109,7 @@ def test_datasets_reads_views_behind_diverged_drapes(tmp_path: Path) -> None:
     """It infers types from the first five samples."""
     lost = [replace(fake_sample(0, index), views=(MISSING_VIEW,)) for index in range(5)]
     folder = write(tmp_path / "data", [*lost, viewed(5, (16,))])
-    options = {"data_files": {"train": str(folder / "train-00000.tar")}, "split": "train"}
+    options = {"data_files": {"train": str(folder / "views" / "train-00000.tar")}, "split": "train"}
     rows = list(datasets.load_dataset("webdataset", cache_dir=str(tmp_path / "cache"), **options))
     assert rows[5]["view_0.json"]["camera"]["k"] == np.eye(3).tolist()
     assert rows[5]["view_0.jpg"].size == (16, 16)
