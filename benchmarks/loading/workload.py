@@ -9,11 +9,11 @@ import numpy as np
 
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Sample, Seam
-from gcd_dataset.shards import ShardWriter, read_manifest
+from gcd_dataset.shards import ShardWriter, encode_sample, read_manifest
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import MEMBERS, is_picture
+from gcd_dataset.shards.layout import MEMBERS, is_picture, member_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord, SplitRecord
-from gcd_dataset.shards.tar import BLOCK, END
+from gcd_dataset.shards.tar import BLOCK, END, tar_entry
 
 __all__ = ["CONFIGS", "large_sample", "write_large_index", "write_shards"]
 
@@ -69,18 +69,24 @@ def write_shards(folder: Path, count: int) -> Path:
 
 
 def write_large_index(folder: Path, count: int) -> int:
-    """Write manifest and index of a data set of ``count`` samples whose shards are empty files; bytes of the index."""
+    """Write manifest and index of ``count`` samples, of which the first alone exists; bytes of the index."""
     folder.mkdir(parents=True, exist_ok=True)
     shards = tuple(
         ShardRecord(number, min(LARGE_SHARD, count - first), SAMPLE * LARGE_SHARD + END, f"{number:064x}")
         for number, first in enumerate(range(0, count, LARGE_SHARD))
     )
     for shard in shards:
-        (folder / shard.name("train")).touch()
+        with (folder / shard.name("train")).open("wb") as file:
+            file.truncate(shard.size)  # takes no room
+    members = encode_sample(fake_sample(0, 0))
+    first = b"".join(tar_entry(member_name(0, name), data) for name, data in members.items() if not is_picture(name))
+    with (folder / shards[0].name("train")).open("r+b") as file:
+        file.write(first)
     plan = Plan("garments", 0, {"stage": "drape", "points": POINTS}, count, LARGE_SHARD)
     record = SplitRecord(plan, shards, tuple(member for member in MEMBERS if not is_picture(member)))
     random, numbers = np.random.default_rng(0), np.arange(count, dtype=np.int32)
     blocks = numbers % LARGE_SHARD * (SAMPLE // BLOCK) + random.integers(0, SAMPLE // BLOCK - 1, count, np.int32)
+    blocks[:2] = 0, len(first) // BLOCK
     grades = random.choice([GRADES.index("clean"), GRADES.index("paper")], count, p=[0.98, 0.02]).astype(np.uint8)
     outcomes = np.full(count, OUTCOMES.index("SETTLED"), np.uint8)
     index = SplitIndex(record, numbers, blocks.astype(np.int32), np.zeros(0, np.int32), grades, outcomes).to_bytes()

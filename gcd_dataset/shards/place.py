@@ -105,6 +105,6 @@ def sync_folder(folder: Path) -> None:
 def _listed(folder: Path) -> list[str]:
     with reading(folder):
         try:
-            return [path.name for path in folder.iterdir()]
+            return os.listdir(folder)
         except FileNotFoundError:
             return []

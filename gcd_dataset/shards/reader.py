@@ -79,7 +79,8 @@ class ShardReader:
         self._require_kind(layout)
         self.layout = layout.of(self.record.members)
         self._first = self.index.first
-        self._row = self._chosen(settled_only=settled_only, quality=quality)
+        self._wanted: tuple[bool, Quality | None] = settled_only, quality
+        self._row = self._chosen()
         self._checked = bytearray(len(self.index))
         if verify == "full":
             for position in range(len(self)):
@@ -151,7 +152,8 @@ class ShardReader:
         self._checked[row] = 0
         next(self._read_many([position], self.layout.members, check=True))
 
-    def _chosen(self, *, settled_only: bool, quality: Quality | None) -> Int[np.ndarray, " n"]:
+    def _chosen(self) -> Int[np.ndarray, " n"]:
+        settled_only, quality = self._wanted
         rows, count = np.arange(len(self.index), dtype=np.int32), len(self.index)
         if settled_only:
             rows = rows[self.index.settled]
@@ -228,8 +230,8 @@ class ShardReader:
         return found[member]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_checked": None}
+        return {**self.__dict__, "_checked": None, "_row": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._checked = bytearray(len(self.index))
+        self._checked, self._row = bytearray(len(self.index)), self._chosen()
