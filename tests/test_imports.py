@@ -120,11 +120,11 @@ def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
         }
 
 
-def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
+def test_ray_is_imported_by_its_engine_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "ray" for m in imports_of(p))}
-    assert users == {"generator/drapers/ray_actor.py", "verbs/ray_engine.py"}
+    assert users == {"making/ray.py"}
     # Every Ray task imports the engine; tasks that make patterns need neither Warp nor torch. Ray is optional.
-    assert not loaded_by("gcd_dataset.verbs.ray_engine") & {"ray", "warp", "torch"}
+    assert not loaded_by("gcd_dataset.making.ray") & {"ray", "warp", "torch"}
 
 
 LAYERS = {
@@ -160,7 +160,7 @@ def test_servers_are_reached_by_the_hub_and_by_the_place_of_a_run_alone() -> Non
     for path in sources():
         part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
         clients = [name for name in names if name.startswith(("huggingface_hub", "aiohttp", "fsspec", "s3fs"))]
-        assert not clients or part == "hub" or (path.name == "place.py" and clients == ["fsspec"]), path
+        assert not clients or part == "hub" or (part == "making" and clients == ["fsspec"]), path
 
 
 def test_shards_import_neither_releases_nor_the_hub() -> None:

@@ -145,7 +145,7 @@ def _download(options: argparse.Namespace) -> int:
     remote = Remote(endpoint=options.endpoint, patience=options.patience)
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
-    with tqdm(desc=out.name, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
+    with tqdm(desc=out.name, unit="B", unit_scale=True, delay=0.5, disable=options.quiet, file=sys.stderr) as bar:
 
         def update(received: int, total: int) -> None:
             bar.total = total

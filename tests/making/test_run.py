@@ -87,8 +87,7 @@ def forked(work: Callable[[], Any]) -> int:
 
 def test_the_files_of_a_data_set(whole: dict[str, bytes]) -> None:
     """Twelve shards of a design each, on two bodies: 23 // 20 samples, rounded up to whole designs."""
-    names = {f"{folder}train-{number:05d}.{ending}" for number in range(12) for folder, ending in
-             (("", "tar"), ("", "json"), ("views/", "tar"))}  # fmt: skip
+    names = {f"train-{number:05d}.{ending}" for number in range(12) for ending in ("tar", "json")}
     assert whole.keys() == names | {"manifest.json", "train.index", "rejects.jsonl"}
 
 
@@ -141,11 +140,8 @@ def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes])
 def test_ctrl_c_keeps_finished_shards_and_hides_the_one_in_work(tmp_path: Path, whole: dict[str, bytes]) -> None:
     stopped(tmp_path, 5)
     found = contents(tmp_path)
-    shards = {f"{name}-0000{number}" for name in ("train", "views/train") for number in (0, 1)}
-    assert {name for name in found if not name.startswith(".")} == {
-        f"{shard}.{ending}" for shard in shards for ending in ("tar", "json") if f"{shard}.{ending}" in whole
-    }
-    assert {name for name in found if name.startswith(".")} == {".train-00002.part", ".views-train-00002.part"}
+    shards = {f"train-0000{number}.{ending}" for number in (0, 1) for ending in ("tar", "json")}
+    assert found.keys() == shards | {".train-00002.part"}
     assert make(tmp_path, COUNT).made == COUNT - 5
     assert contents(tmp_path) == whole
 
@@ -173,13 +169,10 @@ def test_a_read_only_folder_is_reported(first: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["train-00003.tar", "train-00003.json", "views/train-00003.tar", "train.index", "manifest.json", "rejects.jsonl"],
+    "name", ["train-00003.tar", "train-00003.json", "train.index", "manifest.json", "rejects.jsonl"]
 )
 def test_a_deleted_file_is_made_again(name: str, copy: Path, whole: dict[str, bytes]) -> None:
     (copy / name).unlink()
-    if name.startswith("views"):
-        (copy / "train-00003.tar").unlink()  # a shard without its pictures is none
     make(copy, COUNT)
     index(FolderPlace(copy))
     assert contents(copy) == whole
@@ -378,4 +371,3 @@ def test_the_manifest_names_the_hash_of_every_file(first: Path, whole: dict[str,
     assert hashlib.sha256(whole["train.index"]).hexdigest() == split.index_sha256
     for shard in split.shards:
         assert hashlib.sha256(whole[shard.name("train")]).hexdigest() == shard.sha256
-        assert hashlib.sha256(whole[shard.views_name("train")]).hexdigest() == shard.views_sha256

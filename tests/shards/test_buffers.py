@@ -48,9 +48,9 @@ def test_free_buffers_are_reused() -> None:
 
 
 def test_the_pool_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
     pool = buffers._Pool()
     monkeypatch.setattr(buffers, "_pool", pool)
-    monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
     memories = [read_buffer(LARGE) for _ in range(9)]
     del memories
     assert [len(free) for free in pool._free.values()] == [3]
