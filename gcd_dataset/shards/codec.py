@@ -182,8 +182,9 @@ def _storing(sample: Sample) -> Iterator[None]:
 
 def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     """All members except ``meta.json``, in file order."""
-    pictures = {}
-    if sample.front or sample.back or (sample.drape is not None and sample.provenance.recipe.get("picture", 1)):
+    pictures, recipe = {}, sample.provenance.recipe
+    is_draped = sample.drape is not None or recipe.get("stage") == "drape"
+    if sample.front or sample.back or (is_draped and recipe.get("picture", 1)):
         pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
     views = {
         name: data

@@ -24,9 +24,11 @@ from tests.exports.patterns import squares
 def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of two samples, the second without a drape."""
     folder = tmp_path_factory.mktemp("shards")
-    with ShardWriter(folder, seed=3, recipe=recipe_of(MakeConfig())) as writer:
+    recipe = recipe_of(MakeConfig())
+    with ShardWriter(folder, seed=3, recipe=recipe) as writer:
         writer.write(worn)
-        second = replace(worn, key="gcd_000000001", provenance=replace(worn.provenance, index=1))
+        provenance = replace(worn.provenance, index=1, recipe=recipe)
+        second = replace(worn, key="gcd_000000001", provenance=provenance)
         writer.write(replace(second, drape=None, box_mesh=None))
     return folder
 
