@@ -112,7 +112,7 @@ def fault_of(name: str, old: Any, new: Any, *, draped: bool) -> str:
 
 
 def points_fault(old: Float[np.ndarray, "n 6"], new: Float[np.ndarray, "n 6"], *, draped: bool) -> str:
-    """How points, in any order, differ from the recorded ones; those of a drape move with its folds."""
+    """How points differ from the recorded ones, in any order; folds of a drape differ between machines."""
     apart, nearest = cKDTree(new[:, :3]).query(old[:, :3], p=np.inf)
     if draped:
         return "" if apart.mean() <= FOLDS else f"{apart.mean():.3g} cm apart"

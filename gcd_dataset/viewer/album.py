@@ -432,7 +432,7 @@ def _words(name: str) -> str:
 
 
 def _by_key(source: Path) -> dict[str, Path]:
-    """Name to specification file: a file, those of a folder, or if it has none those at any depth."""
+    """Name to specification file: the file itself, or those in a folder; without any, those in its subfolders."""
     found: dict[str, Path] = {}
     paths = sorted(source.glob("*.json")) or sorted(source.rglob("*specification.json"))
     for path in [source] if source.is_file() else paths:

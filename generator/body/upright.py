@@ -30,7 +30,7 @@ MAX_MISFIT = 1.0  # cm; of an upright body in a coarse fit; drawn bodies have 0.
 MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is larger by this factor
 SHORTLIST = 6  # orientations refined after the quick fits
 COARSE_LEAN = np.radians(4.0)  # error of a coarse fit's rotation
-SMALL_LEAN = np.radians(1.5)  # a body that leans or looks aside by less stays as it is
+SMALL_LEAN = np.radians(1.5)  # a smaller lean or turn is not corrected
 POSTURE = np.radians(6.0)  # per cm of misfit, further lean forwards or backwards that stays: the posture may differ
 
 _AXES = [np.eye(3)[list(order)] for order in itertools.permutations(range(3))]

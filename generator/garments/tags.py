@@ -57,7 +57,7 @@ class Tag(Enum):
     V_NECK = "v-neck", "a pointed neckline in front, with straight sides"
     SQUARE_NECK = "square neck", "a neckline with corners in front, square or trapezoid"
     CURVED_NECK = "curved neck", "a neckline in front that is a free curve, or an arc that bulges inwards"
-    UNEVEN_NECK = "uneven neck", "a neckline in front whose halves have different shapes"
+    UNEVEN_NECK = "uneven neck", "a front neckline with halves of different shapes"
     TURTLENECK = "turtleneck", "a standing collar"
     LAPEL = "lapel", "a turned collar"
     HOODED = "hooded", "a hood"
