@@ -41,7 +41,7 @@ from gcd_dataset.shards.store import Store
 
 T = TypeVar("T")
 
-LARGEST_MANIFEST = 1 << 25  # bytes: twenty million garments; parsed it takes twenty times as many
+LARGEST_MANIFEST = 1 << 24  # bytes: ten million garments; parsed it takes twenty times as many
 MOST_SAMPLES = 1 << 24  # of a split; their index takes 14 bytes each in memory
 PARALLEL, REQUESTS = 4, 8  # downloads, and requests of single samples, at a time
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
@@ -270,8 +270,10 @@ def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> t
     try:
         return parse(content), content, headers
     except ShardError:
-        content, headers = files.read(name, limit=limit)
-        return parse(content), content, headers
+        again, headers = files.read(name, limit=limit)
+        if again == content:
+            raise
+        return parse(again), again, headers
 
 
 def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:

@@ -239,7 +239,7 @@ def test_a_file_that_comes_byte_by_byte_is_given_up() -> None:
 @pytest.mark.parametrize("to", ["file:///etc/passwd", "ftp://127.0.0.1/passwd", "{}/files/a.tar"])
 def test_redirects_to_other_protocols_and_in_circles_are_refused_at_once(hub: Hub, files: Files, to: str) -> None:
     hub.faults = [Fault("a.tar", status=302, headers={"Location": to.format(hub.endpoint)}, times=99)]
-    with pytest.raises(RemoteError, match=r"redirects to .*up to 5 redirects to http and https"):
+    with pytest.raises(RemoteError, match=r"cannot be read .*: check the address; up to 5 redirects to http and https"):
         files.read("a.tar", limit=1000)
     assert len(hub.asked()) <= fetching.MOST_REDIRECTS + 1
 
