@@ -45,6 +45,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
 }
 
 PICTURES = "Pictures are in `views/`, under the same keys; configuration `views`. "
+PREVIEWED = f"The first garments as a table: [`{PREVIEW}`]({PREVIEW}). "
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ def card(release: Release) -> str:
             promise=_separation(release),
             bare=" --no-views" if release.has_views else "",
             pictures=PICTURES if release.has_views else "",
+            preview=PREVIEWED if release.has_preview else "",
             fields="\n".join(
                 f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
             ),
@@ -117,16 +119,16 @@ def card(release: Release) -> str:
 
 
 def _configs(release: Release) -> list[dict[str, Any]]:
-    """The configurations of the card: tars, tars of the pictures, and the table that the Hub shows."""
-
-    def tars(name: str, folder: str) -> dict[str, Any]:
-        files = [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits]
-        return {"config_name": name, "data_files": files}
-
-    configs = [{**tars("default", ""), "default": True}]
-    configs += [tars("views", "views/")] if release.has_views else []
-    configs += [{"config_name": "preview", "data_files": PREVIEW}] if release.has_preview else []
-    return configs
+    """The configurations of the card: tars, and tars of the pictures. ``datasets`` reads all with one builder."""
+    folders = {"default": "", **({"views": "views/"} if release.has_views else {})}
+    return [
+        {
+            "config_name": name,
+            "data_files": [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits],
+            "default": name == "default",
+        }
+        for name, folder in folders.items()
+    ]
 
 
 def _describe(field: str) -> str:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
+from urllib.parse import quote
 
 from gcd_dataset.errors import (
     ConfigError,
@@ -73,6 +74,10 @@ class Remote:
         """The folder of the cache."""
         return cache.default_cache(self.cache_dir)
 
+    def address(self, source: Repo | Url) -> str:
+        """The URL of a repository, or of a folder of files."""
+        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}" if isinstance(source, Repo) else source.url
+
     def files(self, source: Repo | Url, *, patience: float | None = None) -> Files:
         """The files of a source. Raises ``ConfigError`` for an option of the Hub with the URL of an object store."""
         patience = self.patience if patience is None else patience
@@ -80,15 +85,11 @@ class Remote:
             from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
 
             headers = partial(build_hf_headers, token=self.token, library_name="gcd_dataset")
-            revision = source.revision.replace("/", "%2F")
-            return Files(f"{self.repository(source)}/resolve/{revision}", headers=headers, patience=patience)
+            url = f"{self.address(source)}/resolve/{quote(source.revision, safe='')}"
+            return Files(url, headers=headers, patience=patience)
         if not source.url.startswith(WEB) and (self.endpoint, self.token) != (None, None):
             raise ConfigError(f"endpoint and token are for the Hub, not for {source}: set the variables of its store")
         return Files(source.url, patience=patience)
-
-    def repository(self, source: Repo) -> str:
-        """The URL of a repository."""
-        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}"
 
 
 def hub_endpoint(endpoint: str | None) -> str:
@@ -133,15 +134,13 @@ class RemoteStore(Store):
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
         self._asked, self._remote = source, remote
         self._manifest: Manifest | None = None
-        address = remote.repository(source) if isinstance(source, Repo) else source.url
+        address = remote.address(source)
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
         self._folder = remote.folder / "sets" / safe_name(f"{address.rpartition('/')[2]}-{digest}")
+        self.revision = source.revision if isinstance(source, Repo) and source.is_pinned else self._look_up()
         if isinstance(source, Repo):
-            source = replace(source, revision=source.revision if source.is_pinned else self._look_up())
-            self.revision, self.source = source.revision, str(source)
-        else:
-            self.revision = self._look_up()
-            self.source = f"{source.url}@{self.revision}"
+            source = replace(source, revision=self.revision)
+        self.source = str(source) if isinstance(source, Repo) else f"{source}@{self.revision}"
         self.files = remote.files(source)
         self.manifest()
 
@@ -177,9 +176,6 @@ class RemoteStore(Store):
             raise MissingError(f"{error}: {REPUBLISH}") from error
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
-        return self._fetched(self.files, split, shard, views)
-
-    def _fetched(self, files: Files, split: str, shard: ShardRecord, views: bool) -> Path:
         folder, kind = self.cache / shard.sha256, "views" if views else "tar"
         size, sha256 = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
         name = shard.name(split, views=views)
@@ -188,7 +184,7 @@ class RemoteStore(Store):
             if not size:
                 raise ShardError(f"{self.location(name)}: these garments have no pictures: leave their fields out")
             cache.make_room(self.cache, size, cache.size_in_bytes(self._remote.max_cache_size))
-            fetch(files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
+            fetch(self.files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
         cache.touch(folder)
         return folder / kind
 
@@ -212,8 +208,9 @@ class RemoteStore(Store):
 
     def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:
         """Fetch whole tars of several shards into the cache, in parallel. Raises as ``path`` does."""
-        files = copy(self.files)  # stopped after an error
-        run_all(files, lambda shard: self._fetched(files, split, shard, views), shards)
+        store = copy(self)
+        store.files = copy(self.files)  # stopped after an error
+        run_all(store.files, partial(store.path, split, views=views), shards)
 
     def _parse_manifest(self, content: bytes) -> Manifest:
         return parse_manifest(content, f"{self._asked}/{MANIFEST}", self.remedy)
