@@ -215,6 +215,8 @@ def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
             f"{span.address}: cannot be read ({first_line(error)}): check the address; up to {MOST_REDIRECTS} "
             "redirects to http and https are followed"
         ) from error
+    except aiohttp.ClientPayloadError as error:
+        raise Passing("the connection was lost") from error
     except (aiohttp.ClientError, OSError) as error:
         fault = f"for {ANSWER:.0f} s" if isinstance(error, TimeoutError) else f"({first_line(error)})"
         raise Passing(f"no answer {fault}") from error

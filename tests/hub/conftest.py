@@ -10,8 +10,6 @@ from gcd_dataset.hub import fetch
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.hub.sets import write_set
 
-COUNT = 10
-
 
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -26,7 +24,7 @@ def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of ten samples in three shards, with pictures."""
-    return write_set(tmp_path_factory.mktemp("published"))
+    return write_set(tmp_path_factory.mktemp("published") / "set")
 
 
 @pytest.fixture
