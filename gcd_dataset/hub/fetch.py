@@ -33,7 +33,7 @@ Take = Callable[[bytes], None]  # called with the bytes of a file in order
 
 PATIENCE = 300.0  # s of attempts without a received byte
 UNRESOLVED = 3.0  # s of attempts at a server whose name is unknown, and that this process has not reached before
-FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s between attempts: each wait is twice the last
+FIRST_WAIT, DOUBLINGS = 0.5, 7  # s between attempts: each wait is twice the last, up to 64 s
 ANSWER = 10.0  # s until an answer begins, and between its pieces
 LITTLE = 1 << 16  # bytes: attempts that bring fewer do not renew the patience
 LOOK = 0.05  # s between looks at another process's lock
@@ -180,8 +180,9 @@ class Files:
                 f"{span.address}: {error}, {attempts} times in {self.patience:.0f} s: try again later, or with more "
                 "patience (--patience, patience=); received data are kept"
             )
-        log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
-        until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
+        if not is_unknown:
+            log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
+        until = time.monotonic() + min(max(error.wait, FIRST_WAIT * 2 ** min(attempts - 1, DOUBLINGS)), left)
         while (left := until - time.monotonic()) > 0:
             self.require_wanted(span.address)
             time.sleep(min(left, FIRST_WAIT))

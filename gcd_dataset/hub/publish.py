@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError, did_you_mean, shown
 from gcd_dataset.files import drafted, make_folder
@@ -235,7 +236,7 @@ def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shar
     """Write the parts of a split, and ``failed``, with their notes and indices; the manifest."""
     parts = {name: (readers[divided], own) for name, own in partition(readers[divided], shares).items()}
     _warn_of_empty_splits(folder, shares, parts)
-    parts |= {split: (reader, range(len(reader))) for split, reader in readers.items() if split != divided}
+    parts |= {split: (reader, [*range(len(reader))]) for split, reader in readers.items() if split != divided}
     source, names = readers[divided].manifest, set[str]()
     is_whole = not any(map(source.missing, source.splits))
     garments = sum(len(own) for _, own in parts.values())
@@ -326,9 +327,10 @@ def _asking_hub(repo: str) -> Iterator[None]:
     """Turn errors of ``huggingface_hub``, and of the HTTP client that it uses, into ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
+    client: Any = HfHubHTTPError.__bases__  # httpx.HTTPError, or OSError of requests
     try:
         yield
-    except (*HfHubHTTPError.__bases__, OSError, RuntimeError, ValueError) as error:
+    except (*client, OSError, RuntimeError, ValueError) as error:
         raise RemoteError(
             f"{repo}: cannot be published ({first_line(error)}): check the network, HF_ENDPOINT, the token (hf auth "
             "login) and your rights, then run it again: uploaded files are not sent again"

@@ -14,8 +14,8 @@ from tests.hub.sets import write_set
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Waits of milliseconds, and neither the user's token nor the user's cache."""
-    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.8)):
-        monkeypatch.setattr(fetch, name, seconds)
+    for name, value in (("FIRST_WAIT", 0.001), ("DOUBLINGS", 0), ("PATIENCE", 0.8)):
+        monkeypatch.setattr(fetch, name, value)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")

@@ -18,7 +18,7 @@ import yaml
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.partition import families, leaks, partition
+from gcd_dataset.hub.partition import families, leaks, partition, traits_of
 from gcd_dataset.hub.publish import Staged, _license, publish, stage, upload
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Repo
@@ -88,7 +88,7 @@ def test_no_design_is_in_two_splits(both: Path) -> None:
 def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
     worn = [(0, 0), (1, 0), (1, 1), (2, 2), (3, None), (4, None), (4, 3), (5, 3)]
     put(tmp_path, [sample(i, design=design, body=body) for i, (design, body) in enumerate(worn)])
-    assert families(ShardReader(tmp_path)).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
+    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
 
 
 def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> Non
     samples = [sample(i, design=i) for i in range(5)]
     samples[3] = replace(samples[3], pattern=replace(samples[1].pattern, name=samples[3].pattern.name))
     put(tmp_path, [replace(made, box_mesh=None, drape=None) for made in samples])
-    assert families(ShardReader(tmp_path)).tolist() == [0, 1, 2, 1, 3]
+    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 1, 2, 1, 3]
 
 
 def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
