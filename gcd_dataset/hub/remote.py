@@ -274,16 +274,26 @@ def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> t
 
 
 def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
-    """Run ``task`` for all shards, ``PARALLEL`` at a time; after an error stop the requests of ``files``."""
-    with ThreadPoolExecutor(PARALLEL) as pool:
-        jobs = [pool.submit(task, shard) for shard in shards]
+    """Run ``task`` for all shards, ``PARALLEL`` at a time; the first error stops the requests of ``files``."""
+    errors: list[Exception] = []
+
+    def run(shard: T) -> None:
         try:
-            for job in jobs:
-                job.result()
+            if not errors:
+                task(shard)
+        except Exception as error:
+            errors.append(error)
+            files.stopped = True  # before this thread takes the next shard
+
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        try:
+            list(pool.map(run, shards))
         except BaseException:
             files.stopped = True
             pool.shutdown(cancel_futures=True)
             raise
+    if errors:
+        raise errors[0]
 
 
 def _write_cache(path: Path, content: bytes) -> None:

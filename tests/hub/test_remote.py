@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
-from gcd_dataset.hub.remote import MOST_SAMPLES, Remote, RemoteStore, open_store
+from gcd_dataset.hub.remote import MOST_SAMPLES, PARALLEL, Remote, RemoteStore, open_store
 from gcd_dataset.hub.source import Repo, Url
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.manifest import MANIFEST, parse_manifest
 from tests.hub.server import Fault, Hub
@@ -68,6 +69,15 @@ def test_a_window_takes_a_request_for_each_shard_and_nothing_is_requested_twice(
     assert [(store.cache / shard.sha256 / "tar").read_bytes() for shard in shards] == [
         (folder / shard.name("train")).read_bytes() for shard in shards
     ]
+
+
+def test_an_error_ends_all_requests_of_a_window(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.publish("org/garments", write_set(tmp_path / "set", {"train": 4 * 20}))
+    store = opened(hub, tmp_path)
+    hub.faults = [Fault(r"storage/.*tar", status=403, times=99)]
+    with pytest.raises(RefusedError, match=r"train-000\d\d\.tar: refused \(403\)"):
+        ensure(store)
+    assert len(hub.asked("storage/")) <= PARALLEL
 
 
 def test_several_samples_are_requested_together(hub: Hub, commit: str, here: FolderStore, tmp_path: Path) -> None:
@@ -170,6 +180,13 @@ def test_garments_without_pictures_have_no_tar_of_them(hub: Hub, tmp_path: Path)
 
 
 # -------------------------------------------------------------------------------------------------------------- damaged
+
+
+def test_a_stream_tells_the_error_of_the_server(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.faults = [Fault(r"garments/.*\.tar", status=403, times=99)]
+    stream = GarmentDataset(url_of(hub).url, streaming=True, cache_dir=tmp_path / "cache")
+    with pytest.raises(RefusedError, match=r"^http://[^ ]*/train-00000\.tar: refused \(403\)"):
+        next(iter(stream))
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "train.index"])
