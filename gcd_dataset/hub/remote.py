@@ -22,6 +22,7 @@ from urllib.parse import quote
 
 from gcd_dataset.errors import (
     ConfigError,
+    GcdError,
     MissingError,
     OutputError,
     RefusedError,
@@ -275,13 +276,13 @@ def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> t
 
 def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
     """Run ``task`` for all shards, ``PARALLEL`` at a time; the first error stops the requests of ``files``."""
-    errors: list[Exception] = []
+    errors: list[GcdError] = []
 
     def run(shard: T) -> None:
         try:
             if not errors:
                 task(shard)
-        except Exception as error:
+        except GcdError as error:
             errors.append(error)
             files.stopped = True  # before this thread takes the next shard
 

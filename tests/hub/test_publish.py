@@ -155,7 +155,7 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
     facts = yaml.safe_load(text.split("---")[1])
     assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])
     configs = {config["config_name"]: config["data_files"] for config in facts["configs"]}
-    assert list(configs) == ["default", "views", "preview"]
+    assert list(configs) == ["default", "views"]
     for name, is_views in (("default", False), ("views", True)):
         assert [entry["split"] for entry in configs[name]] == list(SHARES)
         for entry in configs[name]:
@@ -164,10 +164,15 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
             assert found == [shard.name(entry["split"], views=is_views) for shard in shards]
     assert yaml.safe_load(huggingface_hub.DatasetCard(text).data.to_yaml()) == facts
     assert "80 garments" in text and "at most 0.001 cm" in text
-    assert 'GarmentDataset("org/new-set"' in text
+    assert 'GarmentDataset("org/new-set"' in text and "(preview.parquet)" in text
 
 
-def test_the_hub_can_show_the_preview(staged: Staged, tmp_path: Path) -> None:
+def test_the_library_of_the_hub_loads_every_configuration_and_the_preview(staged: Staged, tmp_path: Path) -> None:
+    for name, member in (("default", "verts.z"), ("views", "front.jpg")):
+        splits: Any = datasets.load_dataset(str(staged.folder), name, streaming=True, cache_dir=str(tmp_path))
+        assert {split: member in next(iter(samples)) for split, samples in splits.items()} == dict.fromkeys(
+            SHARES, True
+        )
     table: Any = datasets.Dataset.from_parquet(str(staged.folder / "preview.parquet"), cache_dir=str(tmp_path))
     reader = ShardReader(staged.folder, "train")
     assert len(table) == min(100, len(reader))
@@ -184,7 +189,7 @@ def test_without_pyarrow_there_is_no_preview(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     up = stage(fill(tmp_path / "data", range(4)), "org/new", tmp_path / "up")
     assert "preview.parquet" not in up.files
-    assert "config_name: preview" not in (up.folder / "README.md").read_text()
+    assert "preview" not in (up.folder / "README.md").read_text()
     assert "pip install 'gcd-dataset[publish]'" in caplog.text
 
 
