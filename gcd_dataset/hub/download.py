@@ -65,11 +65,10 @@ def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str], *, of
     ``offline``: what there is must do. Raises ``ConfigError`` for a folder of another source.
     """
     known = downloaded_from(folder) if folder.is_dir() else None
-    name = (known or "").rpartition("@")[0]
     is_pinned = isinstance(source, Repo) and source.is_pinned
     is_tag = isinstance(source, Repo) and not is_pinned and source.revision != MAIN
     address = f"hf://datasets/{source.name}" if isinstance(source, Repo) else source.url
-    is_same = name == address and (not is_pinned or str(source) == known)
+    is_same = str(source) == known if is_pinned else (known or "").rpartition("@")[0] == address
     if offline and known and not is_same:
         raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
     if offline or not is_same or is_tag or (manifest := read_manifest(folder)) is None:

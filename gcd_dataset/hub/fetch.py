@@ -55,7 +55,9 @@ _reached: set[str] = set()
 class Passing(Exception):  # noqa: N818 -- a state of the server
     """An error that may pass; ``wait``: seconds that the server asks for."""
 
-    wait = 0.0
+    def __init__(self, message: str, wait: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait = wait
 
 
 class Span(NamedTuple):
@@ -259,9 +261,8 @@ def _require(span: Span, response: Any) -> None:
     """Raise ``Passing`` or ``RemoteError`` unless the answer holds the bytes of the span."""
     status, address, sent = response.status, span.address, response.headers.get("Content-Range", "")
     if status in BUSY:
-        error, requested = Passing(f"the server is busy ({status})"), response.headers.get("Retry-After", "")
-        error.wait = float(requested) if requested.isdecimal() else 0.0
-        raise error
+        requested = response.headers.get("Retry-After", "")
+        raise Passing(f"the server is busy ({status})", float(requested) if requested.isdecimal() else 0.0)
     if status in GONE:
         raise MissingError(f"{address}: not found ({status}): check the name, and the token if it is private")
     if status in REFUSED:
@@ -306,13 +307,12 @@ def _from_store(span: Span, take: Take) -> Headers:
             if len(content) > limit:
                 raise span.too_long(f"more than {limit}")
             take(content)
-        while end is not None and start < end:
-            stop = min(start + PIECE, end)
-            content = store.cat_file(path, start=start, end=stop)
-            if len(content) != stop - start:
+        pieces = [] if end is None else [(begin, min(begin + PIECE, end)) for begin in range(start, end, PIECE)]
+        for begin, stop in pieces:
+            content = store.cat_file(path, start=begin, end=stop)
+            if len(content) != stop - begin:
                 raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher")
             take(content)
-            start = stop
     return {}
 
 

@@ -235,7 +235,7 @@ def _copy(path: Path, target: Path, expected: tuple[int, str]) -> None:
 def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shares: Mapping[str, float]) -> Manifest:
     """Write the parts of a split, and ``failed``, with their notes and indices; the manifest."""
     parts = {name: (readers[divided], own) for name, own in partition(readers[divided], shares).items()}
-    _warn_of_empty_splits(folder, shares, parts)
+    _warn_of_empty_splits(readers[divided].store.location(), shares, parts)
     parts |= {split: (reader, [*range(len(reader))]) for split, reader in readers.items() if split != divided}
     source, names = readers[divided].manifest, set[str]()
     is_whole = not any(map(source.missing, source.splits))
@@ -274,13 +274,13 @@ def _write_shard(
     return {*names}
 
 
-def _warn_of_empty_splits(folder: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+def _warn_of_empty_splits(dataset: str, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
     """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
             "%s: no garments for %s: garments that share a design or a body stay in one split, and all garments fall "
             "into %s: add garments of other designs on other bodies, or give --shares 100,0,0",
-            folder,
+            dataset,
             " and ".join(missing),
             " and ".join(parts),
         )

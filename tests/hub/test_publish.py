@@ -256,6 +256,15 @@ def test_existing_splits_are_kept(tmp_path: Path) -> None:
     up = stage(data, "org/new", tmp_path / "up")
     assert up.manifest.counts == {"train": 5, "validation": 4}
     assert (up.folder / "train-00000.tar").read_bytes() == (data / "train-00000.tar").read_bytes()
+    original, copy = data / "views" / "val-00000.tar", up.folder / "views" / "validation-00000.tar"
+    content = original.read_bytes()
+    copy.write_bytes(content[:-1] + b"x")
+    stage(data, "org/new", up.folder)
+    assert copy.read_bytes() == content
+    original.write_bytes(content[:-1] + b"x")
+    with pytest.raises(ShardError, match=r"views/val-00000\.tar: its hash differs from manifest\.json"):
+        stage(data, "org/new", tmp_path / "other")
+    original.write_bytes(content)
     put(data, [sample(60, design=3)], split="test", count=9)
     with pytest.raises(ConfigError, match="test and train share 1 design: publish it as one split"):
         stage(data, "org/new", tmp_path / "up")
