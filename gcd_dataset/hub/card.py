@@ -171,14 +171,11 @@ def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[st
         for name, (size, digest) in files.items()
     ]
     return {
-        "@context": json.loads((TEXTS / "croissant_context.json").read_text("utf-8")),  # of its specification
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        **json.loads((TEXTS / "croissant.json").read_text("utf-8")),  # the context of its specification
         "name": release.repo.rpartition("/")[2],
         "description": f"{release.total} garments with their sewing patterns, on bodies, at rest.",
         "url": url,
         "license": release.license,
-        "version": "1.0.0",
         "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
         "distribution": objects + [_file_set(name, split) for name, split in release.splits.items()],
         "recordSet": [_records(name, release) for name in release.splits],
