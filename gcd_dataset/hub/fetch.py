@@ -110,9 +110,7 @@ class Files:
         headers = self._receive(Span(self.address(name), start, end, limit), content.extend)
         return bytes(content), headers
 
-    def complete(
-        self, name: str, part: Path, size: int, sha256: str, on_progress: Callable[[int], None] = lambda size: None
-    ) -> None:
+    def complete(self, name: str, part: Path, size: int, sha256: str, on_progress: Callable[[int], None]) -> None:
         """Append the missing bytes of a file of known size and hash to ``part``; with a wrong hash, all of them once.
 
         ``on_progress`` is called with the bytes that are there. Raises ``OutputError`` too.
@@ -391,7 +389,10 @@ def _claimed(part: Path, files: Files) -> Iterator[bool]:
     with writing(part):
         file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
-        while not _is_locked(file, part):
+        while True:
+            with writing(part), contextlib.suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
             files.require_wanted(str(part))  # so that Ctrl-C ends the wait
             time.sleep(LOOK)
         yield part.exists() and os.path.samestat(os.fstat(file), part.lstat())
@@ -399,14 +400,6 @@ def _claimed(part: Path, files: Files) -> Iterator[bool]:
         # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
-
-
-def _is_locked(file: int, part: Path) -> bool:
-    """Lock an open file, unless another process or thread has locked it."""
-    with writing(part), contextlib.suppress(BlockingIOError):
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False
 
 
 def first_line(error: object) -> str:

@@ -79,18 +79,17 @@ class Remote:
         """The URL of a repository, or of a folder of files."""
         return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}" if isinstance(source, Repo) else source.url
 
-    def files(self, source: Repo | Url, *, patience: float | None = None) -> Files:
+    def files(self, source: Repo | Url) -> Files:
         """The files of a source. Raises ``ConfigError`` for an option of the Hub with the URL of an object store."""
-        patience = self.patience if patience is None else patience
         if isinstance(source, Repo):
             from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
 
             headers = partial(build_hf_headers, token=self.token, library_name="gcd_dataset")
             url = f"{self.address(source)}/resolve/{quote(source.revision, safe='')}"
-            return Files(url, headers=headers, patience=patience)
+            return Files(url, headers=headers, patience=self.patience)
         if not source.url.startswith(WEB) and (self.endpoint, self.token) != (None, None):
             raise ConfigError(f"endpoint and token are for the Hub, not for {source}: set the variables of its store")
-        return Files(source.url, patience=patience)
+        return Files(source.url, patience=self.patience)
 
 
 def hub_endpoint(endpoint: str | None) -> str:
@@ -219,7 +218,9 @@ class RemoteStore(Store):
     def _look_up(self) -> str:
         """The revision of a branch, tag or URL: the server's, else the last one seen."""
         reference = self._folder / "refs" / safe_name(self._asked.revision if isinstance(self._asked, Repo) else "now")
-        files = self._remote.files(self._asked, patience=0.0 if reference.exists() else None)
+        files = self._remote.files(self._asked)
+        if reference.exists():
+            files.patience = 0.0  # there is a revision to read
         try:
             self._require_allowed(MANIFEST)
             # The Hub names the commit in the answer.
