@@ -14,7 +14,7 @@ from jaxtyping import Int
 from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
 from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
@@ -84,7 +84,7 @@ class StreamedTar:
                     key = sample.pop("__key__")
                     yield key, {member: data for member, data in sample.items() if not member.startswith("__")}
         except (tarfile.TarError, ShardError, ValueError) as error:  # ValueError: a name occurs twice
-            if str(error.args[0]).startswith(self.name):
+            if isinstance(error, RemoteError) or str(error.args[0]).startswith(self.name):
                 raise
             fault = str(error.args[0]).partition(" @ ")[0]  # webdataset appends the file object
             raise ShardError(f"{self.name}: a damaged archive ({fault}): {self.remedy}") from error

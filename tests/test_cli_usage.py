@@ -103,7 +103,7 @@ BAD_INPUT = [
     ("validate text.txt", "text.txt: "),
     ("show missing --png a.png", "missing: no such folder"),
     ("show missing.json --png a.png", "missing.json: no such file"),
-    ("show shards --png a.png --index 2", "sample 2 of 2: give one from 0 to 1"),
+    ("show shards --png a.png --index 2", "garment 2 of 2: give one from 0 to 1"),
     ("show shards --sheet a.jpg --index 0,1-2", "garment 2 of 2: give 0 to 1"),
     ("show --design missing.yaml", "missing.yaml: no such file"),
     ("show --design skirt.yaml --body missing.obj", "missing.obj: no such file"),

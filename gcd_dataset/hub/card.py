@@ -3,28 +3,21 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 from gcd_dataset.shards.layout import FAILED, fields_of, is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
+TEXTS = resources.files(__package__)
 PREVIEW = "preview.parquet"
 
+BYTES = "application/octet-stream"
+FORMATS = {"tar": "application/x-tar", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthetic", "3d"]
 
-LICENSES = frozenset(
-    """
-    afl-3.0 agpl-3.0 apache-2.0 apple-amlr apple-ascl artistic-2.0 bigcode-openrail-m bigscience-bloom-rail-1.0
-    bigscience-openrail-m bsd bsd-2-clause bsd-3-clause bsd-3-clause-clear bsl-1.0 c-uda cc cc-by-2.0 cc-by-2.5
-    cc-by-3.0 cc-by-4.0 cc-by-nc-2.0 cc-by-nc-3.0 cc-by-nc-4.0 cc-by-nc-nd-3.0 cc-by-nc-nd-4.0 cc-by-nc-sa-2.0
-    cc-by-nc-sa-3.0 cc-by-nc-sa-4.0 cc-by-nd-4.0 cc-by-sa-3.0 cc-by-sa-4.0 cc0-1.0 cdla-permissive-1.0
-    cdla-permissive-2.0 cdla-sharing-1.0 creativeml-openrail-m deepfloyd-if-license ecl-2.0 epl-1.0 epl-2.0 etalab-2.0
-    eupl-1.1 eupl-1.2 fair-noncommercial-research-license gemma gfdl gpl gpl-2.0 gpl-3.0 h-research intel-research isc
-    lgpl lgpl-2.1 lgpl-3.0 lgpl-lr llama2 llama3 llama3.1 llama3.2 llama3.3 llama4 lppl-1.3c mit mpl-2.0 ms-pl ncsa
-    odbl odc-by ofl-1.1 openmdw-1.0 openrail openrail++ osl-3.0 other pddl postgresql unknown unlicense wtfpl zlib
-    """.split()  # noqa: SIM905
-)
+LICENSES = frozenset((TEXTS / "licenses.txt").read_text("utf-8").split())
 """License identifiers, from huggingface.co/docs/hub/repositories-licenses; the Hub refuses a card with another one."""
 
 FIELD_DESCRIPTIONS: Mapping[str, str] = {
@@ -51,52 +44,8 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "back": "picture from behind",
 }
 
-CARD_TEXT = """
-# {title}
-
-{total} garments with their sewing patterns, made by [gcd_dataset](https://pypi.org/project/gcd-dataset/) {generator}:
-body, tailor's measures, design, pattern, mesh, drape and pictures of each. Centimetres; y up, the wearer faces +z, the
-wearer's left is +x, soles at y = 0.
-
-| split | garments | settled drapes | shards | size |
-|---|---|---|---|---|
-{splits}
-
-{promise}
-
-## Use
-
-```python
-from gcd_dataset.loaders import GarmentDataset
-
-ds = GarmentDataset("{repo}", "train", fields=["points", "panels", "edges", "stitches"])
-ds[12]
-```
-
-```sh
-gcd download {repo} --split train{bare}
-```
-
-The shards are plain tars for `webdataset` and `datasets.load_dataset("{repo}", streaming=True)`; the function
-`gcd_dataset.decode` decodes the members of a sample for both. {pictures}Positions are rounded to multiples of 2⁻⁹ cm,
-at most 0.001 cm from the simulated ones; drapes were graded after rounding.
-
-## Fields
-
-| field | file | content |
-|---|---|---|
-{fields}
-
-## How it was made
-
-{made}
-
-`ds.recipe(i)` holds all that is needed to generate a garment again. The hash of every tar is in `{manifest}`, the
-CRC-32 of every file of a garment in its `meta.json`.
-"""
-
-
 PICTURES = "Pictures are in `views/`, under the same keys; configuration `views`. "
+PREVIEWED = f"The first garments as a table: [`{PREVIEW}`]({PREVIEW}). "
 
 
 @dataclass(frozen=True)
@@ -146,35 +95,40 @@ def card(release: Release) -> str:
         size_categories=[next((text for limit, text in SIZES if release.total < limit), "n>1M")],
         configs=_configs(release),
     )
-    text = CARD_TEXT.format(
-        title=title,
-        repo=release.repo,
-        total=release.total,
-        generator=release.manifest.generator,
-        manifest=MANIFEST,
-        splits="\n".join(_split_row(release, name, split) for name, split in release.splits.items()),
-        promise=_separation(release),
-        bare=" --no-views" if release.has_views else "",
-        pictures=PICTURES if release.has_views else "",
-        fields="\n".join(
-            f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
-        ),
-        made=_origin(release.manifest),
+    text = (
+        (TEXTS / "card.md")
+        .read_text("utf-8")
+        .format(
+            title=title,
+            repo=release.repo,
+            total=release.total,
+            generator=release.manifest.generator,
+            manifest=MANIFEST,
+            splits="\n".join(_split_row(release, name, split) for name, split in release.splits.items()),
+            promise=_separation(release),
+            bare=" --no-views" if release.has_views else "",
+            pictures=PICTURES if release.has_views else "",
+            preview=PREVIEWED if release.has_preview else "",
+            fields="\n".join(
+                f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
+            ),
+            made=_origin(release.manifest),
+        )
     )
     return f"---\n{metadata.to_yaml()}\n---\n{text}"
 
 
 def _configs(release: Release) -> list[dict[str, Any]]:
-    """The configurations of the card: tars, tars of the pictures, and the table that the Hub shows."""
-
-    def tars(name: str, folder: str) -> dict[str, Any]:
-        files = [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits]
-        return {"config_name": name, "data_files": files}
-
-    configs = [{**tars("default", ""), "default": True}]
-    configs += [tars("views", "views/")] if release.has_views else []
-    configs += [{"config_name": "preview", "data_files": PREVIEW}] if release.has_preview else []
-    return configs
+    """The configurations of the card: tars, and tars of the pictures. ``datasets`` reads all with one builder."""
+    folders = {"default": "", **({"views": "views/"} if release.has_views else {})}
+    return [
+        {
+            "config_name": name,
+            "data_files": [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits],
+            "default": name == "default",
+        }
+        for name, folder in folders.items()
+    ]
 
 
 def _describe(field: str) -> str:
@@ -217,14 +171,11 @@ def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[st
         for name, (size, digest) in files.items()
     ]
     return {
-        "@context": _CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        **json.loads((TEXTS / "croissant.json").read_text("utf-8")),  # the context of its specification
         "name": release.repo.rpartition("/")[2],
         "description": f"{release.total} garments with their sewing patterns, on bodies, at rest.",
         "url": url,
         "license": release.license,
-        "version": "1.0.0",
         "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
         "distribution": objects + [_file_set(name, split) for name, split in release.splits.items()],
         "recordSet": [_records(name, release) for name in release.splits],
@@ -256,26 +207,3 @@ def _records(split: str, release: Release) -> dict[str, Any]:
             for name, text, file_property in fields
         ],
     )
-
-
-BYTES = "application/octet-stream"
-FORMATS = {"tar": "application/x-tar", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
-_TERMS = (
-    "citeAs column conformsTo equivalentProperty extract field fileObject fileProperty fileSet format includes "
-    "isLiveDataset jsonPath key md5 parentField path recordSet references regex repeated replace samplingRate "
-    "separator source subField transform"
-)
-_CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    **{term: f"cr:{term}" for term in _TERMS.split()},
-    "conformsTo": "dct:conformsTo",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-}
-"""The JSON-LD context of Croissant 1.0, as listed in its specification."""

@@ -8,17 +8,16 @@ train.index, manifest.json         written last
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.hub.fetch import fetch, sha256_of
+from gcd_dataset.hub.fetch import fetch
 from gcd_dataset.hub.remote import Remote, RemoteStore, run_all
 from gcd_dataset.hub.source import MAIN, Repo, Url
 from gcd_dataset.shards.access import locked, reading, writing
@@ -26,12 +25,9 @@ from gcd_dataset.shards.folder import DOWNLOAD_FILE, downloaded_from
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
+from gcd_dataset.shards.notes import hashed
 
-
-class _Tar(NamedTuple):
-    name: str
-    size: int
-    sha256: str
+Tars = Mapping[str, tuple[int, str]]  # name of a tar to its size [bytes] and SHA-256
 
 
 def download(
@@ -55,9 +51,8 @@ def download(
     chosen = {split: index.record for split, index in indices.items()}
     with locked(make_folder(folder) / ".download.lock", "downloading", wait=True):
         manifest = _begin(folder, store, chosen)
-        tars = [tar for split, record in chosen.items() for tar in _tars(split, record)]
-        _download_tars(folder, store, tars, on_progress)
-        _remove_unlisted(folder, {split: store.manifest().splits[split] for split in chosen})
+        _download_tars(folder, store, tars_of(chosen), on_progress)
+        remove_others(folder, tars_of(store.manifest().splits))
         for split, index in indices.items():
             write_changed(folder / index_name(split), index.to_bytes())
         write_changed(folder / MANIFEST, manifest.to_bytes())
@@ -70,17 +65,18 @@ def is_downloaded(folder: Path, source: Repo | Url, splits: Sequence[str], *, of
     ``offline``: what there is must do. Raises ``ConfigError`` for a folder of another source.
     """
     known = downloaded_from(folder) if folder.is_dir() else None
-    name = (known or "").rpartition("@")[0]
     is_pinned = isinstance(source, Repo) and source.is_pinned
     is_tag = isinstance(source, Repo) and not is_pinned and source.revision != MAIN
     address = f"hf://datasets/{source.name}" if isinstance(source, Repo) else source.url
-    is_same = name == address and (not is_pinned or str(source) == known)
+    is_same = str(source) == known if is_pinned else (known or "").rpartition("@")[0] == address
     if offline and known and not is_same:
         raise ConfigError(f"{folder}: holds {known}, asked for {source}: choose another folder")
     if offline or not is_same or is_tag or (manifest := read_manifest(folder)) is None:
         return offline
-    records = {split: manifest.splits.get(split) for split in splits}
-    return all(record and all(_has(folder, tar) for tar in _tars(split, record)) for split, record in records.items())
+    if not {*splits} <= manifest.splits.keys():
+        return False
+    wanted = tars_of({split: manifest.splits[split] for split in splits})
+    return all(_has(folder, name, size) for name, (size, _) in wanted.items())
 
 
 def _index(store: RemoteStore, split: str, *, views: bool) -> SplitIndex:
@@ -123,57 +119,58 @@ def _begin(folder: Path, store: RemoteStore, chosen: Mapping[str, SplitRecord]) 
     return replace(published, splits=splits)
 
 
-def _tars(split: str, record: SplitRecord) -> Iterator[_Tar]:
-    for shard in record.shards:
-        yield _Tar(shard.name(split), shard.size, shard.sha256)
-        if shard.views_size:
-            yield _Tar(shard.views_name(split), shard.views_size, shard.views_sha256)
-
-
-def _download_tars(
-    folder: Path, store: RemoteStore, tars: Sequence[_Tar], on_progress: Callable[[int, int], None]
-) -> None:
+def _download_tars(folder: Path, store: RemoteStore, tars: Tars, on_progress: Callable[[int, int], None]) -> None:
     """Download the tars that are missing or damaged."""
-    received = {tar.name: tar.size if _has(folder, tar) else 0 for tar in tars}
-    total = sum(tar.size for tar in tars)
+    received = {name: size if _has(folder, name, size) else 0 for name, (size, _) in tars.items()}
+    total = sum(size for size, _ in tars.values())
     begun = sum(path.stat().st_size for path in folder.rglob(".*.tar.part"))
     if (needed := total - sum(received.values()) - begun) > (free := shutil.disk_usage(folder).free):
         raise OutputError(f"{folder}: {needed} bytes are needed, and {free} are free: make room, or choose another one")
 
-    def report(tar: _Tar, size: int) -> None:
-        received[tar.name] = size
+    def report(name: str, size: int) -> None:
+        received[name] = size
         on_progress(sum(received.values()), total)
 
-    def download_tar(tar: _Tar) -> None:
-        path = folder / tar.name
+    def download_tar(name: str) -> None:
+        path = folder / name
         with writing(path):
-            if path.exists() and not (_has(folder, tar) and sha256_of(path) == tar.sha256):
+            if path.exists() and not (_has(folder, name, tars[name][0]) and hashed(path) == tars[name]):
                 path.unlink()
-        fetch(store.files, tar.name, path, tar.size, tar.sha256, on_progress=partial(report, tar))
-        report(tar, tar.size)
+        fetch(store.files, name, path, *tars[name], on_progress=partial(report, name))
+        report(name, tars[name][0])
 
     on_progress(sum(received.values()), total)
     run_all(store.files, download_tar, tars)
 
 
-def _has(folder: Path, tar: _Tar) -> bool:
-    path = folder / tar.name
-    return path.exists() and path.stat().st_size == tar.size
+def _has(folder: Path, name: str, size: int) -> bool:
+    path = folder / name
+    return path.exists() and path.stat().st_size == size
 
 
-def _remove_unlisted(folder: Path, records: Mapping[str, SplitRecord]) -> None:
-    """Remove tars that are no longer part of the splits; readers of the folder would find them."""
-    names = {tar.name for split, record in records.items() for tar in _tars(split, record)}
-    for path in tar_files(folder):
-        if path.name.rpartition("-")[0] in records and path.relative_to(folder).as_posix() not in names:
-            with writing(path):
-                path.unlink()
+def tars_of(splits: Mapping[str, SplitRecord]) -> Tars:
+    """The tars of splits, those of the pictures included."""
+    tars = {}
+    for split, record in splits.items():
+        for shard in record.shards:
+            tars[shard.name(split)] = shard.size, shard.sha256
+            if shard.views_size:
+                tars[shard.views_name(split)] = shard.views_size, shard.views_sha256
+    return tars
 
 
 def tar_files(folder: Path) -> list[Path]:
     """The tars in a folder, those of the pictures included. Raises ``ShardError``."""
     with reading(folder):
         return [*folder.glob("*.tar"), *folder.glob("views/*.tar")]
+
+
+def remove_others(folder: Path, names: Container[str]) -> None:
+    """Remove all tars but these; readers of the folder would find them. Raises ``OutputError``."""
+    for path in tar_files(folder):
+        if path.relative_to(folder).as_posix() not in names:
+            with writing(path):
+                path.unlink()
 
 
 def write_changed(path: Path, content: bytes) -> None:

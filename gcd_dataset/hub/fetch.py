@@ -10,28 +10,30 @@ import asyncio
 import contextlib
 import errno
 import fcntl
-import hashlib
 import logging
 import math
 import os
 import re
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from urllib.parse import urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import writing
+from gcd_dataset.shards.notes import hashed
 
 Headers = Mapping[str, str]
 Take = Callable[[bytes], None]  # called with the bytes of a file in order
 
 PATIENCE = 300.0  # s of attempts without a received byte
-FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s between attempts: each wait is twice the last
+UNRESOLVED = 3.0  # s of attempts at a server whose name is unknown, and that this process has not reached before
+FIRST_WAIT, DOUBLINGS = 0.5, 7  # s between attempts: each wait is twice the last, up to 64 s
 ANSWER = 10.0  # s until an answer begins, and between its pieces
 LITTLE = 1 << 16  # bytes: attempts that bring fewer do not renew the patience
 LOOK = 0.05  # s between looks at another process's lock
@@ -46,12 +48,16 @@ INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADire
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
 
 log = logging.getLogger(__name__)
+_reached: set[str] = set()
+"""Protocol and host of the servers that have answered this process."""
 
 
 class Passing(Exception):  # noqa: N818 -- a state of the server
     """An error that may pass; ``wait``: seconds that the server asks for."""
 
-    wait = 0.0
+    def __init__(self, message: str, wait: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait = wait
 
 
 class Span(NamedTuple):
@@ -64,6 +70,11 @@ class Span(NamedTuple):
     start: int
     end: int | None
     limit: int | None
+
+    @property
+    def root(self) -> str:
+        """Protocol and host, or bucket."""
+        return "/".join(self.address.split("/")[:3])
 
     def too_long(self, size: str) -> RemoteError:
         """The error about a file of more than ``limit`` bytes."""
@@ -99,20 +110,32 @@ class Files:
         headers = self._receive(Span(self.address(name), start, end, limit), content.extend)
         return bytes(content), headers
 
-    def append(self, name: str, file: Path, size: int, on_progress: Callable[[int], None]) -> None:
-        """Append the missing bytes of a file of ``size`` bytes to ``file``. Raises ``OutputError`` too."""
-        with writing(file), file.open("ab", buffering=0) as opened:
+    def complete(self, name: str, part: Path, size: int, sha256: str, on_progress: Callable[[int], None]) -> None:
+        """Append the missing bytes of a file of known size and hash to ``part``; with a wrong hash, all of them once.
 
-            def take(piece: bytes) -> None:
-                with writing(file):
-                    rest = memoryview(piece)
-                    while rest:
-                        rest = rest[opened.write(rest) :]
-                on_progress(opened.tell())
+        ``on_progress`` is called with the bytes that are there. Raises ``OutputError`` too.
+        """
+        for _ in range(2):
+            with writing(part), part.open("ab") as file:
 
-            if (start := opened.tell()) < size:
-                self._receive(Span(self.address(name), start, size, None), take)
-            os.fsync(opened.fileno())
+                def take(piece: bytes, file: BinaryIO = file) -> None:
+                    with writing(part):  # not in the loop of fsspec, whose OSErrors are those of servers
+                        file.write(piece)
+                    on_progress(file.tell())
+
+                if (start := file.tell()) < size:
+                    self._receive(Span(self.address(name), start, size, None), take)
+                file.flush()
+                os.fsync(file.fileno())
+            if hashed(part) == (size, sha256):
+                return
+            with writing(part):
+                os.truncate(part, 0)
+        part.unlink()
+        raise RemoteError(
+            f"{self.address(name)}: received bytes do not match the published hash; none are kept: try again later, or "
+            "tell its publisher"
+        )
 
     def _receive(self, span: Span, take: Take) -> Headers:
         """Pass the bytes to ``take``, and continue after a lost connection; the headers of the last answer."""
@@ -130,27 +153,31 @@ class Files:
             before, begun = offset, time.monotonic()
             try:
                 rest = span._replace(start=offset)
-                return (
-                    _from_web(rest, counted, self._headers())
-                    if self.url.startswith(WEB)
-                    else _from_store(rest, counted)
-                )
+                is_web = self.url.startswith(WEB)
+                headers = _from_web(rest, counted, self._headers()) if is_web else _from_store(rest, counted)
             except Passing as error:
                 if offset - before >= LITTLE:
                     attempts, progress = 0, time.monotonic()
                 attempts += 1
                 self._wait(span, error, attempts, progress)
+            else:
+                _reached.add(span.root)
+                return headers
 
     def _wait(self, span: Span, error: Passing, attempts: int, progress: float) -> None:
         """Sleep after ``attempts`` attempts since ``progress``. Raises ``RemoteError`` when the patience is over."""
-        left = progress + self.patience - time.monotonic()
+        is_unknown = span.root not in _reached and _is_unresolved(error)
+        left = progress + (min(self.patience, UNRESOLVED) if is_unknown else self.patience) - time.monotonic()
+        if left <= 0 and is_unknown:
+            raise RemoteError(f"{span.address}: {error}: check the address and the network")
         if left <= 0:
             raise RemoteError(
                 f"{span.address}: {error}, {attempts} times in {self.patience:.0f} s: try again later, or with more "
                 "patience (--patience, patience=); received data are kept"
             )
-        log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
-        until = time.monotonic() + min(max(error.wait, min(FIRST_WAIT * 2 ** min(attempts - 1, 16), LAST_WAIT)), left)
+        if not is_unknown:
+            log.log(logging.WARNING if attempts == 1 else logging.INFO, "%s: %s: trying again", span.address, error)
+        until = time.monotonic() + min(max(error.wait, FIRST_WAIT * 2 ** min(attempts - 1, DOUBLINGS)), left)
         while (left := until - time.monotonic()) > 0:
             self.require_wanted(span.address)
             time.sleep(min(left, FIRST_WAIT))
@@ -161,6 +188,12 @@ class Files:
             raise RemoteError(f"{address}: stopped: start again to continue")
 
 
+def _is_unresolved(error: BaseException) -> bool:
+    """Whether an error comes from a host name that could not be resolved."""
+    cause = error.__cause__ or error.__context__
+    return isinstance(error, socket.gaierror) or (cause is not None and _is_unresolved(cause))
+
+
 # ---------------------------------------------------------------------------------------------------------- web servers
 
 
@@ -169,30 +202,30 @@ def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
     import aiohttp
     from fsspec.asyn import sync
 
+    redirected = (aiohttp.TooManyRedirects, aiohttp.RedirectClientError)
     try:
         web = _web(os.getpid())
         answered: Headers = sync(web.loop, _stream, web, span, take, headers)
-    except (aiohttp.TooManyRedirects, aiohttp.RedirectClientError) as error:
+    except (*redirected, aiohttp.InvalidURL, aiohttp.ClientConnectorCertificateError) as error:
         raise RemoteError(
-            f"{span.address}: redirects to {shown(first_line(error))}: up to {MOST_REDIRECTS} redirects to http and "
-            "https are followed: check the address, or tell its publisher"
+            f"{span.address}: cannot be read ({first_line(error)}): check the address; up to {MOST_REDIRECTS} "
+            "redirects to http and https are followed"
         ) from error
-    except (aiohttp.InvalidURL, aiohttp.ClientConnectorCertificateError) as error:
-        raise RemoteError(f"{span.address}: cannot be read ({first_line(error)}): check the address") from error
     except aiohttp.ClientPayloadError as error:
         raise Passing("the connection was lost") from error
-    except TimeoutError as error:
-        raise Passing(f"no answer for {ANSWER:.0f} s") from error
     except (aiohttp.ClientError, OSError) as error:
-        raise Passing(f"no answer ({first_line(error)})") from error
+        fault = f"for {ANSWER:.0f} s" if isinstance(error, TimeoutError) else f"({first_line(error)})"
+        raise Passing(f"no answer {fault}") from error
     return answered
 
 
 async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers:
     """Pass the bytes of one answer to ``take``; its headers."""
     (address, start, end, limit), session = span, await web.set_session()
-    asked = {**headers, "Accept-Encoding": "identity"}  # ranges of a compressed answer could not be counted
-    if start or end is not None:
+    is_part = start > 0 or end is not None
+    # The range of a compressed answer may count compressed bytes.
+    asked = {**headers, "Accept-Encoding": "identity" if is_part else "gzip"}
+    if is_part:
         asked["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
     async with asyncio.timeout(ANSWER):
         options = {"headers": asked, "max_redirects": MOST_REDIRECTS, "proxy": _proxy(address)}
@@ -222,9 +255,8 @@ def _require(span: Span, response: Any) -> None:
     """Raise ``Passing`` or ``RemoteError`` unless the answer holds the bytes of the span."""
     status, address, sent = response.status, span.address, response.headers.get("Content-Range", "")
     if status in BUSY:
-        error, requested = Passing(f"the server is busy ({status})"), response.headers.get("Retry-After", "")
-        error.wait = float(requested) if requested.isdecimal() else 0.0
-        raise error
+        requested = response.headers.get("Retry-After", "")
+        raise Passing(f"the server is busy ({status})", float(requested) if requested.isdecimal() else 0.0)
     if status in GONE:
         raise MissingError(f"{address}: not found ({status}): check the name, and the token if it is private")
     if status in REFUSED:
@@ -232,7 +264,7 @@ def _require(span: Span, response: Any) -> None:
     if status == 416:
         raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher, or pin another revision")
     if status not in (200, 206) or (status == 206 and not sent.startswith(f"bytes {span.start}-")):
-        raise RemoteError(f"{address}: answered with status {status} {shown(sent)}: check the address")
+        raise RemoteError(f"{address}: answered with status {status} {shown(sent[:50])}: check the address")
     if status == 200 and span.start and span.limit is not None:
         raise RemoteError(f"{address}: this server sends whole files only, not single garments: use gcd download")
 
@@ -260,20 +292,19 @@ def _from_store(span: Span, take: Take) -> Headers:
     """One attempt at an object store. Raises ``Passing`` for an error that may pass."""
     address, start, end, limit = span
     with _asking(address):
-        store = _store(os.getpid(), "/".join(address.split("/")[:3]))
+        store = _store(os.getpid(), span.root)
         path = store._strip_protocol(address)
         if end is None and limit is not None:
             content = store.cat_file(path, start=0, end=limit + 1)
             if len(content) > limit:
                 raise span.too_long(f"more than {limit}")
             take(content)
-        while end is not None and start < end:
-            stop = min(start + PIECE, end)
-            content = store.cat_file(path, start=start, end=stop)
-            if len(content) != stop - start:
+        pieces = [] if end is None else [(begin, min(begin + PIECE, end)) for begin in range(start, end, PIECE)]
+        for begin, stop in pieces:
+            content = store.cat_file(path, start=begin, end=stop)
+            if len(content) != stop - begin:
                 raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher")
             take(content)
-            start = stop
     return {}
 
 
@@ -341,30 +372,15 @@ def fetch(
     wrong hashes and keeps nothing; ``OutputError`` where the file cannot be written.
     """
     part = part or target.with_name(f".{target.name}.part")
+    make_folder(part.parent)
     while not target.exists():
-        make_folder(part.parent)
         with _claimed(part, files) as is_mine, writing(part):
             if is_mine and target.exists():
                 part.unlink()  # made by this call, after another process had finished
             elif is_mine:
-                _complete(partial(files.append, name, part, size, on_progress), part, size, sha256, files.address(name))
+                files.complete(name, part, size, sha256, on_progress)
                 make_folder(target.parent)
                 part.replace(target)
-
-
-def _complete(append: Callable[[], None], part: Path, size: int, sha256: str, address: str) -> None:
-    for _ in range(2):
-        if part.stat().st_size > size:
-            os.truncate(part, 0)
-        append()
-        if sha256_of(part) == sha256:
-            return
-        os.truncate(part, 0)
-    part.unlink()
-    raise RemoteError(
-        f"{address}: received bytes do not match the published hash; none are kept: try again later, or tell its "
-        "publisher"
-    )
 
 
 @contextlib.contextmanager
@@ -373,7 +389,10 @@ def _claimed(part: Path, files: Files) -> Iterator[bool]:
     with writing(part):
         file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
-        while not _is_locked(file, part):
+        while True:
+            with writing(part), contextlib.suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
             files.require_wanted(str(part))  # so that Ctrl-C ends the wait
             time.sleep(LOOK)
         yield part.exists() and os.path.samestat(os.fstat(file), part.lstat())
@@ -383,20 +402,6 @@ def _claimed(part: Path, files: Files) -> Iterator[bool]:
         os.close(file)
 
 
-def _is_locked(file: int, part: Path) -> bool:
-    """Lock an open file, unless another process or thread has locked it."""
-    with writing(part), contextlib.suppress(BlockingIOError):
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file. Raises ``OSError``."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def first_line(error: object) -> str:
-    """The first line of an error's message; its type where the message is empty."""
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    """The first line of an error's message, at most 200 characters; its type where the message is empty."""
+    return shown(str(error).strip().partition("\n")[0][:200]) or type(error).__name__

@@ -1,7 +1,7 @@
 """Divides a data set into splits that share neither designs nor bodies nor patterns."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ DESIGN = "design.txt"
 NEUTRAL = "neutral"  # name of the neutral body in a sample
 
 
-class _Traits(NamedTuple):
+class Traits(NamedTuple):
     """What connects garments; equal numbers stand for equal designs, bodies, patterns."""
 
     design: Int[np.ndarray, " n"]
@@ -42,8 +42,8 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
         raise ConfigError(
             f"shares {', '.join(f'{share:g}' for share in shares.values())}: give shares of 0 or more that add up to 1"
         )
-    traits = _traits(reader)
-    family = _families(traits)
+    traits = traits_of(reader)
+    family = families(traits)
     chance = _chances(traits.design, family)
     ends = np.cumsum(list(shares.values()))
     number = np.minimum(np.searchsorted(ends, chance, side="right"), len(ends) - 1)
@@ -58,16 +58,12 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
     return {name: positions for name, positions in parts.items() if positions}
 
 
-def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
+def families(traits: Traits) -> Int[np.ndarray, " n"]:
     """Family number of each sample: the connected components of garments that share a design, a body or a pattern.
 
     The neutral body, and bodies without shape weights, connect no garments. Two designs may give the same pattern on
     one body: they differ in parameters that are not used, such as the sleeves of a strapless bodice.
     """
-    return _families(_traits(reader))
-
-
-def _families(traits: _Traits) -> Int[np.ndarray, " n"]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -89,21 +85,21 @@ def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
 
     Split ``failed`` is left out: its designs may be in any other split too.
     """
-    names = [name for name in readers if name != FAILED]
-    designs = {name: _designs(readers[name]) for name in names} if len(names) > 1 else {}
-    shared = {(first, second): len(designs[first] & designs[second]) for first, second in combinations(names, 2)}
+    others = {name: reader for name, reader in readers.items() if name != FAILED}
+    designs = {
+        name: {_hash(members[DESIGN]) for members in reader.read_many(range(len(reader)), [DESIGN])}
+        for name, reader in others.items()
+        if len(others) > 1
+    }
     return [
         f"{first} and {second} share {count} design{'s' if count > 1 else ''}"
-        for (first, second), count in shared.items()
-        if count
+        for first, second in combinations(designs, 2)
+        if (count := len(designs[first] & designs[second]))
     ]
 
 
-def _designs(reader: ShardReader) -> set[int]:
-    return {_hash(members[DESIGN]) for members in reader.read_many(range(len(reader)), [DESIGN])}
-
-
-def _traits(reader: ShardReader) -> _Traits:
+def traits_of(reader: ShardReader) -> Traits:
+    """What connects the samples of a split. Reads all of them."""
     available = fields_of(reader.layout.members)
     wanted, rows = [META, DESIGN, available["edges"], available["body"]], []
     for members in reader.read_many(range(len(reader)), wanted):
@@ -112,7 +108,7 @@ def _traits(reader: ShardReader) -> _Traits:
         is_common = not len(body) or read_meta(members[META])["body"] == NEUTRAL
         rows.append((_hash(members[DESIGN]), _hash(body.data), _hash(edges.data), is_common))
     table = np.array(rows, np.int64)
-    return _Traits(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(bool))
+    return Traits(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(bool))
 
 
 def _hash(data: Bytes) -> int:
@@ -130,9 +126,6 @@ def _chances(design: Int[np.ndarray, " n"], family: Int[np.ndarray, " n"]) -> np
 def parse_shares(text: str) -> dict[str, float]:
     """``90,5,5`` as shares of train, validation and test that add up to 1. Raises ``ConfigError``."""
     try:
-        parts: Sequence[float] = [float(part) for part in text.split(",")]
-    except ValueError as error:
+        return {name: float(part) / 100 for name, part in zip(SHARES, text.split(","), strict=True)}
+    except ValueError as error:  # also of zip
         raise ConfigError(f"shares {text!r}: give per cent for train, validation and test: 90,5,5") from error
-    if len(parts) != len(SHARES):
-        raise ConfigError(f"shares {text!r}: give per cent for train, validation and test: 90,5,5")
-    return dict(zip(SHARES, (part / 100 for part in parts), strict=True))

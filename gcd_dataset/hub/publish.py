@@ -1,37 +1,37 @@
 """Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
+import hashlib
 import io
 import json
 import logging
 import re
-import sys
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
-from gcd_dataset.files import make_folder
+from gcd_dataset.errors import ConfigError, RemoteError, ShardError, did_you_mean, shown
+from gcd_dataset.files import drafted, make_folder
 from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
-from gcd_dataset.hub.download import tar_files, write_changed
-from gcd_dataset.hub.fetch import first_line, sha256_of
+from gcd_dataset.hub.download import remove_others, tars_of, write_changed
+from gcd_dataset.hub.fetch import first_line
 from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
-from gcd_dataset.shards.access import locked, reading, writing
+from gcd_dataset.shards.access import REMEDY, locked, reading
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.layout import FAILED
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
-from gcd_dataset.shards.notes import META, gather, note_name, note_of
+from gcd_dataset.shards.notes import META, gather, hashed, note_name, note_of
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.tar import END
 from gcd_dataset.shards.writer import shard_size_of
 
 CARD, CROISSANT = "README.md", "croissant.json"
-CLIENTS = ("httpx2", "httpx")  # HTTP libraries of huggingface_hub 2 and 1; errors of requests are OSErrors
 ANY_ENDPOINT = "1.31"  # first tested version of huggingface_hub that publishes to any endpoint
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
 REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
@@ -58,10 +58,6 @@ class Staged:
     def garments(self) -> int:
         """Number of garments in all splits."""
         return sum(self.manifest.counts.values())
-
-
-Part = tuple[ShardReader, dict[int, list[int]]]
-"""The samples of a published split: their reader, number of a shard to positions of its samples."""
 
 
 def publish(
@@ -116,24 +112,25 @@ def stage(
         raise ConfigError(f"{dataset}: not whole: {problem}, or publish it with --partial")
     readers = {split: ShardReader(store, split) for split, record in source.splits.items() if record.count}
     divided = _divided(dataset, readers)
-    parts = _parts(dataset, readers, divided, shares)
     _prepare(folder)
     with locked(folder / ".staging.lock", "staging it"):
-        manifest = _write_splits(folder, source, parts, shares if divided else None)
-    settled = {name: int(ShardReader(folder, name).index.settled.sum()) for name in parts}
-    members, preview = next(iter(parts.values()))[0].layout.members, _preview(folder, next(iter(parts)))
+        manifest = _copied(folder, readers) if divided is None else _divide(folder, readers, divided, shares)
+        write_changed(folder / MANIFEST, manifest.to_bytes())
+    tars = tars_of(manifest.splits)
+    staged = {split: ShardReader(folder, split) for split in manifest.splits}
+    settled = {split: int(reader.index.settled.sum()) for split, reader in staged.items()}
+    first = staged.get("train", next(iter(staged.values())))
+    preview = _preview(first)
     if preview is not None:
         write_changed(folder / PREVIEW, preview)
+    others = [MANIFEST, *map(index_name, staged), *([PREVIEW] if preview else [])]
     is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
-    release = Release(repo, manifest, settled, members, license, is_divided, hub, preview is not None)
-    tars = {path.relative_to(folder).as_posix() for path in tar_files(folder)}
-    listed = [MANIFEST, *map(index_name, parts), *([PREVIEW] if preview else []), *sorted(tars)]
-    described = croissant(
-        release, {name: ((folder / name).stat().st_size, sha256_of(folder / name)) for name in listed}
-    )
+    release = Release(repo, manifest, settled, first.layout.members, license, is_divided, hub, preview is not None)
+    described = croissant(release, {**{name: hashed(folder / name) for name in others}, **tars})
     write_changed(folder / CARD, card(release).encode())
     write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
-    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in [CARD, CROISSANT, *listed]})
+    listed = [CARD, CROISSANT, *others, *sorted(tars)]
+    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in listed})
 
 
 def upload(
@@ -210,28 +207,74 @@ def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
     return others[0] if len(others) == 1 else None
 
 
-def _parts(
-    dataset: Path, readers: Mapping[str, ShardReader], divided: str | None, shares: Mapping[str, float]
-) -> dict[str, Part]:
-    """Published split to its samples: parts of the divided split, then the others shard by shard."""
-    parts: dict[str, Part] = {}
-    if divided is not None:
-        positions = partition(readers[divided], shares)
-        _warn_of_empty_splits(dataset, shares, positions)
-        for name, own in positions.items():
-            size = shard_size_of(len(own))
-            numbered = {number: own[number * size : (number + 1) * size] for number in range(-(-len(own) // size))}
-            parts[name] = readers[divided], numbered
+def _copied(folder: Path, readers: Mapping[str, ShardReader]) -> Manifest:
+    """Copy the splits of a data set that has several, under the Hub's names; the manifest."""
+    splits = {}
     for split, reader in readers.items():
-        if split != divided:
-            shards: dict[int, list[int]] = {}
-            for position, shard in enumerate(reader.index.shard.tolist()):
-                shards.setdefault(reader.record.shards[shard].number, []).append(position)
-            parts[HUB_NAMES.get(split, split)] = reader, shards
-    return parts
+        name, content = HUB_NAMES.get(split, split), reader.index.to_bytes()
+        splits[name] = replace(reader.record, index_sha256=hashlib.sha256(content).hexdigest())
+        write_changed(folder / index_name(name), content)
+        tars = tars_of({name: reader.record})
+        for tar, copy in zip(tars_of({split: reader.record}), tars, strict=True):
+            _copy(Path(reader.store.location(tar)), folder / copy, tars[copy])
+    remove_others(folder, tars_of(splits))
+    return replace(next(iter(readers.values())).manifest, splits=splits)
 
 
-def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+def _copy(path: Path, target: Path, expected: tuple[int, str]) -> None:
+    """Copy a tar of this size and hash, unless it is there. Raises ``ShardError`` for a damaged original."""
+    if target.exists() and hashed(target) == expected:
+        return
+    make_folder(target.parent)
+    with drafted(target) as draft:
+        shutil.copyfile(path, draft)
+        if hashed(draft) != expected:
+            raise ShardError(f"{path}: its hash differs from {MANIFEST}: {REMEDY}")
+
+
+def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shares: Mapping[str, float]) -> Manifest:
+    """Write the parts of a split, and ``failed``, with their notes and indices; the manifest."""
+    parts = {name: (readers[divided], own) for name, own in partition(readers[divided], shares).items()}
+    _warn_of_empty_splits(readers[divided].store.location(), shares, parts)
+    parts |= {split: (reader, [*range(len(reader))]) for split, reader in readers.items() if split != divided}
+    source, names = readers[divided].manifest, set[str]()
+    is_whole = not any(map(source.missing, source.splits))
+    garments = sum(len(own) for _, own in parts.values())
+    for split, (reader, own) in parts.items():
+        plan, size = reader.record.plan, shard_size_of(len(own))
+        recipe = {**plan.recipe, "part": {"of": dict(shares)}}
+        plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
+        for number in range(-(-len(own) // size)):
+            names |= _write_shard(folder, split, number, reader, own[number * size : (number + 1) * size], plan)
+    remove_others(folder, names)
+    gathered = gather(FolderPlace(folder))
+    for split, index in gathered.indices.items():
+        write_changed(folder / index_name(split), index.to_bytes())
+    return replace(gathered.manifest, recipe=source.recipe, generator=source.generator)
+
+
+def _write_shard(
+    folder: Path, split: str, number: int, reader: ShardReader, positions: Sequence[int], plan: Plan
+) -> set[str]:
+    """Write a shard of checked samples, its pictures and its note; the names of the tars. Raises ``ShardError``."""
+    record, index, shards = ShardRecord(number, 0, 0, ""), reader.index, reader.record.shards
+    rows, names = list(positions), []
+    for position in positions:
+        reader.check(position)
+    for views in (False, True) if index.has_views else (False,):
+        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
+        spans = zip(index.shard[rows].tolist(), starts[rows].tolist(), ends[rows].tolist(), strict=True)
+        samples = [reader.store.part(reader.split, shards[shard], *span, views=views) for shard, *span in spans]
+        names.append(record.name(split, views=views))
+        make_folder((folder / names[-1]).parent)
+        write_changed(folder / names[-1], b"".join([*samples, bytes(END)]))
+    views_path = folder / names[1] if index.has_views else None
+    note = note_of(folder / names[0], views_path, split, number, plan)
+    write_changed(folder / note_name(split, number), note.to_bytes())
+    return {*names}
+
+
+def _warn_of_empty_splits(dataset: str, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
     """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
@@ -243,59 +286,7 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
         )
 
 
-def _write_splits(
-    folder: Path, source: Manifest, parts: Mapping[str, Part], shares: Mapping[str, float] | None
-) -> Manifest:
-    """Write the shards and indices of all splits, remove others, write the manifest; ``shares``: of divided splits."""
-    place, names = FolderPlace(folder), set[str]()
-    is_whole = not any(map(source.missing, source.splits))
-    garments = sum(len(own) for _, shards in parts.values() for own in shards.values())
-    for name, (reader, shards) in parts.items():
-        plan, size = reader.record.plan, max(map(len, shards.values()))
-        recipe = dict(plan.recipe) if shares is None else {**plan.recipe, "part": {"of": dict(shares)}}
-        plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
-        for number, positions in shards.items():
-            names |= _write_shard(folder, name, number, reader, positions, plan)
-    for path in tar_files(folder):
-        if path.relative_to(folder).as_posix() not in names:
-            with writing(path):
-                path.unlink()
-    gathered = gather(place)
-    for name, index in gathered.indices.items():
-        write_changed(folder / index_name(name), index.to_bytes())
-    manifest = replace(gathered.manifest, recipe=source.recipe, generator=source.generator)
-    write_changed(folder / MANIFEST, manifest.to_bytes())
-    return manifest
-
-
-def _write_shard(
-    folder: Path, split: str, number: int, reader: ShardReader, positions: Sequence[int], plan: Plan
-) -> set[str]:
-    """Write a shard of checked samples, its pictures and its note; the names of the tars. Raises ``ShardError``."""
-    record, paths = ShardRecord(number, 0, 0, ""), []
-    for position in positions:
-        reader.check(position)
-    for views in (False, True) if reader.index.has_views else (False,):
-        spans = _spans(reader, views)
-        samples = [reader.store.part(reader.split, *spans[position], views=views) for position in positions]
-        paths.append(folder / record.name(split, views=views))
-        make_folder(paths[-1].parent)
-        write_changed(paths[-1], b"".join([*samples, bytes(END)]))
-    note = note_of(paths[0], paths[1] if len(paths) > 1 else None, split, number, plan)
-    write_changed(folder / note_name(split, number), note.to_bytes())
-    return {path.relative_to(folder).as_posix() for path in paths}
-
-
-@lru_cache(maxsize=4)
-def _spans(reader: ShardReader, views: bool) -> list[tuple[ShardRecord, int, int]]:
-    """Shard, start and end of each sample, or of its pictures."""
-    index, shards = reader.index, reader.record.shards
-    starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
-    found = zip(index.shard.tolist(), starts.tolist(), ends.tolist(), strict=True)
-    return [(shards[shard], start, end) for shard, start, end in found]
-
-
-def _preview(folder: Path, split: str) -> bytes | None:
+def _preview(reader: ShardReader) -> bytes | None:
     """A table of the first garments of a split, which the Hub shows; ``None`` without ``pyarrow``."""
     try:
         import pyarrow
@@ -303,7 +294,6 @@ def _preview(folder: Path, split: str) -> bytes | None:
     except ImportError:
         log.warning("without a preview, which needs pyarrow: pip install 'gcd-dataset[publish]'")
         return None
-    reader = ShardReader(folder, split)
     members = [member for member in (META, *TEXTS, FRONT) if member in reader.layout.members]
     rows, positions = [], range(min(PREVIEWED, len(reader)))
     for position, found in zip(positions, reader.read_many(positions, members), strict=True):
@@ -323,11 +313,9 @@ def _require_endpoint(endpoint: str) -> None:
     """Raise ``ConfigError`` for an endpoint other than ``HF_ENDPOINT`` where huggingface_hub cannot publish to it."""
     from huggingface_hub import __version__ as version
     from huggingface_hub import constants
+    from packaging.version import Version  # a requirement of huggingface_hub
 
-    def number(text: str) -> list[int]:
-        return [int(part) for part in text.split(".")[:2]]
-
-    if number(version) < number(ANY_ENDPOINT) and endpoint != constants.ENDPOINT:
+    if Version(version) < Version(ANY_ENDPOINT) and endpoint != constants.ENDPOINT:
         raise ConfigError(
             f"--endpoint {endpoint}: huggingface_hub {version} publishes to HF_ENDPOINT only: set it, or install "
             f"huggingface_hub {ANY_ENDPOINT} or later"
@@ -336,13 +324,13 @@ def _require_endpoint(endpoint: str) -> None:
 
 @contextmanager
 def _asking_hub(repo: str) -> Iterator[None]:
-    """Turn errors of ``huggingface_hub`` into ``RemoteError``."""
+    """Turn errors of ``huggingface_hub``, and of the HTTP client that it uses, into ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
-    clients = [sys.modules[name].HTTPError for name in CLIENTS if name in sys.modules]
+    client: Any = HfHubHTTPError.__bases__  # httpx.HTTPError, or OSError of requests
     try:
         yield
-    except (HfHubHTTPError, OSError, RuntimeError, ValueError, *clients) as error:
+    except (*client, OSError, RuntimeError, ValueError) as error:
         raise RemoteError(
             f"{repo}: cannot be published ({first_line(error)}): check the network, HF_ENDPOINT, the token (hf auth "
             "login) and your rights, then run it again: uploaded files are not sent again"

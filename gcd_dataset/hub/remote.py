@@ -18,9 +18,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
+from urllib.parse import quote
 
 from gcd_dataset.errors import (
     ConfigError,
+    GcdError,
     MissingError,
     OutputError,
     RefusedError,
@@ -35,14 +37,14 @@ from gcd_dataset.names import safe_name
 from gcd_dataset.shards import cache
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex, index_name
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
 from gcd_dataset.shards.store import Store
 
 T = TypeVar("T")
 
-LARGEST_MANIFEST = 1 << 25  # bytes: twenty million garments; parsed it takes twenty times as many
-MOST_SAMPLES = 1 << 24  # of a split; their index takes 14 bytes each in memory
+LARGEST_MANIFEST = 1 << 24  # bytes: ten million garments; parsed it takes twenty times as many
+LARGEST_SAMPLE = 1 << 26  # bytes; a dress meshed at 0.2 cm takes 25 MB, uncompressed
+MOST_SAMPLES = 12_000_000  # of a split; checking their index takes .8 GB of memory
 PARALLEL, REQUESTS = 4, 8  # downloads, and requests of single samples, at a time
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
 
@@ -73,22 +75,21 @@ class Remote:
         """The folder of the cache."""
         return cache.default_cache(self.cache_dir)
 
-    def files(self, source: Repo | Url, *, patience: float | None = None) -> Files:
+    def address(self, source: Repo | Url) -> str:
+        """The URL of a repository, or of a folder of files."""
+        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}" if isinstance(source, Repo) else source.url
+
+    def files(self, source: Repo | Url) -> Files:
         """The files of a source. Raises ``ConfigError`` for an option of the Hub with the URL of an object store."""
-        patience = self.patience if patience is None else patience
         if isinstance(source, Repo):
             from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
 
             headers = partial(build_hf_headers, token=self.token, library_name="gcd_dataset")
-            revision = source.revision.replace("/", "%2F")
-            return Files(f"{self.repository(source)}/resolve/{revision}", headers=headers, patience=patience)
+            url = f"{self.address(source)}/resolve/{quote(source.revision, safe='')}"
+            return Files(url, headers=headers, patience=self.patience)
         if not source.url.startswith(WEB) and (self.endpoint, self.token) != (None, None):
             raise ConfigError(f"endpoint and token are for the Hub, not for {source}: set the variables of its store")
-        return Files(source.url, patience=patience)
-
-    def repository(self, source: Repo) -> str:
-        """The URL of a repository."""
-        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}"
+        return Files(source.url, patience=self.patience)
 
 
 def hub_endpoint(endpoint: str | None) -> str:
@@ -133,15 +134,13 @@ class RemoteStore(Store):
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
         self._asked, self._remote = source, remote
         self._manifest: Manifest | None = None
-        address = remote.repository(source) if isinstance(source, Repo) else source.url
+        address = remote.address(source)
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
         self._folder = remote.folder / "sets" / safe_name(f"{address.rpartition('/')[2]}-{digest}")
+        self.revision = source.revision if isinstance(source, Repo) and source.is_pinned else self._look_up()
         if isinstance(source, Repo):
-            source = replace(source, revision=source.revision if source.is_pinned else self._look_up())
-            self.revision, self.source = source.revision, str(source)
-        else:
-            self.revision = self._look_up()
-            self.source = f"{source.url}@{self.revision}"
+            source = replace(source, revision=self.revision)
+        self.source = str(source) if isinstance(source, Repo) else f"{source}@{self.revision}"
         self.files = remote.files(source)
         self.manifest()
 
@@ -177,9 +176,6 @@ class RemoteStore(Store):
             raise MissingError(f"{error}: {REPUBLISH}") from error
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
-        return self._fetched(self.files, split, shard, views)
-
-    def _fetched(self, files: Files, split: str, shard: ShardRecord, views: bool) -> Path:
         folder, kind = self.cache / shard.sha256, "views" if views else "tar"
         size, sha256 = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
         name = shard.name(split, views=views)
@@ -188,7 +184,7 @@ class RemoteStore(Store):
             if not size:
                 raise ShardError(f"{self.location(name)}: these garments have no pictures: leave their fields out")
             cache.make_room(self.cache, size, cache.size_in_bytes(self._remote.max_cache_size))
-            fetch(files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
+            fetch(self.files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
         cache.touch(folder)
         return folder / kind
 
@@ -208,12 +204,15 @@ class RemoteStore(Store):
 
     def parts(self, split: str, wanted: Sequence[tuple[ShardRecord, int, int, bool]]) -> Iterable[bytes]:
         with ThreadPoolExecutor(REQUESTS) as pool:
-            return list(pool.map(lambda one: self.part(split, *one[:3], views=one[3]), wanted))
+            for first in range(0, len(wanted), REQUESTS):  # not all at once: a stranger says how long samples are
+                some = wanted[first : first + REQUESTS]
+                yield from pool.map(lambda one: self.part(split, *one[:3], views=one[3]), some)
 
     def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:
         """Fetch whole tars of several shards into the cache, in parallel. Raises as ``path`` does."""
-        files = copy(self.files)  # stopped after an error
-        run_all(files, lambda shard: self._fetched(files, split, shard, views), shards)
+        store = copy(self)
+        store.files = copy(self.files)  # stopped after an error
+        run_all(store.files, partial(store.path, split, views=views), shards)
 
     def _parse_manifest(self, content: bytes) -> Manifest:
         return parse_manifest(content, f"{self._asked}/{MANIFEST}", self.remedy)
@@ -221,7 +220,9 @@ class RemoteStore(Store):
     def _look_up(self) -> str:
         """The revision of a branch, tag or URL: the server's, else the last one seen."""
         reference = self._folder / "refs" / safe_name(self._asked.revision if isinstance(self._asked, Repo) else "now")
-        files = self._remote.files(self._asked, patience=0.0 if reference.exists() else None)
+        files = self._remote.files(self._asked)
+        if reference.exists():
+            files.patience = 0.0  # there is a revision to read
         try:
             self._require_allowed(MANIFEST)
             # The Hub names the commit in the answer.
@@ -270,21 +271,33 @@ def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> t
     try:
         return parse(content), content, headers
     except ShardError:
-        content, headers = files.read(name, limit=limit)
-        return parse(content), content, headers
+        again, headers = files.read(name, limit=limit)
+        if again == content:
+            raise
+        return parse(again), again, headers
 
 
 def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
-    """Run ``task`` for all shards, ``PARALLEL`` at a time; after an error stop the requests of ``files``."""
-    with ThreadPoolExecutor(PARALLEL) as pool:
-        jobs = [pool.submit(task, shard) for shard in shards]
+    """Run ``task`` for all shards, ``PARALLEL`` at a time; the first error stops the requests of ``files``."""
+    errors: list[GcdError] = []
+
+    def run(shard: T) -> None:
         try:
-            for job in jobs:
-                job.result()
+            if not errors:
+                task(shard)
+        except GcdError as error:
+            errors.append(error)
+            files.stopped = True  # before this thread takes the next shard
+
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        try:
+            list(pool.map(run, shards))
         except BaseException:
             files.stopped = True
             pool.shutdown(cancel_futures=True)
             raise
+    if errors:
+        raise errors[0]
 
 
 def _write_cache(path: Path, content: bytes) -> None:

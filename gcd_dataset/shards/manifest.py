@@ -266,8 +266,9 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
 
 def other_schema(path: object, schema: int, generator: object) -> str:
     """The message about a data set of another schema."""
+    version = shown(str(generator or "of another version")[:40])
     return (
-        f"{path}: a data set of schema {schema}, made by gcd_dataset {shown(str(generator or 'of another version'))}; "
+        f"{path}: a data set of schema {schema}, made by gcd_dataset {version}; "
         f"gcd_dataset {gcd_dataset.__version__} reads schema {SCHEMA} alone: make it again, or install that version"
     )
 

@@ -10,14 +10,12 @@ from gcd_dataset.hub import fetch
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.hub.sets import write_set
 
-COUNT = 10
-
 
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Waits of milliseconds, and neither the user's token nor the user's cache."""
-    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.8)):
-        monkeypatch.setattr(fetch, name, seconds)
+    for name, value in (("FIRST_WAIT", 0.001), ("DOUBLINGS", 0), ("PATIENCE", 0.8)):
+        monkeypatch.setattr(fetch, name, value)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")
@@ -26,7 +24,7 @@ def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of ten samples in three shards, with pictures."""
-    return write_set(tmp_path_factory.mktemp("published"))
+    return write_set(tmp_path_factory.mktemp("published") / "set")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ import yaml
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.partition import families, leaks, partition
+from gcd_dataset.hub.partition import families, leaks, partition, traits_of
 from gcd_dataset.hub.publish import Staged, _license, publish, stage, upload
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Repo
@@ -88,7 +88,7 @@ def test_no_design_is_in_two_splits(both: Path) -> None:
 def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
     worn = [(0, 0), (1, 0), (1, 1), (2, 2), (3, None), (4, None), (4, 3), (5, 3)]
     put(tmp_path, [sample(i, design=design, body=body) for i, (design, body) in enumerate(worn)])
-    assert families(ShardReader(tmp_path)).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
+    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
 
 
 def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> Non
     samples = [sample(i, design=i) for i in range(5)]
     samples[3] = replace(samples[3], pattern=replace(samples[1].pattern, name=samples[3].pattern.name))
     put(tmp_path, [replace(made, box_mesh=None, drape=None) for made in samples])
-    assert families(ShardReader(tmp_path)).tolist() == [0, 1, 2, 1, 3]
+    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 1, 2, 1, 3]
 
 
 def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
@@ -135,19 +135,16 @@ def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None
     assert {rule: sum(split.get(rule, 0) for split in counted) for rule in whole} == dict(whole)
 
 
-def test_spdx_names_of_licenses_become_the_hubs() -> None:
+def test_licenses_are_those_of_the_hub(both: Path, tmp_path: Path) -> None:
     assert [_license(name) for name in ("ODbL-1.0", "GPL-3.0-only", "other")] == ["odbl", "gpl-3.0", "other"]
-
-
-@pytest.mark.parametrize(
-    ("name", "said"), [("foo", "license foo: unknown to the Hub"), ("cc-by-4", "mean cc-by-4.0"), ("MIT-0", "or other")]
-)
-def test_a_license_that_the_hub_refuses_is_refused_before_anything_is_written(
-    name: str, said: str, both: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigError, match=said):
-        stage(both, "org/set", tmp_path / "up", license=name)
-    assert not (tmp_path / "up").exists()
+    for name, told in (
+        ("foo", "license foo: unknown to the Hub"),
+        ("cc-by-4", "mean cc-by-4.0"),
+        ("MIT-0", "or other"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            stage(both, "org/set", tmp_path / "up", license=name)
+        assert not (tmp_path / "up").exists()
 
 
 def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
@@ -155,7 +152,7 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
     facts = yaml.safe_load(text.split("---")[1])
     assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])
     configs = {config["config_name"]: config["data_files"] for config in facts["configs"]}
-    assert list(configs) == ["default", "views", "preview"]
+    assert list(configs) == ["default", "views"]
     for name, is_views in (("default", False), ("views", True)):
         assert [entry["split"] for entry in configs[name]] == list(SHARES)
         for entry in configs[name]:
@@ -164,10 +161,15 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
             assert found == [shard.name(entry["split"], views=is_views) for shard in shards]
     assert yaml.safe_load(huggingface_hub.DatasetCard(text).data.to_yaml()) == facts
     assert "80 garments" in text and "at most 0.001 cm" in text
-    assert 'GarmentDataset("org/new-set"' in text
+    assert 'GarmentDataset("org/new-set"' in text and "(preview.parquet)" in text
 
 
-def test_the_hub_can_show_the_preview(staged: Staged, tmp_path: Path) -> None:
+def test_the_library_of_the_hub_loads_every_configuration_and_the_preview(staged: Staged, tmp_path: Path) -> None:
+    for name, member in (("default", "verts.z"), ("views", "front.jpg")):
+        splits: Any = datasets.load_dataset(str(staged.folder), name, streaming=True, cache_dir=str(tmp_path))
+        assert {split: member in next(iter(samples)) for split, samples in splits.items()} == dict.fromkeys(
+            SHARES, True
+        )
     table: Any = datasets.Dataset.from_parquet(str(staged.folder / "preview.parquet"), cache_dir=str(tmp_path))
     reader = ShardReader(staged.folder, "train")
     assert len(table) == min(100, len(reader))
@@ -184,7 +186,7 @@ def test_without_pyarrow_there_is_no_preview(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     up = stage(fill(tmp_path / "data", range(4)), "org/new", tmp_path / "up")
     assert "preview.parquet" not in up.files
-    assert "config_name: preview" not in (up.folder / "README.md").read_text()
+    assert "preview" not in (up.folder / "README.md").read_text()
     assert "pip install 'gcd-dataset[publish]'" in caplog.text
 
 
@@ -251,6 +253,15 @@ def test_existing_splits_are_kept(tmp_path: Path) -> None:
     up = stage(data, "org/new", tmp_path / "up")
     assert up.manifest.counts == {"train": 5, "validation": 4}
     assert (up.folder / "train-00000.tar").read_bytes() == (data / "train-00000.tar").read_bytes()
+    original, copy = data / "views" / "val-00000.tar", up.folder / "views" / "validation-00000.tar"
+    content = original.read_bytes()
+    copy.write_bytes(content[:-1] + b"x")
+    stage(data, "org/new", up.folder)
+    assert copy.read_bytes() == content
+    original.write_bytes(content[:-1] + b"x")
+    with pytest.raises(ShardError, match=r"views/val-00000\.tar: its hash differs from manifest\.json"):
+        stage(data, "org/new", tmp_path / "other")
+    original.write_bytes(content)
     put(data, [sample(60, design=3)], split="test", count=9)
     with pytest.raises(ConfigError, match="test and train share 1 design: publish it as one split"):
         stage(data, "org/new", tmp_path / "up")
@@ -306,25 +317,17 @@ def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
     assert done.folder == tmp_path / "data" / "published"
 
 
-def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged) -> None:
-    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
-        upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
-
-
-def test_an_endpoint_unsupported_by_an_old_client_is_reported(
-    hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    with pytest.raises(ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it"):
-        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-
-
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
-    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # the second attempt succeeds
+    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
 
 
-def test_an_unreachable_hub_is_reported(hub: Hub, staged: Staged) -> None:
+def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
     hub.stop()
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*refused.*HF_ENDPOINT"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
+    with pytest.raises(ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)

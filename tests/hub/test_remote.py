@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
-from gcd_dataset.hub.remote import MOST_SAMPLES, Remote, RemoteStore, open_store
+from gcd_dataset.hub.remote import MOST_SAMPLES, PARALLEL, Remote, RemoteStore, open_store
 from gcd_dataset.hub.source import Repo, Url
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.manifest import MANIFEST, parse_manifest
-from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub
-from tests.hub.sets import MEMBERS, PICTURES, sample, write_set
+from tests.hub.sets import COUNT, ensure, read, write_set
 
 REPO = Repo("org/garments")
-TARS = r"\.tar"
 
 
 def opened(hub: Hub, tmp_path: Path, source: Repo | Url = REPO, **options: Any) -> RemoteStore:
@@ -32,16 +32,9 @@ def url_of(hub: Hub) -> Url:
     return Url(f"{hub.endpoint}/files/garments")
 
 
-def read(store: RemoteStore, number: int, *, views: bool = False) -> bytes:
-    """The bytes of a sample in its tar."""
-    index = store.index("train")
-    starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
-    shard = index.record.shards[index.shard[number]]
-    return bytes(store.part("train", shard, int(starts[number]), int(ends[number]), views=views))
-
-
-def ensure(store: RemoteStore, **options: Any) -> None:
-    store.ensure("train", store.manifest().splits["train"].shards, **options)
+@pytest.fixture(scope="session")
+def here(folder: Path) -> FolderStore:
+    return FolderStore(folder)
 
 
 # ------------------------------------------------------------------------------------------------------------- requests
@@ -49,18 +42,18 @@ def ensure(store: RemoteStore, **options: Any) -> None:
 
 @pytest.mark.parametrize("from_url", [False, True])
 def test_opening_and_the_first_sample_take_three_requests(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path, from_url: bool
+    hub: Hub, commit: str, here: FolderStore, folder: Path, tmp_path: Path, from_url: bool
 ) -> None:
     store = opened(hub, tmp_path, url_of(hub) if from_url else REPO)
-    assert read(store, 7) == sample(7, MEMBERS)
+    assert read(store, 7) == read(here, 7)
     answered = [request for request in hub.asked() if request.status != 302]
     assert len(answered) == 3
-    assert answered[-1].size == len(sample(7, MEMBERS))
+    assert answered[-1].size == len(read(here, 7))
     assert store.manifest().to_bytes() == (folder / MANIFEST).read_bytes()
 
 
 def test_a_window_takes_a_request_for_each_shard_and_nothing_is_requested_twice(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path
+    hub: Hub, commit: str, here: FolderStore, folder: Path, tmp_path: Path
 ) -> None:
     store = opened(hub, tmp_path, url_of(hub))
     for views in (False, True):
@@ -68,8 +61,8 @@ def test_a_window_takes_a_request_for_each_shard_and_nothing_is_requested_twice(
         assert len(hub.asked(r"views/.*tar" if views else r"garments/train.*tar")) == 3
     store.index("train")
     hub.log.clear()
-    assert [read(store, number) for number in range(COUNT)] == [sample(number, MEMBERS) for number in range(COUNT)]
-    assert read(store, 9, views=True) == sample(9, PICTURES)
+    assert [read(store, number) for number in range(COUNT)] == [read(here, number) for number in range(COUNT)]
+    assert read(store, 9, views=True) == read(here, 9, views=True)
     ensure(store)
     assert not hub.log
     shards = store.manifest().splits["train"].shards
@@ -78,24 +71,33 @@ def test_a_window_takes_a_request_for_each_shard_and_nothing_is_requested_twice(
     ]
 
 
-def test_several_samples_are_requested_together(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_an_error_ends_all_requests_of_a_window(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.publish("org/garments", write_set(tmp_path / "set", {"train": 4 * 20}))
+    store = opened(hub, tmp_path)
+    hub.faults = [Fault(r"storage/.*tar", status=403, times=99)]
+    with pytest.raises(RefusedError, match=r"train-000\d\d\.tar: refused \(403\)"):
+        ensure(store)
+    assert len(hub.asked("storage/")) <= PARALLEL
+
+
+def test_several_samples_are_requested_together(hub: Hub, commit: str, here: FolderStore, tmp_path: Path) -> None:
     store = opened(hub, tmp_path)
     index = store.index("train")
     spans = [(index.record.shards[index.shard[n]], int(index.start[n]), int(index.end[n]), False) for n in (8, 1, 1)]
-    assert list(store.parts("train", spans)) == [sample(number, MEMBERS) for number in (8, 1, 1)]
+    assert list(store.parts("train", spans)) == [read(here, number) for number in (8, 1, 1)]
 
 
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
-def test_a_store_may_be_pickled_and_forked(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_store_may_be_pickled_and_forked(hub: Hub, commit: str, here: FolderStore, tmp_path: Path) -> None:
     store = opened(hub, tmp_path)
     read(store, 0)  # a connection is open when the process is forked
     with multiprocessing.get_context("fork").Pool(1) as pool:
-        assert pool.apply(read, (store, 5)) == sample(5, MEMBERS)
-    assert read(pickle.loads(pickle.dumps(store)), 6) == sample(6, MEMBERS)
+        assert pool.apply(read, (store, 5)) == read(here, 5)
+    assert read(pickle.loads(pickle.dumps(store)), 6) == read(here, 6)
 
 
 def test_a_private_repository_needs_a_token_that_no_other_host_gets(
-    hub: Hub, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hub: Hub, here: FolderStore, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "netrc").write_text("default login me password secret\n")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
@@ -103,7 +105,7 @@ def test_a_private_repository_needs_a_token_that_no_other_host_gets(
     with pytest.raises(RefusedError, match=r"refused .* run hf auth login or set HF_TOKEN"):
         opened(hub, tmp_path)
     store = opened(hub, tmp_path, token=hub.token)
-    assert read(store, 1) == sample(1, MEMBERS)
+    assert read(store, 1) == read(here, 1)
     ensure(store)
     assert all(request.authorization == f"Bearer {hub.token}" for request in hub.asked("resolve")[1:])
     assert hub.asked("storage")
@@ -113,18 +115,20 @@ def test_a_private_repository_needs_a_token_that_no_other_host_gets(
 # ------------------------------------------------------------------------------------------------------------ revisions
 
 
-def test_a_branch_is_looked_up_once(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_branch_is_looked_up_once(hub: Hub, commit: str, here: FolderStore, folder: Path, tmp_path: Path) -> None:
     store = opened(hub, tmp_path)
     assert (store.revision, store.source) == (commit, f"hf://datasets/org/garments@{commit}")
     hub.publish("org/garments", {"README.md": b"all else is gone"})
-    assert read(store, 3) == sample(3, MEMBERS)
-    assert read(opened(hub, tmp_path, replace(REPO, revision=commit)), 4) == sample(4, MEMBERS)
+    assert read(store, 3) == read(here, 3)
+    assert read(opened(hub, tmp_path, replace(REPO, revision=commit)), 4) == read(here, 4)
     with pytest.raises(MissingError, match="not found"):
         opened(hub, tmp_path)
 
 
 @pytest.mark.parametrize("from_url", [False, True])
-def test_what_is_cached_is_read_without_a_server(hub: Hub, commit: str, tmp_path: Path, from_url: bool) -> None:
+def test_what_is_cached_is_read_without_a_server(
+    hub: Hub, commit: str, here: FolderStore, tmp_path: Path, from_url: bool
+) -> None:
     source = url_of(hub) if from_url else REPO
     shard = opened(hub, tmp_path, source).index("train").record.shards[1]
     opened(hub, tmp_path, source).path("train", shard)
@@ -135,7 +139,7 @@ def test_what_is_cached_is_read_without_a_server(hub: Hub, commit: str, tmp_path
         opened(hub, tmp_path, source, allowed=False),
         *(opened(hub, tmp_path, one) for one in pinned),
     ):
-        assert read(store, 5) == sample(5, MEMBERS)
+        assert read(store, 5) == read(here, 5)
         with pytest.raises(RemoteError, match=r"train-00000\.tar is not in the cache, and download=False|no answer"):
             read(store, 0)
     with pytest.raises(RemoteError, match=r"manifest\.json is not in the cache, and download=False"):
@@ -178,12 +182,19 @@ def test_garments_without_pictures_have_no_tar_of_them(hub: Hub, tmp_path: Path)
 # -------------------------------------------------------------------------------------------------------------- damaged
 
 
+def test_a_stream_tells_the_error_of_the_server(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.faults = [Fault(r"garments/.*\.tar", status=403, times=99)]
+    stream = GarmentDataset(url_of(hub).url, streaming=True, cache_dir=tmp_path / "cache")
+    with pytest.raises(RefusedError, match=r"^http://[^ ]*/train-00000\.tar: refused \(403\)"):
+        next(iter(stream))
+
+
 @pytest.mark.parametrize("name", ["manifest.json", "train.index"])
 def test_small_files_that_are_damaged_on_the_way_are_asked_for_again(
-    hub: Hub, commit: str, tmp_path: Path, name: str
+    hub: Hub, commit: str, here: FolderStore, tmp_path: Path, name: str
 ) -> None:
     hub.faults = [Fault(name, flip=70)]
-    assert read(opened(hub, tmp_path), 2) == sample(2, MEMBERS)
+    assert read(opened(hub, tmp_path), 2) == read(here, 2)
     hub.faults = [Fault(name, flip=70, times=2)]
     with pytest.raises(ShardError, match=rf"{name}: (not a manifest|received bytes do not match)"):
         read(opened(hub, tmp_path / "other"), 2)
@@ -192,7 +203,7 @@ def test_small_files_that_are_damaged_on_the_way_are_asked_for_again(
 
 @pytest.mark.parametrize("name", ["manifest.json", "train.index"])
 def test_small_files_that_are_damaged_in_the_cache_are_fetched_again(
-    hub: Hub, commit: str, tmp_path: Path, name: str
+    hub: Hub, commit: str, here: FolderStore, tmp_path: Path, name: str
 ) -> None:
     read(opened(hub, tmp_path), 2)
     (cached,) = (tmp_path / "cache").rglob(name)
@@ -200,16 +211,16 @@ def test_small_files_that_are_damaged_in_the_cache_are_fetched_again(
     pinned = replace(REPO, revision=commit)
     for damaged in (b"", whole[:-9], bytes([*whole[:50], whole[50] ^ 1, *whole[51:]])):
         cached.write_bytes(damaged)
-        assert read(opened(hub, tmp_path, pinned), 2) == sample(2, MEMBERS)
+        assert read(opened(hub, tmp_path, pinned), 2) == read(here, 2)
         assert cached.read_bytes() == whole
 
 
-def test_a_truncated_tar_in_the_cache_is_not_read(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_truncated_tar_in_the_cache_is_not_read(hub: Hub, commit: str, here: FolderStore, tmp_path: Path) -> None:
     store = opened(hub, tmp_path)
     shard = store.index("train").record.shards[1]
     path = store.path("train", shard)
     path.write_bytes(path.read_bytes()[:1000])
-    assert read(store, 7) == sample(7, MEMBERS)
+    assert read(store, 7) == read(here, 7)
 
 
 def test_a_shard_that_differs_from_its_hash_is_never_cached(hub: Hub, commit: str, tmp_path: Path) -> None:
@@ -257,8 +268,10 @@ def test_hostile_manifests_are_one_sentence(hub: Hub, commit: str, tmp_path: Pat
 # ------------------------------------------------------------------------------------------------------------- eviction
 
 
-def test_the_shard_used_longest_ago_is_evicted_with_its_columns(hub: Hub, commit: str, tmp_path: Path) -> None:
-    store = opened(hub, tmp_path, max_cache_size=300_000)  # two of three shards, of 130 kB at most
+def test_the_shard_used_longest_ago_is_evicted_with_its_columns(
+    hub: Hub, commit: str, here: FolderStore, tmp_path: Path
+) -> None:
+    store = opened(hub, tmp_path, max_cache_size=100_000)  # two of three shards, of 42 kB at most
     first, second, third = store.manifest().splits["train"].shards
     for shard in (first, second):
         (store.path("train", shard).parent / "verts").write_bytes(b"a column")
@@ -266,13 +279,13 @@ def test_the_shard_used_longest_ago_is_evicted_with_its_columns(hub: Hub, commit
     store.path("train", third)
     assert {path.name for path in store.cache.iterdir()} == {first.sha256, third.sha256}
     shutil.rmtree(store.cache / first.sha256)
-    assert read(store, 1) == sample(1, MEMBERS)
+    assert read(store, 1) == read(here, 1)
 
 
 def test_a_download_that_nobody_continues_is_evicted(hub: Hub, commit: str, tmp_path: Path) -> None:
-    store = opened(hub, tmp_path, max_cache_size=300_000)
+    store = opened(hub, tmp_path, max_cache_size=100_000)
     store.cache.mkdir(parents=True)
-    (store.cache / f".{'0' * 64}.tar.part").write_bytes(bytes(250_000))
+    (store.cache / f".{'0' * 64}.tar.part").write_bytes(bytes(90_000))
     (store.cache / ".evicted-0").mkdir()
     store.path("train", store.manifest().splits["train"].shards[0])
     assert len(list(store.cache.iterdir())) == 1

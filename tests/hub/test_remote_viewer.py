@@ -1,27 +1,17 @@
-"""The viewer of a data set on a server: bounded requests, and tags that are requested in parts."""
+"""Viewer and doctor of a data set on a server: bounded requests, and tags that are requested in parts."""
 
 from pathlib import Path
 
 import pytest
 
 from gcd_dataset.hub.remote import Remote, open_store
-from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader
+from gcd_dataset.verbs import doctor
 from gcd_dataset.viewer import album as albums
 from gcd_dataset.viewer.album import ShardAlbum
 from gcd_dataset.viewer.server import Gallery
-from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten garments in three shards."""
-    path = tmp_path_factory.mktemp("garments")
-    with ShardWriter(path, seed=0, recipe={"stage": "drape"}, shard_size=4) as writer:
-        for number in range(COUNT):
-            writer.write(fake_sample(0, number))
-    return path
+from tests.hub.sets import COUNT
 
 
 def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
@@ -77,3 +67,13 @@ def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, comm
     assert album.known == COUNT and not album.problem
     assert album.facets().outcomes == {"settled": COUNT}
     assert len(album._tags.positions("outcome", "settled")) == COUNT - 1
+
+
+@pytest.mark.parametrize("source", ["{}/files/garments", "org/garments"])
+def test_the_report_of_a_server_is_that_of_its_folder(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, source: str
+) -> None:
+    there = doctor(source.format(hub.endpoint), endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+    here = doctor(folder)
+    assert (there.splits, there.findings) == (here.splits, here.findings)
+    assert not hub.asked("front.jpg")
