@@ -64,7 +64,6 @@ from gcd_dataset.records import (
     NamedFabric,
     Outcome,
     Pattern,
-    Placement,
     Provenance,
     Rejected,
     Sample,
@@ -140,7 +139,7 @@ POSITION = Coding(2, POSITION_POWER)
 MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, UV_POWER), "box": Coding(1, POSITION_POWER)} | dict.fromkeys(
     ("uv_vertex", "labels", "seams", "faces", "panel_id"), Coding(1)
 )
-ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
+QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
 CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
 STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
@@ -263,7 +262,7 @@ def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
         "labels": _rows(np.concatenate([np.zeros((0, 2), int), *labelled]), vertices, "labels"),
         "seams": _rows(mesh.seams, vertices, "seams"),
     }
-    if not np.array_equal(_faces(arrays), mesh.faces):
+    if not np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces):
         arrays["faces"] = _rows(mesh.faces, vertices, "faces")
     if not np.array_equal(_panel_id(arrays), mesh.panel_id):
         arrays["panel_id"] = mesh.panel_id
@@ -287,15 +286,15 @@ def _points(points: Float32[np.ndarray, "n 6"] | None) -> bytes:
     points = np.zeros((0, 6)) if points is None else np.asarray(points, float)
     ordered = np.empty_like(points)
     ordered[spread(len(points))] = points
-    normals = ordered[:, 3:]
+    x, y, z = np.ascontiguousarray(ordered[:, 3:].T)
     with np.errstate(invalid="ignore", divide="ignore"):
-        flat = normals[:, :2] / np.abs(normals).sum(axis=1, keepdims=True)
-    folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat >= 0, 1, -1)
-    octahedral = np.rint(np.where(normals[:, 2:] < 0, folded, flat) * NORMAL_STEPS)
-    edge = np.abs(octahedral[:, ::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
-    octahedral = np.where(edge, np.abs(octahedral), octahedral)
+        flat = np.stack([x, y]) / (np.abs(x) + np.abs(y) + np.abs(z))
+    np.copyto(flat, (1 - np.abs(flat[::-1])) * np.where(flat >= 0, 1, -1), where=z < 0)
+    octahedral = np.rint(flat * NORMAL_STEPS)
+    edge = np.abs(octahedral[::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
+    np.abs(octahedral, out=octahedral, where=edge)
     return pack(
-        {"xyz": ordered[:, :3], "normals": octahedral}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
+        {"xyz": ordered[:, :3], "normals": octahedral.T}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
     )
 
 
@@ -497,13 +496,20 @@ def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
         raise ShardError(f"rows_of names {counts.sum()} rows of {len(counts)} panels; there are {len(uv)}")
     if vertex.max(initial=-1) >= len(uv):
         raise ShardError(f"uv_vertex holds row {vertex.max()}, and there are {len(uv)} rows of uv")
-    spots, end = np.zeros((len(uv), 3)), 0
-    for panel, count in zip(panels, counts.tolist(), strict=False):
-        turn = Placement(panel[:3], panel[ANGLES]).matrix[:, :2]
-        spots[end : end + count] = (uv[end : end + count] - panel[CENTROID]) @ turn.T + panel[:3]
-        end += count
+    w, x, y, z = panels[:, QUATERNION].T
+    right = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+    up = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=1)
+    flat, spots, end = uv.T.astype(float), np.empty((3, len(uv))), 0
+    for turn, panel, count in zip(np.stack([right, up], axis=2), panels, counts.tolist(), strict=False):
+        rows = slice(end, end := end + count)
+        np.matmul(turn, flat[:, rows] - panel[CENTROID, None], out=spots[:, rows])
+        spots[:, rows] += panel[:3, None]
+    vertex = vertex.astype(np.int64)
     members = np.maximum(np.bincount(vertex), 1)
-    return np.stack([np.bincount(vertex, column) / members for column in spots.T], axis=1).astype(np.float32)
+    box = np.empty((len(members), 3), np.float32)
+    for column, values in enumerate(spots):
+        box[:, column] = np.bincount(vertex, values) / members
+    return box
 
 
 def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " p"]:
@@ -518,15 +524,15 @@ def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]
     xyz, flat = arrays["xyz"], arrays["normals"].astype(np.float32)
     if xyz.shape[1:] != (3,) or flat.shape != (len(xyz), 2):
         raise ShardError(f"xyz of shape {xyz.shape}, normals of shape {flat.shape}")
-    points = np.empty((len(xyz), 6), np.float32)
-    points[:, :3] = xyz
-    flat /= np.float32(NORMAL_STEPS)
-    height = 1 - np.abs(flat).sum(axis=1)
-    below = np.minimum(height, 0)[:, None]
-    points[:, 3:5] = flat + np.where(flat >= 0, below, -below)
-    points[:, 5] = height
-    points[:, 3:] /= np.sqrt(np.einsum("ij,ij->i", points[:, 3:], points[:, 3:]))[:, None]
-    return points[spread(len(points))]
+    columns = np.empty((6, len(xyz)), np.float32)
+    columns[:3], normals = xyz.T, columns[3:]
+    x, y, z = normals
+    np.divide(flat.T, np.float32(NORMAL_STEPS), out=normals[:2])
+    np.subtract(1, np.abs(x) + np.abs(y), out=z)
+    below = np.minimum(z, 0)
+    normals[:2] += np.where(normals[:2] >= 0, below, -below)
+    normals /= np.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(columns.T).take(spread(len(xyz)), axis=0)
 
 
 DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
