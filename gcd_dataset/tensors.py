@@ -244,15 +244,16 @@ def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
 
 
 def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, ...]) -> Float[np.ndarray, "e 13"]:
-    used = sorted({edge.start for edge in panel.edges})
+    starts = [edge.start for edge in panel.edges]
+    used = {vertex: number for number, vertex in enumerate(sorted(set(starts)))}
     rows = np.zeros((len(panel.edges), len(EdgeColumn)))
-    for index, edge in enumerate(panel.edges):
-        start, end = panel.edge_ends(index)
-        rows[index, EdgeColumn.PANEL] = row
-        rows[index, EdgeColumn.VERTEX] = used.index(edge.start)
-        rows[index, START] = start - centroid
-        rows[index, EdgeColumn.LABEL] = labels.index(edge.label)
-        match edge.curve:
+    rows[:, EdgeColumn.PANEL] = row
+    rows[:, EdgeColumn.VERTEX] = [used[vertex] for vertex in starts]
+    rows[:, START] = panel.vertices[starts] - centroid
+    rows[:, EdgeColumn.LABEL] = [labels.index(edge.label) for edge in panel.edges]
+    for index in [index for index, edge in enumerate(panel.edges) if edge.curve != LINE]:
+        (start, end), curve = panel.edge_ends(index), panel.edges[index].curve
+        match curve:
             case Quadratic(control):
                 rows[index, EdgeColumn.KIND] = CurveKind.QUADRATIC
                 rows[index, CONTROL0] = from_frame(start, end, control) - centroid
@@ -262,10 +263,8 @@ def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, 
                 rows[index, CONTROL1] = from_frame(start, end, control1) - centroid
             case Arc(radius, large, right):
                 rows[index, EdgeColumn.KIND] = CurveKind.ARC
-                rows[index, CONTROL0] = curve_points(start, end, edge.curve, np.array([0.5]))[0] - centroid
+                rows[index, CONTROL0] = curve_points(start, end, curve, np.array([0.5]))[0] - centroid
                 rows[index, EdgeColumn.RADIUS : EdgeColumn.RIGHT + 1] = radius, large, right
-            case _:
-                assert edge.curve == LINE
     return rows
 
 
