@@ -41,11 +41,12 @@ pixels), ``rt`` (3 x 4, world to camera, cm), ``focal_mm`` (as on 35 mm film), `
 """
 
 import contextlib
+import io
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -85,26 +86,30 @@ from gcd_dataset.shards.layout import (
     recipe_hash,
     select_fields,
 )
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
-from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects, reject_entry, write_meta
-from gcd_dataset.shards.picture import opened_picture
+from gcd_dataset.shards.limits import LARGEST_SAMPLE, MOST_PIXELS
+from gcd_dataset.shards.meta import (
+    COUNTS,
+    NO_DRAPE,
+    NO_FABRIC,
+    NO_POSE,
+    NO_REDRAW,
+    NO_REJECT,
+    NO_STRAIN,
+    STRETCHES,
+    decode_object,
+    json_bytes,
+    json_text,
+    read_meta,
+    read_rejects,
+    reject_entry,
+    sealed,
+)
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, StitchColumn, encode_pattern
 
-__all__ = [
-    "NO_PICTURE",
-    "decode_field",
-    "decode_fields",
-    "decode_json",
-    "decode_sample",
-    "encode_partial_sample",
-    "encode_sample",
-    "measures_json",
-    "read_measures",
-    "read_meta",
-    "spread",
-]
+if TYPE_CHECKING:
+    from PIL import ImageFile
 
 NO_PICTURE = (
     bytes.fromhex("ffd8ffe000104a46494600010100000100010000ffdb004300")
@@ -161,14 +166,14 @@ def encode_sample(sample: Sample) -> dict[str, bytes]:
         tensor = encode_pattern(sample.pattern)
         content = _content(sample, tensor)
         crc = {member: zlib.crc32(data) for member, data in content.items()}
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor) | {"crc32": crc}), **content}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor) | {"crc32": crc}), **content}
 
 
 def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
     """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor)), **_content(sample, tensor)}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor)), **_content(sample, tensor)}
 
 
 @contextlib.contextmanager
@@ -313,6 +318,7 @@ def spread(count: int) -> Int[np.ndarray, " n"]:
 
 
 def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
+    """The entries of ``meta.json``, without checksums."""
     provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
     mesh, drape = sample.box_mesh, sample.drape
     strain = None if drape is None else drape.strain
@@ -322,25 +328,29 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "index": provenance.index,
         "seed": provenance.seed,
         "attempts": provenance.attempts,
-        "rejects": [reject_entry(reject) for reject in _rejects(provenance)],
-        "redraws": dict(provenance.redraws),
-        "versions": dict(provenance.versions),
-        "recipe": dict(provenance.recipe),
+        "rejects": [reject_entry(reject) for reject in _rejects(provenance)] or [NO_REJECT],
+        "redraws": [{"rule": rule, "count": n} for rule, n in provenance.redraws.items()] or [NO_REDRAW],
+        "versions": json_text(dict(provenance.versions)),
+        "recipe": json_text(dict(provenance.recipe)),
         "recipe_sha256": recipe_hash(dict(provenance.recipe)),
         "pattern": sample.pattern.name,
         "body": provenance.body_name,
         "holds": {"shape": shape is not None, "mesh": mesh is not None, "drape": drape is not None},
-        "pose": None if shape is None else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
+        "pose": NO_POSE
+        if shape is None
+        else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
         "panel_names": list(tensor.panel_names),
         "panel_labels": list(tensor.panel_labels),
         "edge_labels": list(tensor.edge_labels),
-        "vertex_labels": None if mesh is None else list(mesh.labels),
-        "drape": None if drape is None else _drape_figures(drape),
-        "strain": None if strain is None else _strain_figures(strain),
+        "vertex_labels": [*(() if mesh is None else mesh.labels)] or [""],
+        "drape": {**NO_DRAPE, **({} if drape is None else _drape_figures(drape))},
+        "strain": NO_STRAIN if strain is None else _strain_figures(strain),
         "grade": "" if sample.grade is None else sample.grade.value,
-        "fabric": None if fabric is None else {"name": fabric.name, "parameters": dict(fabric.parameters)},
-        "gathers": list(map(float, sample.gathers)),
-        "tags": list(sample.tags),
+        "fabric": NO_FABRIC
+        if fabric is None
+        else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
+        "gathers": list(map(float, sample.gathers)) or [-1.0],
+        "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
 
@@ -354,16 +364,10 @@ def _rejects(provenance: Provenance) -> Iterable[Rejected]:
 
 
 def _drape_figures(drape: Drape) -> dict[str, Any]:
-    stretch = {name: float(getattr(drape, name)) for name in ("stretch_median", "stretch_p99")}
-    return {
-        "outcome": drape.outcome.name,
-        "frames": drape.frames,
-        "self_crossings": drape.self_crossings,
-        "body_crossings": drape.body_crossings,
-        "body_through": drape.body_through,
-        # The stretch of a diverged drape is NaN, which JSON lacks.
-        **{name: value if math.isfinite(value) else None for name, value in stretch.items()},
-    }
+    counts = {name: getattr(drape, name) for name in COUNTS if getattr(drape, name) is not None}
+    # The stretch of a diverged drape is NaN, which JSON lacks.
+    stretches = {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
+    return {"outcome": drape.outcome.name, "frames": drape.frames, **counts, **stretches}
 
 
 def _strain_figures(strain: Strain) -> dict[str, Any]:
@@ -541,6 +545,24 @@ DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
 """Field to the function that derives it from its sections, unless it is stored itself."""
 
 
+@contextlib.contextmanager
+def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile.ImageFile]":
+    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of decoders.
+
+    Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
+    """
+    from PIL import Image
+
+    bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
+    try:
+        with Image.open(io.BytesIO(data), formats=formats) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
+            yield image
+    except (OSError, ValueError, SyntaxError, EOFError, *bombs) as error:
+        raise ShardError(f"not a picture ({error})") from error
+
+
 def _picture(data: Bytes) -> np.ndarray:
     """The picture as u8 [3, height, width]; [3, 0, 0] for ``NO_PICTURE``."""
     if data == NO_PICTURE:
@@ -577,16 +599,9 @@ def _matrix(member: str, facts: Mapping[str, Any], entry: str, shape: tuple[int,
         raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
 
 
-def _object(data: Bytes) -> dict[str, Any]:
-    value = decode_json(data)
-    if not isinstance(value, dict):
-        raise ShardError(f"{found(value)}, expected an object")
-    return value
-
-
 def read_measures(data: Bytes) -> dict[str, float]:
     """Measure name to value, without the missing ones. Raises ``ShardError``."""
-    values = _object(data)
+    values = decode_object(data)
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_MEASURE:
             raise ShardError(f"{name} is {found(value)}, expected a number")
@@ -605,14 +620,14 @@ def _caption(data: Bytes) -> str:
 
 DECODERS: Mapping[str, Callable[[Bytes], Any]] = {
     "meta": read_meta,
-    "spec": _object,
-    "design": _object,
+    "spec": decode_object,
+    "design": decode_object,
     "measures": read_measures,
     "front": _picture,
     "back": _picture,
     "caption": _caption,
     **{f"view_{number}": _picture for number in range(MOST_VIEWS)},
-    **{f"view_{number}_json": _object for number in range(MOST_VIEWS)},
+    **{f"view_{number}_json": decode_object for number in range(MOST_VIEWS)},
 }
 """Field to the decoder of its member."""
 
@@ -624,7 +639,7 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         attempts=meta["attempts"],
         rejects=tuple(meta["rejects"]),
         turned_down=tuple(
-            Rejected(entry["index"], entry["rule"], entry["reason"], _object(entry["figures"].encode()))
+            Rejected(entry["index"], entry["rule"], entry["reason"], decode_object(entry["figures"].encode()))
             for entry in rejects
         ),
         redraws=meta["redraws"],
@@ -659,7 +674,7 @@ def _drape(field: Mapping[str, Any]) -> Drape:
     if figures["outcome"] not in Outcome.__members__:
         raise ShardError(f"outcome {figures['outcome']!r}: known are {', '.join(Outcome.__members__)}")
     values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
-    values |= {name: np.nan for name in ("stretch_median", "stretch_p99") if values[name] is None}
+    values |= {name: np.nan for name in STRETCHES if values[name] is None}
     principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
     values |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
     return Drape(**values)

@@ -8,8 +8,6 @@ from gcd_dataset.shards.codec import REMEDY, decode_fields
 from gcd_dataset.shards.layout import ARRAYS, CAPTION, MEMBERS, Bytes, fields_of
 from gcd_dataset.shards.sections import unpack
 
-__all__ = ["decode"]
-
 TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION}
 
 

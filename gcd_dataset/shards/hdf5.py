@@ -27,8 +27,6 @@ from gcd_dataset.shards.codec import IDS, WIDTHS, decode_fields
 from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["FORMAT", "crc_of", "form_of", "write_hdf5"]
-
 FORMAT = "gcd_dataset garments"
 
 

@@ -8,18 +8,6 @@ from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import MOST_VIEWS, Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = [
-    "BLOCK",
-    "END",
-    "CheckedTar",
-    "TarMember",
-    "padded",
-    "require_header",
-    "samples_in",
-    "tar_entries",
-    "tar_entry",
-]
-
 BLOCK = 512
 END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes

@@ -21,9 +21,9 @@ from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCo
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
+from gcd_dataset.release.published_names import is_published
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, key_of
-from gcd_dataset.shards.published import is_published
 
 __all__ = ["doctor"]
 
