@@ -25,7 +25,18 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points, curve_tangents, from_frame, to_frame
+from gcd_dataset.curves import (
+    LINE,
+    Arc,
+    Cubic,
+    Curve,
+    Point,
+    Quadratic,
+    curve_points,
+    curve_tangents,
+    from_frame,
+    to_frame,
+)
 from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Record, Seam, role_of
 
@@ -163,9 +174,9 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
     edge_labels = _table(EDGE_LABELS, (edge.label for panel in pattern.panels for edge in panel.edges))
     panels = np.zeros((len(pattern.panels), len(PanelColumn)))
     loops = []
-    for row, panel in enumerate(pattern.panels):
+    for panel in pattern.panels:
         require_closed(panel)
-        centroid = area_centroid(panel)
+    for row, (panel, centroid) in enumerate(zip(pattern.panels, _area_centroids(pattern.panels), strict=True)):
         panels[row, POSITION] = panel.placement.apply(centroid)
         panels[row, QUATERNION] = _quaternion(panel.placement.rotation)
         panels[row, ANGLES] = panel.placement.rotation
@@ -202,22 +213,45 @@ def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
 
     By Green's theorem: A = ∮ x dy, A x̄ = ∮ x²/2 dy, A ȳ = -∮ y²/2 dx, by quadrature edge by edge.
     """
-    starts, ends = (panel.vertices[[getattr(edge, end) for edge in panel.edges]] for end in ("start", "end"))
-    middle = starts.mean(axis=0)
+    return _area_centroids([panel])[0]
+
+
+def _area_centroids(panels: Sequence[Panel]) -> list[Float[np.ndarray, "2"]]:
+    """``area_centroid`` of each panel: the edges of all panels at once, since each call of NumPy takes its time."""
+    straight_first = [
+        sorted(range(len(panel.edges)), key=lambda i, p=panel: p.edges[i].curve != LINE) for panel in panels
+    ]
+    edges = [
+        (*panel.edge_ends(i), panel.edges[i].curve)
+        for panel, order in zip(panels, straight_first, strict=True)
+        for i in order
+    ]
+    points, tangents = _at_nodes(edges)
+    weights = np.tile(0.5 * WEIGHTS, max(map(len, straight_first), default=0))
+    centroids, end = [], 0
+    for panel, order in zip(panels, straight_first, strict=True):
+        rows = slice(end, end := end + len(order))
+        corners = panel.vertices[[edge.start for edge in panel.edges]]
+        middle = corners.mean(axis=0)
+        x, y = (points[rows].reshape(-1, 2) - middle).T
+        dx, dy = weights[: len(x)] * tangents[rows].reshape(-1, 2).T
+        area, moment = x @ dy, 0.5 * np.array([(x * x) @ dy, -(y * y) @ dx])
+        flat = abs(area) <= NO_AREA * np.ptp(corners, axis=0).max() ** 2
+        centroids.append(middle if flat else middle + moment / area)
+    return centroids
+
+
+def _at_nodes(edges: Sequence[tuple[Point, Point, Curve]]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and tangents of edges at the nodes of the quadrature [cm], each [e, nodes, 2]."""
     nodes = 0.5 * (NODES + 1)
-    straight = np.array([edge.curve == LINE for edge in panel.edges])
-    chords = (ends - starts)[straight, None]
-    points = [(starts[straight, None] + nodes[:, None] * chords).reshape(-1, 2)]
-    tangents = [np.repeat(chords, len(nodes), axis=1).reshape(-1, 2)]
-    for index in np.flatnonzero(~straight).tolist():
-        ends_of, curve = panel.edge_ends(index), panel.edges[index].curve
-        points.append(curve_points(*ends_of, curve, nodes))
-        tangents.append(curve_tangents(*ends_of, curve, nodes))
-    x, y = (np.concatenate(points) - middle).T
-    dx, dy = np.tile(0.5 * WEIGHTS, len(panel.edges)) * np.concatenate(tangents).T
-    area, moment = x @ dy, 0.5 * np.array([(x * x) @ dy, -(y * y) @ dx])
-    flat = abs(area) <= NO_AREA * np.ptp(starts, axis=0).max() ** 2
-    return middle if flat else middle + moment / area
+    starts, ends = (np.array([edge[end] for edge in edges], float).reshape(-1, 1, 2) for end in (0, 1))
+    tangents = np.repeat(ends - starts, len(nodes), axis=1)
+    points = starts + nodes[:, None] * tangents
+    for row, (start, end, curve) in enumerate(edges):
+        if curve != LINE:
+            points[row] = curve_points(start, end, curve, nodes)
+            tangents[row] = curve_tangents(start, end, curve, nodes)
+    return points, tangents
 
 
 def require_closed(panel: Panel) -> None:
