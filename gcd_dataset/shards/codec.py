@@ -20,24 +20,10 @@
 ===================  ===================================================================================================
 
 ``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``), one row per panel, edge, seam, vertex,
-…: ``gcd_dataset.loaders.GarmentFields`` describes them. Positions are multiples of ``POSITION_STEP``, ``uv`` of
-``UV_STEP``: stored to within half of that. Normals are octahedral coordinates (Cigolle et al., JCGT 2014) in steps of
-1/511: within 0.23°. An array of a skipped step has no rows.
-
-Four fields are not stored where they follow from the others:
-
-- ``faces`` = ``uv_vertex[corners]``;
-- ``panel_id``: panel p has the next ``faces_of[p]`` faces;
-- ``box``: the mean, over the rows of ``uv`` at a vertex, of these rows placed as their panel; panel p has the next
-  ``rows_of[p]`` rows. Placing turns a panel about its centroid by its angles, and puts the centroid at X, Y, Z;
-- the order of ``points``: point ``i`` of an item is row ``spread(n)[i]``, so that the first points cover the garment.
-
-A mesh in which they do not follow has the sections ``faces``, ``panel_id`` or ``box``.
-
-``view_K.json`` of ``gcd generate --views`` has the same keys and types in every sample: ``camera`` with ``k`` (3 x 3,
-pixels), ``rt`` (3 x 4, world to camera, cm), ``focal_mm`` (as on 35 mm film), ``size`` (pixels) and ``convention``;
-``light``, ``place`` and ``appearance``: see ``generator.views.view_facts``. The fields ``views``, ``camera_k`` and
-``camera_rt`` join all views of a sample. A diverged drape has one grey pixel and cameras of zeros.
+…: ``gcd_dataset.loaders.GarmentFields`` describes them, docs/format.md the members and how ``faces``, ``panel_id``,
+``box`` and the order of ``points`` follow from the stored sections. A mesh in which they do not follow has the sections
+``faces``, ``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``,
+normals as octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
@@ -46,7 +32,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -73,6 +59,7 @@ from gcd_dataset.records import (
     as_stored,
 )
 from gcd_dataset.shards.layout import (
+    ARRAYS,
     CAPTION,
     JOINT,
     MEMBERS,
@@ -148,6 +135,9 @@ QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
 CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
 STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
+
+TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION}
+"""The members that are text."""
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
@@ -390,6 +380,56 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     names = [member for member in members if not member.startswith("__")]  # webdataset adds __key__
     joint = () if fields is None else joint_fields(names)
     return _decoded(members, select_fields(fields, (*fields_of(names), *joint)))
+
+
+@overload
+def decode(sample: Mapping[str, Any], /) -> dict[str, Any]: ...
+@overload
+def decode(member: str, data: Bytes, /) -> Any: ...
+def decode(sample: Any, data: Bytes | None = None, /) -> Any:
+    """Decode a sample of our tars, or a member of it.
+
+    >>> webdataset.WebDataset(tars).decode(decode)  # doctest: +SKIP
+    >>> webdataset.WebDataset(tars).map(decode)  # doctest: +SKIP
+    >>> datasets.load_dataset("webdataset", data_files=tars, streaming=True)["train"].map(decode)  # doctest: +SKIP
+
+    A sample, member to bytes: returns its fields, see ``GarmentFields``: arrays, parsed JSON, text; ``faces``,
+    ``panel_id`` and ``box`` included. Entries of the same names that are no bytes were decoded by the caller, and stay
+    as they are. Other entries, such as pictures, are left out.
+
+    A member, such as ``".verts.z"``, and its bytes: returns the fields in it as a dict; for JSON the parsed value, for
+    a caption the text. For other members it returns ``None``, and webdataset asks the next handler: pictures are
+    decoded by ``.decode(decode, "torchrgb")``. ``box`` needs two members, and is left out.
+
+    Raises ``ShardError`` with the member's name for damaged content.
+    """
+    if data is None:
+        return _all_fields(sample)
+    member = sample.removeprefix(".")
+    if member in TEXTS:
+        return next(iter(decode_fields({member: data}).values()))
+    return _all_arrays({member: data}) if member.endswith(".z") else None
+
+
+def _all_fields(sample: Mapping[str, Any]) -> dict[str, Any]:
+    # Others are not even looked up: ``datasets`` would decode a picture.
+    ours = {name: sample[name] for name in sample if name in TEXTS or name.endswith(".z")}
+    values = dict[str, Any]()
+    for name in [name for name, value in ours.items() if not isinstance(value, Bytes)]:
+        value = ours.pop(name)
+        values |= dict.fromkeys(fields_of([name]), value) if name in TEXTS else value or {}
+    texts = {name: ours.pop(name) for name in TEXTS & ours.keys()}
+    return values | decode_fields(texts) | _all_arrays(ours)
+
+
+def _all_arrays(members: Mapping[str, Bytes]) -> dict[str, Any]:
+    """The fields in ``.z`` members; the arrays of an unknown member, or one of a person, as they are stored."""
+    garment = {member: data for member, data in members.items() if member in ARRAYS}
+    values = decode_fields(garment, [f for f in fields_of(garment) if f != "box" or "pattern.z" in garment])
+    for member in members.keys() - garment.keys():
+        with _reading(member):
+            values |= unpack(members[member])
+    return values
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:

@@ -43,11 +43,6 @@ ARRAYS: Mapping[str, tuple[str, ...]] = {
 }
 """Member to the arrays in it."""
 
-FIELDS: Mapping[str, str] = {
-    field: member for member in MEMBERS for field in ARRAYS.get(member, (member.split(".")[0],))
-}
-"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
-
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -101,12 +96,17 @@ def fields_of(members: Iterable[str]) -> dict[str, str]:
     >>> fields_of(["spec.txt", "verts.z", "view_0.jpg", "view_0.json"])
     {'spec': 'spec.txt', 'verts': 'verts.z', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
     """
-    return {
-        field: member
-        for member in members
-        for field in ARRAYS.get(member)
-        or (member.replace(".", "_") if VIEW.fullmatch(member) and member.endswith(".json") else member.split(".")[0],)
-    }
+    return {field: member for member in members for field in ARRAYS.get(member) or (_name_of(member),)}
+
+
+def _name_of(member: str) -> str:
+    """The field of a member that holds one: of ``view_0.json`` it is ``view_0_json``."""
+    stem, ending = member.split(".", 1)
+    return f"{stem}_json" if ending == "json" and VIEW.fullmatch(member) else stem
+
+
+FIELDS: Mapping[str, str] = fields_of(MEMBERS)
+"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
 def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
