@@ -334,7 +334,9 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "edge_labels": list(tensor.edge_labels),
         "vertex_labels": [*(() if mesh is None else mesh.labels)] or [""],
         "drape": {**NO_DRAPE, **({} if drape is None else _drape_figures(drape))},
-        "strain": NO_STRAIN if strain is None else _strain_figures(strain),
+        "strain": NO_STRAIN
+        if strain is None
+        else {"principal": [*map(float, strain.principal)], "panels": [[*map(float, pair)] for pair in strain.panels]},
         "grade": "" if sample.grade is None else sample.grade.value,
         "fabric": NO_FABRIC
         if fabric is None
@@ -358,13 +360,6 @@ def _drape_figures(drape: Drape) -> dict[str, Any]:
     # The stretch of a diverged drape is NaN, which JSON lacks.
     stretches = {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
     return {"outcome": drape.outcome.name, "frames": drape.frames, **counts, **stretches}
-
-
-def _strain_figures(strain: Strain) -> dict[str, Any]:
-    return {
-        "principal": list(map(float, strain.principal)),
-        "panels": [list(map(float, pair)) for pair in strain.panels],
-    }
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -449,7 +444,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             pattern=pattern,
             measurements=Measurements.from_file_values(field["measures"]),
             design=field["design"],
-            shape=None if meta["pose"] is None else _shape(field),
+            shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
             points=field["points"].astype(float) if len(field["points"]) else None,
@@ -533,6 +528,7 @@ def _panel_id(arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " f"]:
     return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
 def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
     """Positions before sewing [cm]: the mean of the placed rows of ``uv`` at each vertex."""
     uv, vertex, panels, counts = arrays["uv"], arrays["uv_vertex"], arrays["panels"], _counts("rows_of", arrays)
@@ -563,6 +559,7 @@ def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, "
     return counts.astype(np.int64)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
 def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]:
     """Surface points [cm] and unit normals; NaN for those of a diverged drape."""
     xyz, flat = arrays["xyz"], arrays["normals"].astype(np.float32)
@@ -702,11 +699,6 @@ def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:
         labels={label: labels[labels[:, 1] == row, 0] for label, row in rows.items()},
         **ids,
     )
-
-
-def _shape(field: Mapping[str, Any]) -> BodyShape:
-    pose = field["meta"]["pose"]
-    return BodyShape(field["body"].astype(float), pose["arm_angle"], pose["legs_apart"])
 
 
 def _drape(field: Mapping[str, Any]) -> Drape:

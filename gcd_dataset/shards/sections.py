@@ -98,7 +98,8 @@ def _section(name: str, array: np.ndarray, coding: Coding) -> Iterator[bytes]:
         body, planes = _planes(_differences(numbers, coding.order))
         kind = b"i4"
     else:
-        array, coding, planes = array.astype(np.float32) if coding.order else array, RAW, 0
+        with np.errstate(over="ignore"):
+            array, coding, planes = array.astype(np.float32) if coding.order else array, RAW, 0
         kind = array.dtype.newbyteorder("<").str[1:].encode()
         if kind not in TYPES or array.ndim not in (1, 2):
             raise ShardError(f"section {name}: {array.dtype} of shape {array.shape} cannot be stored")
@@ -135,7 +136,7 @@ def _planes(columns: Int[np.ndarray, "k n"]) -> tuple[bytes, int]:
     """The planes of bytes, and their number."""
     codes = ((columns << 1) ^ (columns >> 31)).view(np.uint32)
     count = max((int(codes.max(initial=0)).bit_length() + 7) // 8, 1)
-    return b"".join((codes >> np.uint32(8 * plane)).astype(np.uint8).tobytes() for plane in range(count)), count
+    return b"".join((codes >> 8 * plane).astype(np.uint8).tobytes() for plane in range(count)), count
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
@@ -190,7 +191,7 @@ def _decoded(content: bytes, start: int, head: _Head) -> np.ndarray:
     if not is_coded or head.size != count * head.planes or (abs(head.step) > LARGEST_STEP and head.step != WHOLE):
         raise ShardError(f"a section of coding {head.order}, step {head.step}, {head.rows} rows and {head.size} bytes")
     numbers = _numbers(content, start, count, head.planes).reshape(max(head.columns, 1), head.rows)
-    out = np.empty((head.rows, len(numbers)), np.int32 if head.step == WHOLE else np.float32)
+    out: np.ndarray = np.empty((head.rows, len(numbers)), np.int32 if head.step == WHOLE else np.float32)
     for column, values in enumerate(_summed(numbers, head.order)):
         out[:, column] = values
     if head.step != WHOLE:
@@ -200,12 +201,12 @@ def _decoded(content: bytes, start: int, head: _Head) -> np.ndarray:
 
 def _numbers(content: bytes, start: int, count: int, planes: int) -> Int[np.ndarray, " n"]:
     """The coded integers, as wide as their planes need."""
-    kind = (np.uint8, np.uint16, np.uint32, np.uint32)[planes - 1]
-    codes = np.frombuffer(content, np.uint8, count, start).astype(kind)
+    kind = ("u1", "u2", "u4", "u4")[planes - 1]
+    codes: np.ndarray = np.frombuffer(content, np.uint8, count, start).astype(kind)
     for plane in range(1, planes):
-        codes |= np.frombuffer(content, np.uint8, count, start + plane * count).astype(kind) << kind(8 * plane)
-    negative = codes & kind(1)
-    codes >>= kind(1)
+        codes |= np.frombuffer(content, np.uint8, count, start + plane * count).astype(kind) << 8 * plane
+    negative = codes & 1
+    codes >>= 1
     codes ^= np.negative(negative, out=negative)
     return codes.view(f"i{codes.itemsize}")
 
