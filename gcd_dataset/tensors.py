@@ -218,19 +218,12 @@ def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
 
 def _area_centroids(panels: Sequence[Panel]) -> list[Float[np.ndarray, "2"]]:
     """``area_centroid`` of each panel: the edges of all panels at once, since each call of NumPy takes its time."""
-    straight_first = [
-        sorted(range(len(panel.edges)), key=lambda i, p=panel: p.edges[i].curve != LINE) for panel in panels
-    ]
-    edges = [
-        (*panel.edge_ends(i), panel.edges[i].curve)
-        for panel, order in zip(panels, straight_first, strict=True)
-        for i in order
-    ]
-    points, tangents = _at_nodes(edges)
-    weights = np.tile(0.5 * WEIGHTS, max(map(len, straight_first), default=0))
+    loops = [_straight_first(panel) for panel in panels]
+    points, tangents = _at_nodes([edge for loop in loops for edge in loop])
+    weights = np.tile(0.5 * WEIGHTS, max(map(len, loops), default=0))
     centroids, end = [], 0
-    for panel, order in zip(panels, straight_first, strict=True):
-        rows = slice(end, end := end + len(order))
+    for panel, loop in zip(panels, loops, strict=True):
+        rows = slice(end, end := end + len(loop))
         corners = panel.vertices[[edge.start for edge in panel.edges]]
         middle = corners.mean(axis=0)
         x, y = (points[rows].reshape(-1, 2) - middle).T
@@ -239,6 +232,16 @@ def _area_centroids(panels: Sequence[Panel]) -> list[Float[np.ndarray, "2"]]:
         flat = abs(area) <= NO_AREA * np.ptp(corners, axis=0).max() ** 2
         centroids.append(middle if flat else middle + moment / area)
     return centroids
+
+
+def _straight_first(panel: Panel) -> list[tuple[Point, Point, Curve]]:
+    """Start, end and curve of each edge, straight ones first."""
+    edges = [(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
+    return sorted(edges, key=_is_curved)
+
+
+def _is_curved(edge: tuple[Point, Point, Curve]) -> bool:
+    return edge[2] != LINE
 
 
 def _at_nodes(edges: Sequence[tuple[Point, Point, Curve]]) -> tuple[np.ndarray, np.ndarray]:

@@ -9,12 +9,11 @@ garments_5000_0/random_body/…                                        the same 
 5000_body_shapes_and_measures/                                       the random bodies, see ``PublishedPeople``
 """
 
-import contextlib
 import re
 from collections.abc import Mapping
-from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, did_you_mean
+from gcd_dataset.filekinds import BODY_FOLDERS
 
 __all__ = [
     "BODY_FOLDERS",
@@ -25,9 +24,6 @@ __all__ = [
     "SPLIT_NAMES",
     "batch_order",
     "body_folders",
-    "find_batches",
-    "is_batch",
-    "is_published",
     "properties_name",
 ]
 
@@ -49,9 +45,6 @@ ENDINGS: Mapping[str, str] = {
     "back": "_render_back.png",
 }
 """Kind of file to the ending of its name, which begins with the name of the garment."""
-
-BODY_FOLDERS: Mapping[str, str] = {"default": "default_body", "random": "random_body"}
-"""Choice of ``bodies`` to the folder of a batch."""
 
 DEFAULT_BODY = "mean_all"
 """Name of the body in ``default_body``; the published files do not hold it."""
@@ -87,23 +80,3 @@ def batch_order(name: str) -> tuple[object, ...]:
     ['a_11', 'b_9', 'b_10']
     """
     return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))
-
-
-def is_published(folder: Path) -> bool:
-    """Whether a folder is GarmentCodeData as published, one of its batches, or the folder that holds it."""
-    if folder.name in BODY_FOLDERS.values():
-        return True
-    with contextlib.suppress(OSError):
-        return is_batch(folder) or find_batches(folder) is not None
-    return False
-
-
-def find_batches(folder: Path) -> Path | None:
-    """The folder of the batches: ``folder`` or one of its subfolders; ``None`` without batches. Raises ``OSError``."""
-    candidates = (folder, *sorted(inner for inner in folder.iterdir() if inner.is_dir()))
-    return next((path for path in candidates if any(map(is_batch, path.iterdir()))), None)
-
-
-def is_batch(folder: Path) -> bool:
-    """Whether a folder is a batch of garments, such as ``garments_5000_0``."""
-    return folder.is_dir() and any((folder / body_folder).is_dir() for body_folder in BODY_FOLDERS.values())

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ShardError, did_you_mean
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
-from gcd_dataset.release.published_names import is_published
 from gcd_dataset.shards.access import read_limited, reading
 from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.cache import default_cache

@@ -176,7 +176,7 @@ def _parsed(text: str) -> dict[str, Any]:
 
 def read_rejects(data: Bytes) -> list[dict[str, Any]]:
     """The entries of ``rejects`` in a ``meta.json``. Raises ``ShardError``."""
-    entries = decode_object(data).get("rejects")
+    entries: Any = decode_object(data).get("rejects")
     if not _has_form(entries, GARMENT["rejects"]):
         raise ShardError(f"rejects is {found(entries)}")
     return [entry for entry in entries if entry["rule"]]

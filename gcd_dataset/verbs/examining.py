@@ -16,12 +16,12 @@ from gcd_dataset.doctor.files import published_faults, shard_file_faults, split_
 from gcd_dataset.doctor.garment import FIELDS_READ, Fault, Garment, garment_faults
 from gcd_dataset.doctor.report import Report, SplitSummary, Tally
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
-from gcd_dataset.release.published_names import is_published
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, key_of
 
