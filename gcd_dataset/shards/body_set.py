@@ -41,13 +41,8 @@ from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.shards.writer import ShardWriter
 
 MEMBER_OF: Mapping[str, str] = {
-    "name": "meta.json",
-    "arm_angle": "meta.json",
-    "measures": "measures.json",
-    "shape": "person.z",
-    "straight": "person.z",
-    "apart": "person.z",
-}
+    "name": "meta.json", "arm_angle": "meta.json", "measures": "measures.json"
+} | dict.fromkeys(("shape", *POSES), "person.z")  # fmt: skip
 """Field of a loaded person to the member it comes from."""
 READERS: Mapping[str, Callable[[Bytes], Any]] = {
     "meta.json": read_meta, "measures.json": read_measures, "person.z": unpack
