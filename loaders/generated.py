@@ -279,7 +279,7 @@ class GeneratedGarments(Garments):
 class SampleCache:
     """A cache of the samples of one seed, recipe and version, which any number of processes may fill and read.
 
-        00012/gcd_000012345.tar     all members of sample 12345, pictures included
+    00012/gcd_000012345.tar     all members of sample 12345, pictures included
     """
 
     def __init__(self, folder: Path) -> None:
