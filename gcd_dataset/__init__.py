@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         Sample,
         Seam,
     )
-    from gcd_dataset.shards.decoding import decode
+    from gcd_dataset.shards.codec import decode
 
 __all__ = [
     "Body",
@@ -51,4 +51,4 @@ __version__ = "0.1.0"
 
 _RECORDS = [name for name in __all__ if name not in ("__version__", "decode")]
 
-__getattr__, __dir__ = lazy_names(__name__, {"records": _RECORDS, "shards.decoding": ("decode",)})
+__getattr__, __dir__ = lazy_names(__name__, {"records": _RECORDS, "shards.codec": ("decode",)})

@@ -26,8 +26,9 @@ from gcd_dataset.loaders.indexing import (
 from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import decode_fields, decode_sample, read_meta
+from gcd_dataset.shards.codec import decode_fields, decode_sample
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, is_picture, key_of, members_of
+from gcd_dataset.shards.meta import read_meta
 
 __all__ = [
     "DerivedGarments",

@@ -1,7 +1,9 @@
 """``GeneratedGarments``: garments made on demand, with the indices, fields and bytes of a generated data set."""
 
+import contextlib
 import logging
 import os
+import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,7 +17,7 @@ from torch.utils.data import get_worker_info
 from gcd_dataset import __version__
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import user_path
+from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.estimates import core_seconds
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
@@ -28,6 +30,7 @@ from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
+from gcd_dataset.shards.access import read_file
 from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import (
     SCHEMA,
@@ -36,16 +39,20 @@ from gcd_dataset.shards.layout import (
     garments_layout,
     is_view_field,
     key_of,
+    member_name,
     members_of,
     recipe_hash,
 )
-from gcd_dataset.shards.sample_cache import SampleCache
+from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import META
+from gcd_dataset.shards.tar import END, samples_in, tar_entry
 
 __all__ = ["GeneratedGarments", "Stage"]
 
 logger = logging.getLogger("gcd_dataset")
 
 LOGGED_FROM = 2.0  # s for each garment
+EACH = 1000  # cached samples of a folder
 
 
 class GeneratedGarments(Garments):
@@ -267,6 +274,46 @@ class GeneratedGarments(Garments):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
+
+
+class SampleCache:
+    """A cache of the samples of one seed, recipe and version, which any number of processes may fill and read.
+
+    00012/gcd_000012345.tar     all members of sample 12345, pictures included
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def keep(self, index: int, members: Mapping[str, Bytes]) -> None:
+        """Store the members of a sample, unless it is there. Raises ``OutputError``."""
+        path = self._path(index)
+        if not path.exists():
+            entries = [tar_entry(member_name(index, member), data) for member, data in members.items()]
+            write_whole(make_folder(path.parent) / path.name, b"".join([*entries, bytes(END)]))
+
+    def read(self, index: int, members: Iterable[str] | None = None) -> dict[str, memoryview] | None:
+        """The members of a sample, by default all, checked; ``None`` if it is not there.
+
+        A damaged sample is removed; then raises ``ShardError``.
+        """
+        path = self._path(index)
+        if not path.exists():
+            return None
+        try:
+            [(_, found)] = samples_in(memoryview(bytearray(read_file(path))))
+            crc = read_meta(found[META])["crc32"]
+            wanted = list(found if members is None else members)
+            if any(zlib.crc32(found[member]) != crc[member] for member in wanted if member != META):
+                raise ShardError("bytes differ from the written ones")
+            return {member: found[member] for member in wanted}
+        except (ShardError, ValueError, KeyError) as error:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise ShardError(f"{path}: damaged ({error})") from error
+
+    def _path(self, index: int) -> Path:
+        return self.folder / f"{index // EACH:05d}" / f"{key_of(index)}.tar"
 
 
 def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:

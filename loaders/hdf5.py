@@ -30,8 +30,6 @@ from gcd_dataset.shards.layout import (
 )
 from gcd_dataset.shards.sections import pack
 
-__all__ = ["Hdf5Garments"]
-
 REMEDY = "copy it again, or make it again with gcd export"
 MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
 

@@ -13,7 +13,7 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.hub.partition import DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.codec import decode_field, read_meta
+from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES, index_name
 from gcd_dataset.shards.layout import (
@@ -27,8 +27,8 @@ from gcd_dataset.shards.layout import (
     key_of,
 )
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
+from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import REJECTS, hashed, shards_named
-from gcd_dataset.shards.picture import opened_picture
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.store import Store

@@ -218,9 +218,9 @@ def _truth(options: argparse.Namespace) -> "Path | ShardReader":
 
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
     """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
+    from gcd_dataset.filekinds import is_published
     from gcd_dataset.shards.access import reading
     from gcd_dataset.shards.folder import is_set
-    from gcd_dataset.shards.published import is_published
 
     folder = Path(options.what)
     with reading(folder):

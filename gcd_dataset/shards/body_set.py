@@ -36,28 +36,13 @@ from gcd_dataset.shards.access import REMEDY, read_limited
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
-from gcd_dataset.shards.meta import read_meta, write_meta
+from gcd_dataset.shards.meta import json_text, read_meta, sealed
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.shards.writer import ShardWriter
 
-__all__ = [
-    "MEMBER_OF",
-    "BodyWriter",
-    "decode_body_fields",
-    "decode_person",
-    "encode_person",
-    "mesh_bytes",
-    "read_set_mesh",
-]
-
 MEMBER_OF: Mapping[str, str] = {
-    "name": "meta.json",
-    "arm_angle": "meta.json",
-    "measures": "measures.json",
-    "shape": "person.z",
-    "straight": "person.z",
-    "apart": "person.z",
-}
+    "name": "meta.json", "arm_angle": "meta.json", "measures": "measures.json"
+} | dict.fromkeys(("shape", *POSES), "person.z")  # fmt: skip
 """Field of a loaded person to the member it comes from."""
 READERS: Mapping[str, Callable[[Bytes], Any]] = {
     "meta.json": read_meta, "measures.json": read_measures, "person.z": unpack
@@ -127,12 +112,14 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
             "schema": SCHEMA,
             "key": key_of(origin["index"]),
             **origin,
+            "versions": json_text(origin["versions"]),
+            "recipe": json_text(origin["recipe"]),
             "recipe_sha256": recipe_hash(origin["recipe"]),
             "name": person.name,
             "arm_angle": float(person.shape.arm_angle),
             "crc32": {member: zlib.crc32(data) for member, data in content.items()},
         }
-        return {"meta.json": write_meta(meta), **content}
+        return {"meta.json": sealed(meta), **content}
     except (ShardError, ValueError) as error:
         raise ShardError(f"person {person.name} cannot be stored: {error}") from error
 

@@ -17,8 +17,6 @@ from collections import defaultdict
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["read_buffer"]
-
 SMALL = 1 << 16  # bytes: smaller allocations usually reuse touched pages anyway
 MOST_FREE = 1 << 26  # bytes of free buffers kept, of each size
 

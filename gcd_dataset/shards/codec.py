@@ -20,32 +20,19 @@
 ===================  ===================================================================================================
 
 ``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``), one row per panel, edge, seam, vertex,
-…: ``gcd_dataset.loaders.GarmentFields`` describes them. Positions are multiples of ``POSITION_STEP``, ``uv`` of
-``UV_STEP``: stored to within half of that. Normals are octahedral coordinates (Cigolle et al., JCGT 2014) in steps of
-1/511: within 0.23°. An array of a skipped step has no rows.
-
-Four fields are not stored where they follow from the others:
-
-- ``faces`` = ``uv_vertex[corners]``;
-- ``panel_id``: panel p has the next ``faces_of[p]`` faces;
-- ``box``: the mean, over the rows of ``uv`` at a vertex, of these rows placed as their panel; panel p has the next
-  ``rows_of[p]`` rows. Placing turns a panel about its centroid by its angles, and puts the centroid at X, Y, Z;
-- the order of ``points``: point ``i`` of an item is row ``spread(n)[i]``, so that the first points cover the garment.
-
-A mesh in which they do not follow has the sections ``faces``, ``panel_id`` or ``box``.
-
-``view_K.json`` of ``gcd generate --views`` has the same keys and types in every sample: ``camera`` with ``k`` (3 x 3,
-pixels), ``rt`` (3 x 4, world to camera, cm), ``focal_mm`` (as on 35 mm film), ``size`` (pixels) and ``convention``;
-``light``, ``place`` and ``appearance``: see ``generator.views.view_facts``. The fields ``views``, ``camera_k`` and
-``camera_rt`` join all views of a sample. A diverged drape has one grey pixel and cameras of zeros.
+…: ``gcd_dataset.loaders.GarmentFields`` describes them, docs/format.md the members and how ``faces``, ``panel_id``,
+``box`` and the order of ``points`` follow from the stored sections. A mesh in which they do not follow has the sections
+``faces``, ``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``,
+normals as octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
+import io
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -64,7 +51,6 @@ from gcd_dataset.records import (
     NamedFabric,
     Outcome,
     Pattern,
-    Placement,
     Provenance,
     Rejected,
     Sample,
@@ -73,6 +59,7 @@ from gcd_dataset.records import (
     as_stored,
 )
 from gcd_dataset.shards.layout import (
+    ARRAYS,
     CAPTION,
     JOINT,
     MEMBERS,
@@ -86,26 +73,30 @@ from gcd_dataset.shards.layout import (
     recipe_hash,
     select_fields,
 )
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
-from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects, reject_entry, write_meta
-from gcd_dataset.shards.picture import opened_picture
+from gcd_dataset.shards.limits import LARGEST_SAMPLE, MOST_PIXELS
+from gcd_dataset.shards.meta import (
+    COUNTS,
+    NO_DRAPE,
+    NO_FABRIC,
+    NO_POSE,
+    NO_REDRAW,
+    NO_REJECT,
+    NO_STRAIN,
+    STRETCHES,
+    decode_object,
+    json_bytes,
+    json_text,
+    read_meta,
+    read_rejects,
+    reject_entry,
+    sealed,
+)
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, StitchColumn, encode_pattern
 
-__all__ = [
-    "NO_PICTURE",
-    "decode_field",
-    "decode_fields",
-    "decode_json",
-    "decode_sample",
-    "encode_partial_sample",
-    "encode_sample",
-    "measures_json",
-    "read_measures",
-    "read_meta",
-    "spread",
-]
+if TYPE_CHECKING:
+    from PIL import ImageFile
 
 NO_PICTURE = (
     bytes.fromhex("ffd8ffe000104a46494600010100000100010000ffdb004300")
@@ -140,10 +131,13 @@ POSITION = Coding(2, POSITION_POWER)
 MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, UV_POWER), "box": Coding(1, POSITION_POWER)} | dict.fromkeys(
     ("uv_vertex", "labels", "seams", "faces", "panel_id"), Coding(1)
 )
-ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
+QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
 CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
 STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
+
+TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION}
+"""The members that are text."""
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
@@ -162,14 +156,14 @@ def encode_sample(sample: Sample) -> dict[str, bytes]:
         tensor = encode_pattern(sample.pattern)
         content = _content(sample, tensor)
         crc = {member: zlib.crc32(data) for member, data in content.items()}
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor) | {"crc32": crc}), **content}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor) | {"crc32": crc}), **content}
 
 
 def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
     """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor)), **_content(sample, tensor)}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor)), **_content(sample, tensor)}
 
 
 @contextlib.contextmanager
@@ -263,7 +257,7 @@ def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
         "labels": _rows(np.concatenate([np.zeros((0, 2), int), *labelled]), vertices, "labels"),
         "seams": _rows(mesh.seams, vertices, "seams"),
     }
-    if not np.array_equal(_faces(arrays), mesh.faces):
+    if not np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces):
         arrays["faces"] = _rows(mesh.faces, vertices, "faces")
     if not np.array_equal(_panel_id(arrays), mesh.panel_id):
         arrays["panel_id"] = mesh.panel_id
@@ -287,15 +281,15 @@ def _points(points: Float32[np.ndarray, "n 6"] | None) -> bytes:
     points = np.zeros((0, 6)) if points is None else np.asarray(points, float)
     ordered = np.empty_like(points)
     ordered[spread(len(points))] = points
-    normals = ordered[:, 3:]
+    x, y, z = np.ascontiguousarray(ordered[:, 3:].T)
     with np.errstate(invalid="ignore", divide="ignore"):
-        flat = normals[:, :2] / np.abs(normals).sum(axis=1, keepdims=True)
-    folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat >= 0, 1, -1)
-    octahedral = np.rint(np.where(normals[:, 2:] < 0, folded, flat) * NORMAL_STEPS)
-    edge = np.abs(octahedral[:, ::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
-    octahedral = np.where(edge, np.abs(octahedral), octahedral)
+        flat = np.stack([x, y]) / (np.abs(x) + np.abs(y) + np.abs(z))
+    np.copyto(flat, (1 - np.abs(flat[::-1])) * np.where(flat >= 0, 1, -1), where=z < 0)
+    octahedral = np.rint(flat * NORMAL_STEPS)
+    edge = np.abs(octahedral[::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
+    np.abs(octahedral, out=octahedral, where=edge)
     return pack(
-        {"xyz": ordered[:, :3], "normals": octahedral}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
+        {"xyz": ordered[:, :3], "normals": octahedral.T}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
     )
 
 
@@ -314,6 +308,7 @@ def spread(count: int) -> Int[np.ndarray, " n"]:
 
 
 def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
+    """The entries of ``meta.json``, without checksums."""
     provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
     mesh, drape = sample.box_mesh, sample.drape
     strain = None if drape is None else drape.strain
@@ -323,25 +318,31 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "index": provenance.index,
         "seed": provenance.seed,
         "attempts": provenance.attempts,
-        "rejects": [reject_entry(reject) for reject in _rejects(provenance)],
-        "redraws": dict(provenance.redraws),
-        "versions": dict(provenance.versions),
-        "recipe": dict(provenance.recipe),
+        "rejects": [reject_entry(reject) for reject in _rejects(provenance)] or [NO_REJECT],
+        "redraws": [{"rule": rule, "count": n} for rule, n in provenance.redraws.items()] or [NO_REDRAW],
+        "versions": json_text(dict(provenance.versions)),
+        "recipe": json_text(dict(provenance.recipe)),
         "recipe_sha256": recipe_hash(dict(provenance.recipe)),
         "pattern": sample.pattern.name,
         "body": provenance.body_name,
         "holds": {"shape": shape is not None, "mesh": mesh is not None, "drape": drape is not None},
-        "pose": None if shape is None else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
+        "pose": NO_POSE
+        if shape is None
+        else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
         "panel_names": list(tensor.panel_names),
         "panel_labels": list(tensor.panel_labels),
         "edge_labels": list(tensor.edge_labels),
-        "vertex_labels": None if mesh is None else list(mesh.labels),
-        "drape": None if drape is None else _drape_figures(drape),
-        "strain": None if strain is None else _strain_figures(strain),
+        "vertex_labels": [*(() if mesh is None else mesh.labels)] or [""],
+        "drape": {**NO_DRAPE, **({} if drape is None else _drape_figures(drape))},
+        "strain": NO_STRAIN
+        if strain is None
+        else {"principal": [*map(float, strain.principal)], "panels": [[*map(float, pair)] for pair in strain.panels]},
         "grade": "" if sample.grade is None else sample.grade.value,
-        "fabric": None if fabric is None else {"name": fabric.name, "parameters": dict(fabric.parameters)},
-        "gathers": list(map(float, sample.gathers)),
-        "tags": list(sample.tags),
+        "fabric": NO_FABRIC
+        if fabric is None
+        else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
+        "gathers": list(map(float, sample.gathers)) or [-1.0],
+        "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
 
@@ -355,23 +356,10 @@ def _rejects(provenance: Provenance) -> Iterable[Rejected]:
 
 
 def _drape_figures(drape: Drape) -> dict[str, Any]:
-    stretch = {name: float(getattr(drape, name)) for name in ("stretch_median", "stretch_p99")}
-    return {
-        "outcome": drape.outcome.name,
-        "frames": drape.frames,
-        "self_crossings": drape.self_crossings,
-        "body_crossings": drape.body_crossings,
-        "body_through": drape.body_through,
-        # The stretch of a diverged drape is NaN, which JSON lacks.
-        **{name: value if math.isfinite(value) else None for name, value in stretch.items()},
-    }
-
-
-def _strain_figures(strain: Strain) -> dict[str, Any]:
-    return {
-        "principal": list(map(float, strain.principal)),
-        "panels": [list(map(float, pair)) for pair in strain.panels],
-    }
+    counts = {name: getattr(drape, name) for name in COUNTS if getattr(drape, name) is not None}
+    # The stretch of a diverged drape is NaN, which JSON lacks.
+    stretches = {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
+    return {"outcome": drape.outcome.name, "frames": drape.frames, **counts, **stretches}
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -387,6 +375,56 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     names = [member for member in members if not member.startswith("__")]  # webdataset adds __key__
     joint = () if fields is None else joint_fields(names)
     return _decoded(members, select_fields(fields, (*fields_of(names), *joint)))
+
+
+@overload
+def decode(sample: Mapping[str, Any], /) -> dict[str, Any]: ...
+@overload
+def decode(member: str, data: Bytes, /) -> Any: ...
+def decode(sample: Any, data: Bytes | None = None, /) -> Any:
+    """Decode a sample of our tars, or a member of it.
+
+    >>> webdataset.WebDataset(tars).decode(decode)  # doctest: +SKIP
+    >>> webdataset.WebDataset(tars).map(decode)  # doctest: +SKIP
+    >>> datasets.load_dataset("webdataset", data_files=tars, streaming=True)["train"].map(decode)  # doctest: +SKIP
+
+    A sample, member to bytes: returns its fields, see ``GarmentFields``: arrays, parsed JSON, text; ``faces``,
+    ``panel_id`` and ``box`` included. Entries of the same names that are no bytes were decoded by the caller, and stay
+    as they are. Other entries, such as pictures, are left out.
+
+    A member, such as ``".verts.z"``, and its bytes: returns the fields in it as a dict; for JSON the parsed value, for
+    a caption the text. For other members it returns ``None``, and webdataset asks the next handler: pictures are
+    decoded by ``.decode(decode, "torchrgb")``. ``box`` needs two members, and is left out.
+
+    Raises ``ShardError`` with the member's name for damaged content.
+    """
+    if data is None:
+        return _all_fields(sample)
+    member = sample.removeprefix(".")
+    if member in TEXTS:
+        return next(iter(decode_fields({member: data}).values()))
+    return _all_arrays({member: data}) if member.endswith(".z") else None
+
+
+def _all_fields(sample: Mapping[str, Any]) -> dict[str, Any]:
+    # Others are not even looked up: ``datasets`` would decode a picture.
+    ours = {name: sample[name] for name in sample if name in TEXTS or name.endswith(".z")}
+    values = dict[str, Any]()
+    for name in [name for name, value in ours.items() if not isinstance(value, Bytes)]:
+        value = ours.pop(name)
+        values |= dict.fromkeys(fields_of([name]), value) if name in TEXTS else value or {}
+    texts = {name: ours.pop(name) for name in TEXTS & ours.keys()}
+    return values | decode_fields(texts) | _all_arrays(ours)
+
+
+def _all_arrays(members: Mapping[str, Bytes]) -> dict[str, Any]:
+    """The fields in ``.z`` members; the arrays of an unknown member, or one of a person, as they are stored."""
+    garment = {member: data for member, data in members.items() if member in ARRAYS}
+    values = decode_fields(garment, [f for f in fields_of(garment) if f != "box" or "pattern.z" in garment])
+    for member in members.keys() - garment.keys():
+        with _reading(member):
+            values |= unpack(members[member])
+    return values
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
@@ -406,7 +444,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             pattern=pattern,
             measurements=Measurements.from_file_values(field["measures"]),
             design=field["design"],
-            shape=None if meta["pose"] is None else _shape(field),
+            shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
             points=field["points"].astype(float) if len(field["points"]) else None,
@@ -490,6 +528,7 @@ def _panel_id(arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " f"]:
     return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
 def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
     """Positions before sewing [cm]: the mean of the placed rows of ``uv`` at each vertex."""
     uv, vertex, panels, counts = arrays["uv"], arrays["uv_vertex"], arrays["panels"], _counts("rows_of", arrays)
@@ -497,13 +536,20 @@ def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
         raise ShardError(f"rows_of names {counts.sum()} rows of {len(counts)} panels; there are {len(uv)}")
     if vertex.max(initial=-1) >= len(uv):
         raise ShardError(f"uv_vertex holds row {vertex.max()}, and there are {len(uv)} rows of uv")
-    spots, end = np.zeros((len(uv), 3)), 0
-    for panel, count in zip(panels, counts.tolist(), strict=False):
-        turn = Placement(panel[:3], panel[ANGLES]).matrix[:, :2]
-        spots[end : end + count] = (uv[end : end + count] - panel[CENTROID]) @ turn.T + panel[:3]
-        end += count
+    w, x, y, z = panels[:, QUATERNION].T
+    right = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+    up = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=1)
+    flat, spots, end = uv.T.astype(float), np.empty((3, len(uv))), 0
+    for turn, panel, count in zip(np.stack([right, up], axis=2), panels, counts.tolist(), strict=False):
+        rows = slice(end, end := end + count)
+        np.matmul(turn, flat[:, rows] - panel[CENTROID, None], out=spots[:, rows])
+        spots[:, rows] += panel[:3, None]
+    vertex = vertex.astype(np.int64)
     members = np.maximum(np.bincount(vertex), 1)
-    return np.stack([np.bincount(vertex, column) / members for column in spots.T], axis=1).astype(np.float32)
+    box = np.empty((len(members), 3), np.float32)
+    for column, values in enumerate(spots):
+        box[:, column] = np.bincount(vertex, values) / members
+    return box
 
 
 def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " p"]:
@@ -513,26 +559,45 @@ def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, "
     return counts.astype(np.int64)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
 def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]:
     """Surface points [cm] and unit normals; NaN for those of a diverged drape."""
     xyz, flat = arrays["xyz"], arrays["normals"].astype(np.float32)
     if xyz.shape[1:] != (3,) or flat.shape != (len(xyz), 2):
         raise ShardError(f"xyz of shape {xyz.shape}, normals of shape {flat.shape}")
-    points = np.empty((len(xyz), 6), np.float32)
-    points[:, :3] = xyz
-    flat /= np.float32(NORMAL_STEPS)
-    height = 1 - np.abs(flat).sum(axis=1)
-    below = np.minimum(height, 0)[:, None]
-    points[:, 3:5] = flat + np.where(flat >= 0, below, -below)
-    points[:, 5] = height
-    points[:, 3:] /= np.sqrt(np.einsum("ij,ij->i", points[:, 3:], points[:, 3:]))[:, None]
-    return points[spread(len(points))]
+    columns = np.empty((6, len(xyz)), np.float32)
+    columns[:3], normals = xyz.T, columns[3:]
+    x, y, z = normals
+    np.divide(flat.T, np.float32(NORMAL_STEPS), out=normals[:2])
+    np.subtract(1, np.abs(x) + np.abs(y), out=z)
+    below = np.minimum(z, 0)
+    normals[:2] += np.where(normals[:2] >= 0, below, -below)
+    normals /= np.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(columns.T).take(spread(len(xyz)), axis=0)
 
 
 DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
     "faces": _faces, "panel_id": _panel_id, "box": _box, "points": _read_points,
 }  # fmt: skip
 """Field to the function that derives it from its sections, unless it is stored itself."""
+
+
+@contextlib.contextmanager
+def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile.ImageFile]":
+    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of decoders.
+
+    Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
+    """
+    from PIL import Image
+
+    bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
+    try:
+        with Image.open(io.BytesIO(data), formats=formats) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
+            yield image
+    except (OSError, ValueError, SyntaxError, EOFError, *bombs) as error:
+        raise ShardError(f"not a picture ({error})") from error
 
 
 def _picture(data: Bytes) -> np.ndarray:
@@ -571,16 +636,9 @@ def _matrix(member: str, facts: Mapping[str, Any], entry: str, shape: tuple[int,
         raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
 
 
-def _object(data: Bytes) -> dict[str, Any]:
-    value = decode_json(data)
-    if not isinstance(value, dict):
-        raise ShardError(f"{found(value)}, expected an object")
-    return value
-
-
 def read_measures(data: Bytes) -> dict[str, float]:
     """Measure name to value, without the missing ones. Raises ``ShardError``."""
-    values = _object(data)
+    values = decode_object(data)
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_MEASURE:
             raise ShardError(f"{name} is {found(value)}, expected a number")
@@ -599,14 +657,14 @@ def _caption(data: Bytes) -> str:
 
 DECODERS: Mapping[str, Callable[[Bytes], Any]] = {
     "meta": read_meta,
-    "spec": _object,
-    "design": _object,
+    "spec": decode_object,
+    "design": decode_object,
     "measures": read_measures,
     "front": _picture,
     "back": _picture,
     "caption": _caption,
     **{f"view_{number}": _picture for number in range(MOST_VIEWS)},
-    **{f"view_{number}_json": _object for number in range(MOST_VIEWS)},
+    **{f"view_{number}_json": decode_object for number in range(MOST_VIEWS)},
 }
 """Field to the decoder of its member."""
 
@@ -618,7 +676,7 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         attempts=meta["attempts"],
         rejects=tuple(meta["rejects"]),
         turned_down=tuple(
-            Rejected(entry["index"], entry["rule"], entry["reason"], _object(entry["figures"].encode()))
+            Rejected(entry["index"], entry["rule"], entry["reason"], decode_object(entry["figures"].encode()))
             for entry in rejects
         ),
         redraws=meta["redraws"],
@@ -643,17 +701,12 @@ def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:
     )
 
 
-def _shape(field: Mapping[str, Any]) -> BodyShape:
-    pose = field["meta"]["pose"]
-    return BodyShape(field["body"].astype(float), pose["arm_angle"], pose["legs_apart"])
-
-
 def _drape(field: Mapping[str, Any]) -> Drape:
     figures, strain = field["meta"]["drape"], field["meta"]["strain"]
     if figures["outcome"] not in Outcome.__members__:
         raise ShardError(f"outcome {figures['outcome']!r}: known are {', '.join(Outcome.__members__)}")
     values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
-    values |= {name: np.nan for name in ("stretch_median", "stretch_p99") if values[name] is None}
+    values |= {name: np.nan for name in STRETCHES if values[name] is None}
     principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
     values |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
     return Drape(**values)

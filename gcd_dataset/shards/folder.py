@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ShardError, did_you_mean
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import read_limited, reading
 from gcd_dataset.shards.buffers import read_buffer
@@ -17,7 +18,6 @@ from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_ma
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.shards.published import is_published
 from gcd_dataset.shards.store import Store, command_of
 
 __all__ = ["FolderStore", "is_set", "splits_in"]

@@ -27,8 +27,6 @@ from gcd_dataset.shards.codec import IDS, WIDTHS, decode_fields
 from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["FORMAT", "crc_of", "form_of", "write_hdf5"]
-
 FORMAT = "gcd_dataset garments"
 
 
@@ -40,10 +38,7 @@ def form_of(field: str) -> tuple[np.dtype, tuple[int, ...]]:
 
 def crc_of(values: Iterable[np.ndarray]) -> int:
     """CRC-32 of arrays, one after the other."""
-    crc = 0
-    for value in values:
-        crc = zlib.crc32(np.ascontiguousarray(value).tobytes(), crc)
-    return crc
+    return zlib.crc32(b"".join(value.tobytes() for value in values))
 
 
 def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, None]:
@@ -84,12 +79,12 @@ def _values(reader: ShardReader, position: int) -> dict[str, np.ndarray]:
 def _allocated(sink: "_Sink", reader: ShardReader, ends: Mapping[str, np.ndarray]) -> h5py.File:
     file = h5py.File(sink, "w")
     file.attrs.update(format=np.bytes_(FORMAT), schema=SCHEMA, split=np.bytes_(reader.split), count=len(reader))
-    file.create_dataset("index", data=np.array([reader.number(position) for position in range(len(reader))], np.int64))
+    file["index"] = np.array([reader.number(position) for position in range(len(reader))], np.int64)
     file.create_dataset("crc32", (len(reader),), "<u4")
-    for field in ends:
+    for field, pointers in ends.items():
         dtype, row = form_of(field)
-        file.create_dataset(field, (int(ends[field][-1]), *row), dtype, fill_time="never")
-        file.create_dataset(f"{field}_ptr", data=ends[field])
+        file.create_dataset(field, (int(pointers[-1]), *row), dtype, fill_time="never")
+        file[f"{field}_ptr"] = pointers
     return file
 
 

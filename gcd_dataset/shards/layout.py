@@ -1,13 +1,7 @@
-"""Names in a data set's folder: files, samples, and the members of a sample.
+"""Names of files, samples, members and fields of a data set.
 
-    manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
-    download.json         of a downloaded data set: its source and its complete splits
-    index-train.npz       offset, size and CRC-32 of each member of each sample
-    mesh-train.z          bodies only: triangles and body parts of the common mesh
-    train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``; for bodies, ``BODIES``
-
->>> member_name(12, "verts.npy"), shard_name("train", 3)
-('gcd_000000012.verts.npy', 'train-00003.tar')
+>>> member_name(12, "verts.z"), mesh_name("train")
+('gcd_000000012.verts.z', 'mesh-train.z')
 """
 
 import hashlib
@@ -15,47 +9,10 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.names import require_name
-
-__all__ = [
-    "BODIES",
-    "CAPTION",
-    "FAILED",
-    "FIELDS",
-    "GARMENTS",
-    "JOINT",
-    "MEMBERS",
-    "MOST_VIEWS",
-    "SCHEMA",
-    "TRAIN",
-    "WAITING",
-    "Bytes",
-    "Layout",
-    "fields_of",
-    "garments_layout",
-    "index_name",
-    "is_extra",
-    "is_picture",
-    "is_view_field",
-    "joint_fields",
-    "key_of",
-    "layout_of",
-    "lock_name",
-    "member_name",
-    "member_of",
-    "members_of",
-    "mesh_name",
-    "part_path",
-    "recipe_hash",
-    "select_fields",
-    "shard_name",
-    "shard_number",
-    "shards_in",
-]
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
@@ -71,9 +28,6 @@ MEMBERS: tuple[str, ...] = (
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
 
-WAITING = ".waiting"
-"""Folder of single samples whose shard is not full yet."""
-
 CAPTION = "caption.txt"
 MOST_VIEWS = 100
 VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
@@ -88,11 +42,6 @@ ARRAYS: Mapping[str, tuple[str, ...]] = {
     "points.z": ("points",),
 }
 """Member to the arrays in it."""
-
-FIELDS: Mapping[str, str] = {
-    field: member for member in MEMBERS for field in ARRAYS.get(member, (member.split(".")[0],))
-}
-"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,28 +90,23 @@ GARMENTS = garments_layout()
 BODIES = Layout("bodies", ("meta.json", "measures.json", "person.z"), "BodyDataset")
 
 
-def is_extra(member: str) -> bool:
-    """Whether a member is optional: a caption, or a view."""
-    return member == CAPTION or VIEW.fullmatch(member) is not None
-
-
-def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
-    """``layout`` reduced to these members; ``None`` for another schema, or other members."""
-    return layout.of(members) if schema == SCHEMA and layout.holds(members) else None
-
-
 def fields_of(members: Iterable[str]) -> dict[str, str]:
     """Field to member, for garments with these members.
 
     >>> fields_of(["spec.txt", "verts.z", "view_0.jpg", "view_0.json"])
     {'spec': 'spec.txt', 'verts': 'verts.z', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
     """
-    return {
-        field: member
-        for member in members
-        for field in ARRAYS.get(member)
-        or (member.replace(".", "_") if VIEW.fullmatch(member) and member.endswith(".json") else member.split(".")[0],)
-    }
+    return {field: member for member in members for field in ARRAYS.get(member) or (_name_of(member),)}
+
+
+def _name_of(member: str) -> str:
+    """The field of a member that holds one: of ``view_0.json`` it is ``view_0_json``."""
+    stem, ending = member.split(".", 1)
+    return f"{stem}_json" if ending == "json" and VIEW.fullmatch(member) else stem
+
+
+FIELDS: Mapping[str, str] = fields_of(MEMBERS)
+"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
 def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
@@ -220,49 +164,9 @@ def member_name(index: int, member: str) -> str:
     return f"{key_of(index)}.{member}"
 
 
-def shard_name(split: str, number: int) -> str:
-    """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
-
-    Raises ``ShardError`` for an unsafe split name, as ``index_name``, ``mesh_name`` and ``lock_name`` do.
-    """
-    return f"{require_name(split, 'split')}-{number:05d}.tar"
-
-
-def index_name(split: str) -> str:
-    """The file name of a split's index."""
-    return f"index-{require_name(split, 'split')}.npz"
-
-
 def mesh_name(split: str) -> str:
-    """The file name of the common mesh of the bodies of a split."""
+    """The file name of the common mesh of the bodies of a split. Raises ``ShardError`` for an unsafe split name."""
     return f"mesh-{require_name(split, 'split')}.z"
-
-
-def lock_name(split: str) -> str:
-    """The file name of a split's writer lock."""
-    return f".{require_name(split, 'split')}.lock"
-
-
-def part_path(path: Path) -> Path:
-    """The path of a shard during writing."""
-    return path.with_name(path.name + ".part")
-
-
-def shard_number(name: str, split: str) -> int | None:
-    """The number of a shard of the split, from its file name; ``None`` for any other file.
-
-    >>> shard_number("train-00003.tar", "train"), shard_number("val-00003.tar", "train")
-    (3, None)
-    """
-    match = re.fullmatch(rf"{re.escape(split)}-(\d{{5,18}})\.tar", name)
-    return int(match[1]) if match else None
-
-
-def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
-    """The finished shards of a split, by number. Raises ``OSError``."""
-    # Not ``glob``: it takes an unreadable folder for an empty one.
-    numbered = {number: path for path in folder.iterdir() if (number := shard_number(path.name, split)) is not None}
-    return tuple(numbered[number] for number in sorted(numbered))
 
 
 def select_fields(fields: Iterable[str] | None, available: Iterable[str] = FIELDS) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """Limits on the memory that reading a file may allocate: above any garment's need, below a machine's memory."""
 
-__all__ = ["LARGEST_FILE", "LARGEST_JSON", "LARGEST_MANIFEST", "LARGEST_SAMPLE", "MOST_PIXELS"]
-
 LARGEST_JSON = 1 << 23
 """Bytes of a JSON member; the parsed value takes about twenty times as many."""
 LARGEST_MANIFEST = 1 << 26

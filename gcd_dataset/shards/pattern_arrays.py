@@ -11,7 +11,6 @@ from gcd_dataset.tensors import PatternTensor
 if TYPE_CHECKING:
     from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["stored_pattern", "stored_patterns"]
 
 PATTERN_FIELDS = ("meta", "panels", "edges", "stitches")
 BATCH = 256  # samples in one read

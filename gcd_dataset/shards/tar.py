@@ -1,26 +1,15 @@
 """USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import MOST_VIEWS, Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = [
-    "BLOCK",
-    "END",
-    "CheckedTar",
-    "TarMember",
-    "padded",
-    "require_header",
-    "samples_in",
-    "tar_entries",
-    "tar_entry",
-]
-
 BLOCK = 512
+ZEROS = bytes(BLOCK)
 END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
@@ -72,16 +61,12 @@ def tar_entries(file: int) -> Iterator[TarMember]:
     Raises ``ShardError`` where a header is damaged, a member is cut off, or other bytes follow the zeros at the end.
     """
     end, position = os.fstat(file).st_size, 0
-    while position < end:
-        header = os.pread(file, BLOCK, position)
-        if header == bytes(BLOCK):
-            _require_zeros(file, position, end)
-            return
-        name, size = _parse(header, position)
-        if position + BLOCK + padded(size) > end:
-            raise ShardError(f"member {name} is cut off at byte {end}")
-        yield TarMember(name, position + BLOCK, size)
-        position += BLOCK + padded(size)
+    for member in _members(lambda place: os.pread(file, BLOCK, place), end):
+        yield member
+        position = member.offset + padded(member.size)
+    for place in range(position, end, CHUNK):
+        if os.pread(file, CHUNK, place).strip(b"\0"):  # zeros have overwritten a header
+            raise ShardError(f"zeros at byte {position}, but content after them")
 
 
 def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]]]:
@@ -89,33 +74,31 @@ def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]
 
     Raises ``ShardError`` for a damaged header, a member that is cut off, and a duplicate member or sample.
     """
-    key, members, past, position = "", dict[str, memoryview](), set[str](), 0
-    while position < len(content) and (header := bytes(content[position : position + BLOCK])) != bytes(BLOCK):
-        name, size = _parse(header, position)
+    key, members, past = "", dict[str, memoryview](), set[str]()
+    for name, offset, size in _members(lambda place: bytes(content[place : place + BLOCK]), len(content)):
         next_key, _, member = name.partition(".")
         if next_key != key:
             if key:
                 yield key, members
             past.add(key)
             key, members = next_key, {}
-        position += BLOCK
-        if position + padded(size) > len(content):
-            raise ShardError(f"member {shown(name)} is cut off at byte {len(content)}")
         if member in members or key in past:
-            raise ShardError(f"member {shown(name)} occurs twice, again at byte {position}")
-        members[member] = content[position : position + size]
-        position += padded(size)
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {offset}")
+        members[member] = content[offset : offset + size]
     if key:
         yield key, members
 
 
-def _require_zeros(file: int, position: int, end: int) -> None:
-    """Raise ``ShardError`` for bytes other than 0 between ``position`` and ``end``: zeros have overwritten a header."""
-    while position < end:
-        chunk = os.pread(file, CHUNK, position)
-        if not chunk or chunk.strip(b"\0"):
-            raise ShardError(f"zeros at byte {position}, but content after them")
-        position += len(chunk)
+def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]:
+    """The members of an archive of ``end`` bytes, up to the first block of zeros. Raises ``ShardError``."""
+    position = 0
+    while position < end and (header := header_at(position)) != ZEROS:
+        name, size = _parse(header, position)
+        position += BLOCK
+        if position + padded(size) > end:
+            raise ShardError(f"member {shown(name)} is cut off at byte {end}")
+        yield TarMember(name, position, size)
+        position += padded(size)
 
 
 class CheckedTar:
@@ -136,7 +119,7 @@ class CheckedTar:
         self._position += len(data)
         while self._next + BLOCK <= self._position:
             header = content[self._next - begin : self._next - begin + BLOCK]
-            self._next = ENDLESS if header == bytes(BLOCK) else self._next + self._checked(header)
+            self._next = ENDLESS if header == ZEROS else self._next + self._checked(header)
         self._rest = content[self._next - begin :] if self._next < self._position else b""
         return data
 
@@ -159,21 +142,16 @@ def _signed(header: bytes) -> bytes:
     return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
 
 
-def require_header(header: bytes, position: int) -> None:
-    """Raise ``ShardError`` unless the checksum of a header matches; the header may be by any program."""
-    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
-    digits = header[CHECKSUM].strip(b" \0")
-    if len(header) < BLOCK or not digits.isdigit() or not digits.isascii() or _octal(digits) != sum(blank):
-        raise ShardError(f"no tar header at byte {position}")
-
-
 def _octal(digits: bytes) -> int:
     return int(digits, 8) if not digits.strip(b"01234567") else -1
 
 
 def _parse(header: bytes, position: int) -> tuple[str, int]:
-    """Name and size of a member."""
-    require_header(header, position)
+    """Name and size of a member, from a header by any program. Raises ``ShardError`` unless its checksum matches."""
+    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
+    digits = header[CHECKSUM].strip(b" \0")
+    if len(header) < BLOCK or not digits.isdigit() or _octal(digits) != sum(blank):
+        raise ShardError(f"no tar header at byte {position}")
     try:
         name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:

@@ -16,6 +16,7 @@ from gcd_dataset.doctor.files import published_faults, shard_file_faults, split_
 from gcd_dataset.doctor.garment import FIELDS_READ, Fault, Garment, garment_faults
 from gcd_dataset.doctor.report import Report, SplitSummary, Tally
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.base import Garments
@@ -23,7 +24,6 @@ from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progr
 from gcd_dataset.release import PublishedBatches, PublishedGarments
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, key_of
-from gcd_dataset.shards.published import is_published
 
 __all__ = ["doctor"]
 

@@ -95,11 +95,13 @@ def test_a_second_round_trip_changes_no_byte(sample: Sample) -> None:
 
 def test_a_diverged_drape_is_stored(sample: Sample) -> None:
     assert sample.drape is not None
-    wrecked = replace(sample.drape, vertices=np.full((3, 3), np.nan), outcome=Outcome.DIVERGED, stretch_p99=np.nan)
-    again = decode_sample(encode_sample(replace(sample, drape=wrecked))).drape
-    assert again is not None
-    assert np.isnan(again.stretch_p99)
-    assert replace(again, stretch_p99=0.0) == replace(wrecked, stretch_p99=0.0)
+    for place, stored in ((np.nan, np.nan), (np.inf, np.inf), (1e300, np.inf), (1e30, float(np.float32(1e30)))):
+        wrecked = replace(sample.drape, vertices=np.full((3, 3), place), outcome=Outcome.DIVERGED, stretch_p99=np.nan)
+        again = decode_sample(encode_sample(replace(sample, drape=wrecked))).drape
+        assert again is not None
+        assert np.isnan(again.stretch_p99)
+        wrecked = replace(wrecked, vertices=np.full((3, 3), stored), stretch_p99=0.0)
+        assert replace(again, stretch_p99=0.0) == wrecked
 
 
 def test_meta_names_the_hash_of_every_other_member(sample: Sample) -> None:
@@ -386,6 +388,11 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
         with pytest.raises(ShardError, match=r"^member mesh\.z: [^\n]*: copy its shard again"):
             decode_fields(damaged, [field])
         assert time.process_time() - begin < 1
+    pattern = dict(unpack(members["pattern.z"]))
+    for place in (np.nan, np.inf, 1e300):
+        panels = np.full_like(pattern["panels"], place)
+        lost = decode_fields({**members, "pattern.z": pack({**pattern, "panels": panels})}, ["box"])["box"]
+        assert not np.isfinite(lost).any()
     for points in ({"xyz": np.zeros((3, 2))}, {"normals": np.zeros((2, 2), np.int32)}):
         stored = dict(unpack(members["points.z"])) | points
         with pytest.raises(ShardError, match=r"^member points\.z"):

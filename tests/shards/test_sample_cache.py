@@ -8,9 +8,9 @@ import pytest
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.loaders.generated import SampleCache
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.sample_cache import SampleCache
 
 MEMBERS = encode_sample(fake_sample(0, 7))
 

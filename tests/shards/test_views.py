@@ -18,10 +18,10 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.views import MISSING_VIEW
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.loaders.generated import SampleCache
 from gcd_dataset.records import Sample, View
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import garments_layout
-from gcd_dataset.shards.sample_cache import SampleCache
 from gcd_dataset.verbs import generate
 
 RECIPE = {"fake": True}
