@@ -10,8 +10,6 @@ from typing import Any
 from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb, open_source, require_folder
 from gcd_dataset.errors import ConfigError, ShardError
 
-__all__ = ["add_verbs", "summary_lines"]
-
 RECIPE = "recipe:"
 
 
@@ -71,13 +69,30 @@ def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
 
     if options.dataset.startswith(RECIPE):
-        from gcd_dataset.making.recipes import recipe_lines
-
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
     for line in info_lines(open_source(options.dataset, options.endpoint)):
         print(line)
     return 0
+
+
+def recipe_lines(name: str = "") -> Iterator[str]:
+    """One line for each recipe of the package; with a ``name``, the details of that recipe. Raises ``ConfigError``."""
+    from gcd_dataset.generator.recipe import recipe_of
+    from gcd_dataset.generator.recipes import find_recipe, recipe_names
+
+    if not name:
+        recipes = [find_recipe(name) for name in recipe_names()]
+        width = max(len(recipe.name) for recipe in recipes)
+        yield from (f"{recipe.name:<{width}}  {recipe.about}" for recipe in recipes)
+        return
+    recipe = find_recipe(name)
+    yield f"{recipe.name}: {recipe.about}"
+    yield f"  {recipe.designs} designs, {recipe.count} garments, seed {recipe.seed}; sha256 {recipe.sha256}"
+    yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
+    made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
+    yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
+    yield f"  patterns: {recipe.patterns or 'no hash yet: some were never generated'}"
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -100,7 +115,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _index(options: argparse.Namespace) -> int:
-    from gcd_dataset.making.run import place_for
+    from gcd_dataset.making.store import place_for
     from gcd_dataset.verbs import index
 
     if "://" not in options.dataset:

@@ -1,9 +1,10 @@
-"""Data sets of recipes: listing recipes, verifying a folder against a recipe, and generating on demand."""
+"""Data sets of recipes: verifying a folder against a recipe, and generating on demand."""
 
 import logging
 import multiprocessing
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,45 +12,22 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, GcdError, OutputError
 from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipe import recipe_of
-from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
+from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.generator.recipes.hashing import made_patterns
-from gcd_dataset.making.garments import CPU_SECONDS, generate_recipe, work_of
+from gcd_dataset.making.garments import CPU_SECONDS, generate_recipe
 from gcd_dataset.making.progress import Progress
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord, read_manifest
 from gcd_dataset.shards.pattern_arrays import stored_patterns
-from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.workers import without_main_module
-
-__all__ = ["ensure_recipe", "is_made", "recipe_faults", "recipe_lines"]
 
 SAMPLED = 32  # designs generated again to verify a recipe that has no hash of all its patterns
 LOCK = ".recipe.lock"
 
 log = logging.getLogger(__name__)
-
-
-# --------------------------------------------------------------------------------------------------------------- info
-
-
-def recipe_lines(name: str = "") -> Iterator[str]:
-    """One line for each recipe of the package; with a ``name``, the details of that recipe. Raises ``ConfigError``."""
-    if not name:
-        recipes = [find_recipe(name) for name in recipe_names()]
-        width = max(len(recipe.name) for recipe in recipes)
-        yield from (f"{recipe.name:<{width}}  {recipe.about}" for recipe in recipes)
-        return
-    recipe = find_recipe(name)
-    yield f"{recipe.name}: {recipe.about}"
-    yield f"  {recipe.designs} designs, {recipe.count} garments, seed {recipe.seed}; sha256 {recipe.sha256}"
-    yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
-    made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
-    yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
-    yield f"  patterns: {recipe.patterns or 'no hash yet: some were never generated'}"
 
 
 # ------------------------------------------------------------------------------------------------------------- verify
@@ -68,9 +46,8 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
         named = f"{stored.name} ({stored.sha256})" if stored.name else "none"
         yield f"{folder / MANIFEST}: names recipe {named}, asked for {recipe.name} ({recipe.sha256})"
         return
-    faults = [*_split_faults(folder, manifest, recipe)]
-    yield from faults
-    if faults:
+    if faults := [*_split_faults(folder, manifest, recipe)]:
+        yield from faults
         return
     readers = [ShardReader(FolderStore(folder), split) for split in recipe.splits]
     try:
@@ -82,11 +59,10 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
         yield f"{folder / MANIFEST}: no hash of the patterns yet: run gcd generate --recipe {recipe.name} again"
     elif not found.agrees(stored.patterns):
         yield f"{folder}: its patterns have hash {found.text}, but {MANIFEST} lists {stored.patterns}"
-    if recipe.patterns:
-        if not found.agrees(recipe.patterns):
-            yield f"{folder}: its patterns have hash {found.text}, but recipe {recipe.name} has {recipe.patterns}"
-    else:
+    if not recipe.patterns:
         yield from _sampled_faults(folder, readers, recipe)
+    elif not found.agrees(recipe.patterns):
+        yield f"{folder}: its patterns have hash {found.text}, but recipe {recipe.name} has {recipe.patterns}"
 
 
 def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[str]:
@@ -99,17 +75,12 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             yield f"{folder}: no split {split}: run gcd generate --recipe {recipe.name} again"
             continue
         plan = manifest.splits[split].plan
-        if plan.seed != recipe.seed:
-            yield f"{folder / MANIFEST}: split {split} was not made with seed {recipe.seed}"
-        elif other := [
-            name
-            for name in sorted((asked.keys() | plan.recipe.keys()) - {"device"})
-            if recipe_hash({name: asked.get(name)}) != recipe_hash({name: plan.recipe.get(name)})
-        ]:
-            met, wanted = plan.recipe.get(other[0]), asked.get(other[0])
-            yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, but the recipe has {wanted!r}"
-        reader = ShardReader(FolderStore(folder), split)
-        stored = reader.index.number
+        same = replace(plan, seed=recipe.seed, recipe={**asked, "device": plan.recipe.get("device")})
+        try:
+            plan.require_same(same, f"{folder / MANIFEST}, split {split}")
+        except ConfigError as error:
+            yield str(error)
+        stored = ShardReader(FolderStore(folder), split).index.number
         wanted = recipe.indices_in(split)
         if missing := len(np.setdiff1d(wanted, stored)):
             yield f"{folder}: split {split} lacks {missing} of {len(wanted)} samples: run gcd generate again"
@@ -158,43 +129,34 @@ def is_made(folder: Path, recipe: Recipe) -> bool:
 def _make(recipe: Recipe, folder: Path) -> None:
     from tqdm.auto import tqdm
 
-    _log_estimate(recipe, folder)
     workers = 0 if multiprocessing.current_process().daemon else None  # a DataLoader's worker cannot start processes
     with tqdm(total=recipe.count, unit="garment", desc=recipe.name) as bar:
 
         def report(progress: Progress) -> None:
+            if not progress.made:
+                _log_estimate(recipe, folder, progress.count - progress.done)
             bar.update(progress.done - bar.n)
 
         with without_main_module():
             generate_recipe(folder, recipe, workers=workers, on_progress=report)
 
 
-def _log_estimate(recipe: Recipe, folder: Path) -> None:
+def _log_estimate(recipe: Recipe, folder: Path, missing: int) -> None:
     from gcd_dataset.generator.drape import seconds_to_drape
     from gcd_dataset.generator.drape.device import cores
 
-    names = FolderPlace(folder).names()
-    work = work_of(
-        folder, {split: recipe.indices_in(split).tolist() for split in recipe.splits}, recipe.seed, recipe.config
-    )
-    stored = sum(len(task.indices) for task in work.tasks() if task.tar in names)
-    missing, config = recipe.count - stored, recipe.config
+    config = recipe.config
     seconds = CPU_SECONDS[config.stage] * missing / cores()
     if config.stage == "drape":
         seconds = max(seconds, seconds_to_drape(missing, config.device, config.resolution))
+    takes = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
     log.warning(
         "%s: making %d garments in %s takes about %s; the next call resumes a stopped one",
         recipe.name,
         missing,
         folder,
-        _duration(seconds),
+        takes if seconds < 6000 else f"{seconds / 3600:.1f} h",
     )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager

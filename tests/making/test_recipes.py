@@ -162,7 +162,7 @@ def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path)
     generate_recipe(renamed, other, workers=0)
     manifest_with(renamed, sha256=recipe.sha256)
     message = list(recipe_faults(renamed, recipe))
-    assert any("was not made with seed 3" in line for line in message)
+    assert any("split test: made with seed=4, asked for seed=3" in line for line in message)
     # The right patterns with a wrong hash in the manifest are reported too.
     manifest_with(copy, patterns="0" * 64)
     assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
