@@ -69,30 +69,13 @@ def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
 
     if options.dataset.startswith(RECIPE):
+        from gcd_dataset.cli.recipes import recipe_lines
+
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
     for line in info_lines(open_source(options.dataset, options.endpoint)):
         print(line)
     return 0
-
-
-def recipe_lines(name: str = "") -> Iterator[str]:
-    """One line for each recipe of the package; with a ``name``, the details of that recipe. Raises ``ConfigError``."""
-    from gcd_dataset.generator.recipe import recipe_of
-    from gcd_dataset.generator.recipes import find_recipe, recipe_names
-
-    if not name:
-        recipes = [find_recipe(name) for name in recipe_names()]
-        width = max(len(recipe.name) for recipe in recipes)
-        yield from (f"{recipe.name:<{width}}  {recipe.about}" for recipe in recipes)
-        return
-    recipe = find_recipe(name)
-    yield f"{recipe.name}: {recipe.about}"
-    yield f"  {recipe.designs} designs, {recipe.count} garments, seed {recipe.seed}; sha256 {recipe.sha256}"
-    yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
-    made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
-    yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
-    yield f"  patterns: {recipe.patterns or 'no hash yet: some were never generated'}"
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -101,8 +84,8 @@ def _verify(options: argparse.Namespace) -> int:
     folder, count, named = require_folder(options.dataset), 0, ""
     found = faults(folder, full=options.full)
     if options.recipe is not None:
+        from gcd_dataset.cli.recipes import recipe_faults
         from gcd_dataset.generator.recipes import find_recipe
-        from gcd_dataset.making.recipes import recipe_faults
 
         recipe = find_recipe(options.recipe)
         named, found = f": this is {recipe.name}", chain(found, recipe_faults(folder, recipe))

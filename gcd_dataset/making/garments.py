@@ -13,7 +13,7 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Wanted, make_shards, run
+from gcd_dataset.making.run import Made, MakeShards, Wanted, make_shards, run
 from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.records import Outcome, Sample
@@ -104,7 +104,8 @@ def _generate(
         raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
     options = {"workers": workers, "engine": engine}
     with contextlib.ExitStack() as opened:
-        make, devices = make_shards, tuple[str, ...]()
+        make: MakeShards = make_shards
+        devices: tuple[str, ...] = ()
         if engine == "ray":
             from gcd_dataset.making.ray import ray_cluster
 

@@ -61,10 +61,13 @@ def run_log(
     if path is None:
         yield on_progress
         return
+    from gcd_dataset.generator.drape.device import cores, device_names
+
     with _appended(user_path(path)) as write:
         last = logged = Progress(0, 0)
         begun = written = time.monotonic()
-        machine = {"host": platform.node(), "pid": os.getpid(), **_hardware(devices)}
+        gpus = device_names([device for device in devices if device != "cpu"])
+        machine = {"host": platform.node(), "pid": os.getpid(), "cores": cores(), "gpus": gpus}
         write("begin", {"options": options, "versions": versions(), "recipe": recipe_hash(recipe), "machine": machine})
 
         def report(progress: Progress) -> None:
@@ -101,12 +104,6 @@ def _figures(progress: Progress) -> dict[str, Any]:
         "waits": {name: round(share, 4) for name, share in progress.waits.items()},
         "rss_mb": round(_resident() / 1e6, 1),
     }
-
-
-def _hardware(devices: Sequence[str]) -> dict[str, Any]:
-    from gcd_dataset.generator.drape.device import cores, device_names
-
-    return {"cores": cores(), "gpus": device_names([device for device in devices if device != "cpu"])}
 
 
 def _resident() -> float:

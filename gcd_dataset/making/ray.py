@@ -24,7 +24,7 @@ from gcd_dataset.generator.drapers import SharedDraper
 from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, DraperAddress, owner_file
 from gcd_dataset.generator.maker import AHEAD
 from gcd_dataset.generator.recipe import MakeConfig, versions
-from gcd_dataset.making.run import Engine, Made, Maker, make_shards
+from gcd_dataset.making.run import Made, Maker, MakeShards, make_shards
 from gcd_dataset.making.tasks import Task
 from gcd_dataset.shards.place import Place
 
@@ -40,7 +40,7 @@ _held: dict[Path, int] = {}
 
 
 @contextmanager
-def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator[tuple[MakeConfig, Engine]]:
+def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator[tuple[MakeConfig, MakeShards]]:
     """Connect to a Ray cluster for the block: the config with the device that it drapes on, and its engine.
 
     The first available of: the cluster that this program is already connected to, the cluster at ``RAY_ADDRESS``, a

@@ -9,6 +9,7 @@ import contextlib
 import logging
 import shutil
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -64,8 +65,8 @@ Wanted = Sequence[tuple[Task, Sequence[int]]]
 """Tasks, each with the indices of its missing samples."""
 Maker = Callable[[Wanted], Iterator[Made]]
 """Makes the missing samples of tasks, in order; its iterator is closed when the run stops."""
-Engine = Callable[[Place, Sequence[Task], Maker], Generator[Made, None, None]]
-"""Makes the shards of tasks, such as ``make_shards``."""
+MakeShards = Callable[[Place, Sequence[Task], Maker], Generator[Made, None, None]]
+"""Makes the shards of tasks, as ``make_shards`` does."""
 
 
 def run(
@@ -73,7 +74,7 @@ def run(
     maker: Maker,
     *,
     job: Job | None = None,
-    engine: Engine | None = None,
+    engine: MakeShards | None = None,
     on_progress: ProgressCallback = ignore_progress,
     log: Path | str | None = None,
     options: Mapping[str, Any] | None = None,
@@ -243,17 +244,18 @@ def _fill_drafts(
             for index in task.indices:
                 if index in done:
                     continue
-                if (known := earlier.read(task.split, index)) is not None:
-                    draft.add(index, known, failed=earlier.has_failed(task.split, index))
-                    continue
-                if index not in asked:  # the draft has lost it
+                if earlier.has(task.split, index):
+                    members, failed = earlier.read(task.split, index)
+                    draft.add(index, members, failed=failed)
+                elif index not in asked:  # the draft has lost it
                     return
-                made = next(made for made in samples if made.number == index)  # another process may have added some
-                if made.members is None:
-                    draft.skip(index, made.fault)
                 else:
-                    draft.add(index, made.members, failed=made.failed)
-                yield made
+                    made = next(made for made in samples if made.number == index)  # others may have added some
+                    if made.members is None:
+                        draft.skip(index, made.fault)
+                    else:
+                        draft.add(index, made.members, failed=made.failed)
+                    yield made
             draft.finish()
 
 
@@ -276,8 +278,8 @@ class _Earlier:
     """The samples in ``EARLIER``, by split and index."""
 
     def __init__(self, place: Place) -> None:
-        self._where: dict[tuple[str, int], tuple[Path, int]] = {}
-        self._read: dict[str, tuple[Path, dict[int, Mapping[str, Bytes]]]] = {}
+        self._where: dict[tuple[str, int], tuple[Path, Path]] = {}
+        self._content = lru_cache(maxsize=2)(_content)
         for old in _earlier_places(place):
             for split, number in shards_named(old.names()):
                 try:
@@ -286,30 +288,25 @@ class _Earlier:
                     if isinstance(error.__cause__, FileNotFoundError):  # another process has finished, and tidied up
                         continue
                     raise
-                self._where |= {(split, row[0]): (old.folder, number) for row in note.rows}
+                tars = old.folder / note.record.name(split), old.folder / note.record.views_name(split)
+                self._where |= {(split, row[0]): tars for row in note.rows}
 
     def has(self, split: str, index: int) -> bool:
         """Whether a sample of a split, or its failed drape, is known."""
         return (split, index) in self._where or (FAILED, index) in self._where
 
-    def has_failed(self, split: str, index: int) -> bool:
-        """Whether the known sample is a failed drape."""
-        return (split, index) not in self._where
+    def read(self, split: str, index: int) -> tuple[Mapping[str, Bytes], bool]:
+        """A known sample, and whether it is a failed drape. Keeps the last shards. Raises ``ShardError``."""
+        failed = (split, index) not in self._where
+        return self._content(*self._where[FAILED if failed else split, index])[index], failed
 
-    def read(self, split: str, index: int) -> Mapping[str, Bytes] | None:
-        """A sample; ``None`` if it is not known. Keeps the last shard that was read. Raises ``ShardError``."""
-        if not self.has(split, index):
-            return None
-        own = FAILED if self.has_failed(split, index) else split
-        folder, number = self._where[own, index]
-        record = ShardRecord(number, 0, 0, "")
-        path, views = folder / record.name(own), folder / record.views_name(own)
-        if self._read.get(own, (None,))[0] != path:
-            content: dict[int, Mapping[str, Bytes]] = {s.number: s.members for s in stored_samples(path)}
-            for sample in stored_samples(views) if views.exists() else ():
-                content[sample.number] = {**content[sample.number], **sample.members}
-            self._read[own] = path, content
-        return self._read[own][1][index]
+
+def _content(tar: Path, views: Path) -> dict[int, dict[str, memoryview]]:
+    """The samples of a shard with their pictures, by index."""
+    content = {sample.number: sample.members for sample in stored_samples(tar)}
+    for sample in stored_samples(views) if views.exists() else ():
+        content[sample.number] |= sample.members
+    return content
 
 
 def _earlier_places(place: Place) -> list[FolderPlace]:
