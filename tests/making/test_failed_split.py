@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, encode_sample
 from gcd_dataset.verbs import Job, Progress, export, generate
-from tests.making.real import contents, killed
+from tests.making.real import contents
 
 COUNT = 8
 KEPT = MakeConfig(
@@ -150,26 +149,11 @@ def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, monkeypat
     assert {name.removeprefix(root): store.cat_file(name) for name in store.find(root)} == contents(out)
 
 
-@pytest.mark.parametrize("after", [1, 4, COUNT])
-def test_a_killed_run_goes_on_in_both_splits(after: int, out: Path, tmp_path: Path) -> None:
-    again = tmp_path / "again"
-    make = partial(generate, again, COUNT, seed=5, config=KEPT)
-    killed(make, after=after)
-    assert make().made == COUNT - after
-    assert contents(again) == contents(out)
-
-
 @pytest.mark.parametrize("of", [2, 9])
 def test_jobs_of_both_splits_are_one_run(of: int, out: Path, tmp_path: Path) -> None:
     for number in reversed(range(of)):
         generate(tmp_path / "jobs", COUNT, seed=5, config=KEPT, job=Job(number, of))
     assert contents(tmp_path / "jobs") == contents(out)
-
-
-def test_a_set_grows_in_both_splits(out: Path, tmp_path: Path) -> None:
-    generate(tmp_path / "grown", 5, seed=5, config=KEPT)
-    assert generate(tmp_path / "grown", COUNT, seed=5, config=KEPT).made == COUNT - 5
-    assert contents(tmp_path / "grown") == contents(out)
 
 
 def test_notes_of_failed_drapes_are_made_again(out: Path) -> None:

@@ -1,4 +1,4 @@
-"""Kills at each operation on files, and what they leave: nothing is lost but the sample in work, no file is left over."""
+"""Kills at each operation on files: nothing is lost but the sample in work, and no file is left over."""
 
 import os
 import signal

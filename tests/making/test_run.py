@@ -3,11 +3,9 @@
 import hashlib
 import json
 import os
-import random
 import resource
 import shutil
 import signal
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -111,20 +109,6 @@ def test_workers_change_no_byte(tmp_path: Path, whole: dict[str, bytes], monkeyp
     assert contents(tmp_path) == whole
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_runs_killed_at_random_points_lose_only_the_sample_in_work(
-    seed: int, tmp_path: Path, whole: dict[str, bytes]
-) -> None:
-    chance = random.Random(seed)
-    for _ in range(5):
-        child = forked(lambda: make(tmp_path, COUNT))
-        time.sleep(chance.uniform(0.01, 0.3))
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    make(tmp_path, COUNT)
-    assert contents(tmp_path) == whole
-
-
 def test_whole_samples_of_a_killed_run_are_not_made_again(tmp_path: Path) -> None:
     killed(partial(make, tmp_path, COUNT), after=5)
     again = make(tmp_path, COUNT)
@@ -193,21 +177,17 @@ def test_index_twice_is_index_once(copy: Path, whole: dict[str, bytes], capsys: 
 # ------------------------------------------------------------------------------------------------------------- growing
 
 
+@pytest.mark.parametrize("is_killed", [False, True])
 @pytest.mark.parametrize("counts", [(7,), (3, 10)])
 def test_a_set_grows_to_the_bytes_of_the_larger_one(
-    counts: tuple[int, ...], tmp_path: Path, whole: dict[str, bytes]
+    counts: tuple[int, ...], is_killed: bool, tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
     for count in counts:
         make(tmp_path, count)
+    if is_killed:
+        killed(partial(make, tmp_path, COUNT), after=0)  # its shards are set aside
+        assert (tmp_path / ".earlier" / str(counts[-1]) / "train-00000.tar").exists()
     assert make(tmp_path, COUNT).made == COUNT - counts[-1]
-    assert contents(tmp_path) == whole
-
-
-def test_a_set_killed_while_it_grows_loses_nothing(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    make(tmp_path, 7)
-    killed(partial(make, tmp_path, COUNT), after=0)  # its shards are set aside
-    assert (tmp_path / ".earlier" / "7" / "train-00000.tar").exists()
-    assert make(tmp_path, COUNT).made == COUNT - 7
     assert contents(tmp_path) == whole
 
 
