@@ -167,6 +167,15 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     assert main(publish) == 0
 
 
+def test_a_signal_while_a_verb_starts_ends_it_with_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    def interrupted(**_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("logging.basicConfig", interrupted)
+    assert main(["info", "nowhere"]) == 130
+    assert capsys.readouterr().err == "gcd: stopped: finished files are kept: run it again\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

@@ -26,7 +26,11 @@ def add_verbs(verbs: Any) -> None:
     verify.add_argument("--full", action="store_true", help="check every byte, not only headers and lengths")
     verify.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
 
-    index = add_verb(verbs, "index", _index, "gather manifest and index of a data set from its shards")
+    itself = (
+        "gcd generate and gcd convert do so themselves when the last shard is made: this is for\n"
+        "data sets that stay unfinished, and for lost or damaged files beside the shards."
+    )
+    index = add_verb(verbs, "index", _index, "gather manifest and index of a data set from its shards", itself)
     index.add_argument("dataset", metavar="DATASET", help="folder of shards, or URL such as s3://BUCKET/PREFIX")
 
     download = add_verb(verbs, "download", _download, "download a data set from the Hub or a URL; resumes if stopped")

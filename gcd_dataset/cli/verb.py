@@ -19,25 +19,6 @@ if TYPE_CHECKING:
     from gcd_dataset.records import Body, Measurements
     from gcd_dataset.shards.store import Store
 
-__all__ = [
-    "BODY_NAMES",
-    "SOURCE_HELP",
-    "Parser",
-    "Stopped",
-    "add_body",
-    "add_height",
-    "add_quiet",
-    "add_server",
-    "add_verb",
-    "body_name",
-    "interrupts_after_imports",
-    "natural_number",
-    "open_source",
-    "process_count",
-    "require_folder",
-    "wearer_of",
-]
-
 SIGNALLED = 128  # added by shells to the number of the signal that ended a program
 USUAL: Mapping[int, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 """The signals that end a verb in good order, and Python's handlers of them."""
@@ -106,12 +87,12 @@ def body_name(text: str) -> str:
     raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {BODY_NAMES}, or a mesh file{nearest}")
 
 
-def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Parser:
-    """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code."""
+def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, more: str = "") -> Parser:
+    """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code, ``more`` is for its own help."""
     parser: Parser = verbs.add_parser(
         name,
         help=text,
-        description=f"{text[0].upper()}{text[1:]}.",
+        description=f"{text[0].upper()}{text[1:]}.\n{more}".rstrip(),
         epilog="\n  ".join(["examples:", *EXAMPLES[name]]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

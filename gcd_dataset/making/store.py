@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import logging
 import re
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from itertools import islice
@@ -22,6 +23,7 @@ from gcd_dataset.shards.place import FolderPlace, Place
 LOCAL = ("file", "local")  # protocols of fsspec for folders
 READ_ONLY = ("http", "https", "hf")
 AT_ONCE = 32  # requests
+SLOW = 30.0  # s without an answer before a warning
 NAMED = 3  # files named in a message
 OURS = re.compile(r"\..*|views|mesh-.+|.+\.index|rejects\.jsonl|.+-\d{5,}\.json")
 """Files of a data set, besides its shards and its manifest."""
@@ -106,10 +108,16 @@ class UrlPlace(Place):
 
     @contextlib.contextmanager
     def _asking(self, error: type[OutputError | ShardError]) -> Iterator[tuple[Any, str]]:
-        """The file system of the store, and the path in it; turns its errors into ``error``."""
+        """The file system of the store, and the path in it; turns its errors into ``error``.
+
+        How long a request is tried is up to the store's library; after ``SLOW`` a warning is logged.
+        """
         import fsspec
 
-        begun = time.monotonic()
+        message = f"{self._url}: no answer for {SLOW:.0f} s; still trying, and Ctrl-C stops: finished shards are kept"
+        begun, timer = time.monotonic(), threading.Timer(SLOW, logger.warning, [message])
+        timer.daemon = True
+        timer.start()
         try:
             yield fsspec.core.url_to_fs(self._url)
         except FileNotFoundError as fault:
@@ -120,3 +128,5 @@ class UrlPlace(Place):
                 f"{self._url}: the store does not answer, or refuses ({' '.join(cause.split()):.300}): check the URL "
                 "and the rights of its credentials, then give the same command again to continue"
             ) from fault
+        finally:
+            timer.cancel()

@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import signal
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,7 +21,7 @@ from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.making import garments
+from gcd_dataset.making import garments, store
 from gcd_dataset.making.tasks import parse_job
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards.place import FolderPlace
@@ -228,6 +229,22 @@ def test_a_store_holds_the_bytes_of_a_folder(
         make(url, COUNT, seed=1)
     with pytest.raises(ConfigError, match="only folders grow"):
         make(url, COUNT + 1)
+
+
+def test_a_store_that_does_not_answer_is_reported(
+    url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def stall(*_: object, **__: object) -> None:
+        time.sleep(0.3)
+        raise TimeoutError("read timed out")
+
+    monkeypatch.setattr(store, "SLOW", 0.05)
+    monkeypatch.setattr(type(fsspec.filesystem("memory")), "find", stall)
+    with pytest.raises(
+        ShardError, match=r"does not answer, or refuses \(TimeoutError: read timed out; tried for 0 s\)"
+    ):
+        make(url, COUNT)
+    assert f"{url}: no answer for 0 s; still trying, and Ctrl-C stops" in caplog.text
 
 
 @pytest.mark.parametrize("out", ["http://server/set", "hf://org/set", "zip://a::http://b", "nothing://bucket"])
