@@ -140,8 +140,10 @@ def _make(place: Place, task: Task, maker: Maker, wanted: Mapping[str, str]) -> 
     import ray
 
     node = str(ray.util.get_node_ip_address())
-    if difference := mismatch(wanted, code_versions()):
-        raise ConfigError(f"node {node}: {difference}")
+    found = code_versions()
+    if other := [name for name in wanted if found.get(name) != wanted[name]]:
+        differences = ", ".join(f"{name} {found.get(name, 'missing')} instead of {wanted[name]}" for name in other)
+        raise ConfigError(f"node {node}: {differences}: install the same on every node")
     try:
         with contextlib.ExitStack() as opened:
             options: dict[str, Any] = {}
@@ -196,16 +198,6 @@ def code_versions() -> dict[str, str]:
     for path in sorted(root.rglob("*.py")):
         sources.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return versions() | {"sources": sources.hexdigest()[:12]}
-
-
-def mismatch(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
-    """The differences between the versions of a node and of this machine, with a remedy; ``None`` without any."""
-    different = [
-        f"{name} {theirs.get(name, 'missing')} instead of {version}"
-        for name, version in ours.items()
-        if theirs.get(name) != version
-    ]
-    return f"{', '.join(different)}: install the same on every node" if different else None
 
 
 # ------------------------------------------------------------------------------------------------------ on this machine

@@ -21,7 +21,7 @@ from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore
 from gcd_dataset.making.tasks import Job, Task, Work
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.layout import FAILED, Bytes
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord, parse_manifest
+from gcd_dataset.shards.manifest import MANIFEST, Plan, ShardRecord, parse_manifest
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
     EARLIER,
@@ -41,6 +41,10 @@ from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
 from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
 NO_WAITS: Waits = {}
+OTHER_PATTERNS = (
+    "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, draws "
+    "different patterns; the data set can be used, but not under that name"
+)
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -334,7 +338,10 @@ def index(place: Place) -> Gathered:
         while isinstance(place, FolderPlace) and earlier.is_dir():
             with writing(earlier), contextlib.suppress(FileNotFoundError):  # another process removes it, too
                 shutil.rmtree(earlier)
-        _warn_of_patterns(place, gathered.manifest)
+        recipe = gathered.manifest.recipe
+        known = "" if recipe is None else _published(recipe.name, recipe.sha256)
+        if recipe is not None and known and recipe.patterns != known:
+            logger.warning(OTHER_PATTERNS, place.location(), recipe.name)
     gathered.write(place)
     return gathered
 
@@ -343,14 +350,3 @@ def _published(name: str, sha256: str) -> str:
     """The hash of the patterns of a recipe of this package; empty if it is not known."""
     recipe = find_recipe(name) if name in recipe_names() else None
     return recipe.patterns if recipe is not None and recipe.sha256 == sha256 else ""
-
-
-def _warn_of_patterns(place: Place, manifest: Manifest) -> None:
-    recipe = manifest.recipe
-    if recipe is not None and (known := _published(recipe.name, recipe.sha256)) and recipe.patterns != known:
-        logger.warning(
-            "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, "
-            "draws different patterns; the data set can be used, but not under that name",
-            place.location(),
-            recipe.name,
-        )

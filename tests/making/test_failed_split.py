@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, encode_sample
-from gcd_dataset.verbs import Job, Progress, export, generate
-from tests.making.real import contents
+from gcd_dataset.verbs import Job, export, generate
+from tests.making.real import contents, stopped
 
 COUNT = 8
 KEPT = MakeConfig(
@@ -137,12 +138,7 @@ def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, monkeypat
     monkeypatch.setenv("HOME", str(tmp_path))
     url = f"memory://bucket/{tmp_path.name}"
 
-    def stop(progress: Progress) -> None:
-        if progress.made == 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        generate(url, COUNT, seed=5, config=KEPT, on_progress=stop)
+    stopped(partial(generate, url, COUNT, seed=5, config=KEPT), after=4)
     generate(url, COUNT, seed=5, config=KEPT)
     store = fsspec.filesystem("memory")
     root = f"/bucket/{tmp_path.name}/"

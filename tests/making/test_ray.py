@@ -1,6 +1,7 @@
 """The parts of the Ray engine that run without Ray."""
 
 import errno
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -13,8 +14,8 @@ from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.making import ray
-from gcd_dataset.making.ray import code_versions, gpu_share, mismatch, with_cluster_device
-from gcd_dataset.making.run import Made
+from gcd_dataset.making.ray import code_versions, gpu_share, with_cluster_device
+from gcd_dataset.making.run import Made, Maker
 from gcd_dataset.making.tasks import Task
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.place import FolderPlace
@@ -25,6 +26,7 @@ from tests.test_cli import one_line
 def fake_ray(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A module ``ray`` whose ``init`` takes SIGTERM, as that of Ray does."""
     found = SimpleNamespace(is_initialized=lambda: False, shutdown=lambda: None, cluster_resources=dict, nodes=list)
+    found.util = SimpleNamespace(get_node_ip_address=lambda: "10.0.0.7")
     found.init = lambda **_: signal.signal(signal.SIGTERM, lambda *_: None)
     monkeypatch.setitem(sys.modules, "ray", found)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
@@ -59,13 +61,20 @@ def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
     assert gpu_share([{"Alive": False, "Resources": resources[0]}, {"Alive": True, "Resources": resources[2]}]) == 0
 
 
-def test_versions_that_differ_are_named_with_both() -> None:
-    message = mismatch(versions(), versions() | {"numpy": "1.0"})
-    assert message is not None
-    assert message.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
-    assert mismatch(versions(), dict(versions())) is None
-    assert "gcd_dataset missing instead of" in str(mismatch(versions(), {}))
-    assert len(code_versions()["sources"]) == 12
+def node_task(place: Path, maker: Maker, wanted: dict[str, str]) -> None:
+    """Make a shard as a node does whose driver has the versions ``wanted``."""
+    task = Task(Plan("garments", 0, {"stage": "pattern"}, 1, 1), "train", 0, [0])
+    ray._make(FolderPlace(place), task, maker, wanted)
+
+
+def test_versions_that_differ_are_named_with_both(tmp_path: Path, fake_ray: SimpleNamespace) -> None:
+    wanted = code_versions() | {"numpy": "1.0", "other": "2.0"}
+    assert len(wanted["sources"]) == 12
+    message = (
+        f"node 10.0.0.7: numpy {versions()['numpy']} instead of 1.0, other missing instead of 2.0: install the same"
+    )
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        node_task(tmp_path, lambda wanted: iter(()), wanted)
 
 
 @pytest.mark.parametrize(
@@ -81,10 +90,8 @@ def test_a_fault_of_a_node_is_named_with_its_remedy(
     def maker(wanted: object) -> Iterator[Made]:
         raise fault
 
-    fake_ray.util = SimpleNamespace(get_node_ip_address=lambda: "10.0.0.7")
-    task = Task(Plan("garments", 0, {"stage": "pattern"}, 1, 1), "train", 0, [0])
     with pytest.raises(OutputError, match=f"{message}.*then give the same command again to continue"):
-        ray._make(FolderPlace(tmp_path), task, maker, code_versions())
+        node_task(tmp_path, maker, code_versions())
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])

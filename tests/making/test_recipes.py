@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,9 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.pattern_arrays import stored_patterns
-from gcd_dataset.verbs import Job, Progress, generate, generate_recipe
+from gcd_dataset.verbs import Job, generate, generate_recipe
 from tests.generator.test_recipes import TINY, written
-from tests.making.real import contents
+from tests.making.real import contents, stopped
 
 
 @pytest.fixture(scope="module")
@@ -77,19 +78,8 @@ def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> N
     assert len(manifest.recipe.patterns) == 64
 
 
-def stopped(folder: Path, recipe: Recipe, after: int) -> None:
-    """Make samples of a recipe until Ctrl-C after ``after`` of them."""
-
-    def report(progress: Progress) -> None:
-        if progress.made == after:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        generate_recipe(folder, recipe, workers=0, on_progress=report)
-
-
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
-    stopped(tmp_path, recipe, 7)
+    stopped(partial(generate_recipe, tmp_path, recipe, workers=0), after=7)
     assert any(
         "no split train: run gcd generate --recipe tiny again" in fault for fault in recipe_faults(tmp_path, recipe)
     )

@@ -25,8 +25,8 @@ from gcd_dataset.making import garments, store
 from gcd_dataset.making.tasks import parse_job
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.verbs import Job, Progress, generate, generate_people, index
-from tests.making.real import COUNT, CUFFED, contents, killed, made_once
+from gcd_dataset.verbs import Job, generate, generate_people, index
+from tests.making.real import COUNT, CUFFED, contents, killed, made_once, stopped
 from tests.shards.folders import forbidden, public_folder
 
 make = partial(generate, config=CUFFED, workers=0)
@@ -55,17 +55,6 @@ def whole(first: Path) -> dict[str, bytes]:
 @pytest.fixture
 def copy(first: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first, tmp_path / "copy"))
-
-
-def stopped(out: Path | str, after: int, count: int = COUNT) -> None:
-    """Make samples until Ctrl-C after ``after`` of them."""
-
-    def report(progress: Progress) -> None:
-        if progress.made == after:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        make(out, count, on_progress=report)
 
 
 def forked(work: Callable[[], Any]) -> int:
@@ -123,7 +112,7 @@ def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes])
 
 
 def test_ctrl_c_keeps_finished_shards_and_hides_the_one_in_work(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    stopped(tmp_path, 5)
+    stopped(partial(make, tmp_path, COUNT), after=5)
     found = contents(tmp_path)
     shards = {f"train-0000{number}.{ending}" for number in (0, 1) for ending in ("tar", "json")}
     assert found.keys() == shards | {".train-00002.part"}
@@ -215,7 +204,7 @@ def test_a_store_holds_the_bytes_of_a_folder(
     url: str, tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    stopped(url, 5)
+    stopped(partial(make, url, COUNT), after=5)
     assert stored(url).keys() < whole.keys()
     make(url, COUNT, job=Job(0, 2))
     make(url, COUNT, job=Job(1, 2))
@@ -266,7 +255,7 @@ def test_urls_that_cannot_be_written_to_are_refused(out: str) -> None:
 def test_another_data_set_is_refused(options: dict[str, Any], message: str, copy: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=message):
         make(copy, COUNT, **options)
-    stopped(tmp_path / "draft", 1)  # no shard is finished: its sample tells
+    stopped(partial(make, tmp_path / "draft", COUNT), after=1)  # no shard is finished: its sample tells
     with pytest.raises(ConfigError, match=message):
         make(tmp_path / "draft", COUNT, **options)
 
