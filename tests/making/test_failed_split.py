@@ -21,7 +21,6 @@ from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
-from gcd_dataset.shards import ShardReader, encode_sample
 from gcd_dataset.verbs import Job, export, generate
 from tests.making.real import contents, stopped
 
@@ -88,16 +87,6 @@ def test_settled_drapes_go_to_train_and_others_to_failed(out: Path, failed: list
     assert all(item["meta"]["drape"]["outcome"] == "SETTLED" for item in train)
     assert all(item["meta"]["drape"]["outcome"] != "SETTLED" for item in others)
     assert len(GarmentDataset(out, "train+failed")) == COUNT
-
-
-def test_samples_are_the_same_bytes_as_ever(out: Path, samples: tuple[Sample, ...], failed: list[int]) -> None:
-    for split in ("train", "failed"):
-        reader = ShardReader(out, split)
-        for position in range(len(reader)):
-            members = reader.read(position, reader.layout.members)
-            assert {name: bytes(data) for name, data in members.items()} == encode_sample(
-                samples[reader.number(position)]
-            )
 
 
 def test_readers_cope_with_gaps(out: Path, failed: list[int], tmp_path: Path) -> None:
