@@ -112,7 +112,11 @@ def _generate(
             config, make = opened.enter_context(ray_cluster(config, workers))
             workers = 0
         elif config.stage == "drape":
-            devices = _required_devices(config)
+            from gcd_dataset.generator.drape import resolve_device
+
+            devices = devices_of(config)
+            for device in devices:
+                resolve_device(device)  # raises for one that is missing, before anything is written
         plan = Plan(GARMENTS.kind, seed, recipe_of(config), sum(map(len, splits.values())), 1, named=named)
         work = Work(place_for(out), plan, splits, config.wearers)
         maker = partial(make_garments, seed, config, workers, named is not None)
@@ -157,13 +161,3 @@ def workers_for(config: MakeConfig, count: int) -> int:
     if config.stage == "drape" and device_kind(config) == "cpu":
         seconds += seconds_per_garment("cpu", config.resolution)
     return min(cores(), int(seconds * count / STARTUP), math.ceil(count / config.wearers))
-
-
-def _required_devices(config: MakeConfig) -> tuple[str, ...]:
-    """The devices of a config. Raises ``ConfigError`` for one that is missing, before anything is written."""
-    from gcd_dataset.generator.drape import resolve_device
-
-    devices = devices_of(config)
-    for device in devices:
-        resolve_device(device)
-    return devices

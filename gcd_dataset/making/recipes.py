@@ -81,21 +81,15 @@ def _log_estimate(recipe: Recipe, folder: Path, missing: int) -> None:
 def _lock_folder(folder: Path, recipe: Recipe) -> Iterator[None]:
     """Lock the folder for the block; waits, with a warning, while another process makes the data set there."""
     task = f"making {recipe.name}"
+    # A spawned worker that imports the main module again must not wait: its parent may hold the lock and wait for it.
+    # ``multiprocessing`` checks the same flag before it starts a process.
+    is_importing_main = getattr(multiprocessing.current_process(), "_inheriting", False)
     with ExitStack() as stack:
         try:
             stack.enter_context(locked(folder / LOCK, task))
         except OutputError as error:
-            if not isinstance(error.__cause__, BlockingIOError) or _is_importing_main():
+            if not isinstance(error.__cause__, BlockingIOError) or is_importing_main:
                 raise
             log.warning("%s: another process is %s there: waiting for it", folder, task)
             stack.enter_context(locked(folder / LOCK, task, wait=True))
         yield
-
-
-def _is_importing_main() -> bool:
-    """Whether this is a spawned worker that imports the main module again.
-
-    The parent may hold the lock and wait for this worker, so waiting here would deadlock. The module
-    ``multiprocessing`` checks the same flag before it starts a process.
-    """
-    return bool(getattr(multiprocessing.current_process(), "_inheriting", False))

@@ -4,7 +4,7 @@ import json
 import logging
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,8 @@ def test_a_file_that_is_no_log_is_refused_and_kept(
     content: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "file"
-    {"folder": path.mkdir, "pipe": partial(os.mkfifo, path)}.get(content, partial(path.write_text, content))()
+    others: dict[str, Callable[[], object]] = {"folder": path.mkdir, "pipe": partial(os.mkfifo, path)}
+    others.get(content, partial(path.write_text, content))()
     arguments = ["generate", str(tmp_path / "data"), "--count=1", "--stage=pattern", "--quiet"]
     assert main([*arguments, "--log", str(path)]) == 1
     assert message in capsys.readouterr().err
