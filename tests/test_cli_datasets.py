@@ -4,6 +4,8 @@ import os
 import re
 import shlex
 import shutil
+import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -168,12 +170,21 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     assert main(publish) == 0
 
 
-def test_a_signal_while_a_verb_starts_ends_it_with_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
+    number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """Also where a library raises an interrupt of its own, as Ray does."""
+
     def interrupted(**_: object) -> None:
-        raise KeyboardInterrupt
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt from None
 
     monkeypatch.setattr("logging.basicConfig", interrupted)
-    assert main(["info", "nowhere"]) == 130
+    assert main(["info", "nowhere"]) == code
     assert capsys.readouterr().err == "gcd: stopped: finished files are kept: run it again\n"
 
 

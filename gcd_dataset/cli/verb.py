@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from gcd_dataset import files
 from gcd_dataset.cli.examples import EXAMPLES
@@ -33,6 +33,9 @@ BODY_NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in RANDOM)))
 class Stopped(KeyboardInterrupt):
     """A verb was stopped by a signal; the message says how far it got, and how to go on."""
 
+    last: ClassVar[int] = signal.SIGINT
+    """The last signal: libraries such as Ray raise another ``KeyboardInterrupt`` in place of ours."""
+
     def __init__(self, number: int = signal.SIGINT, message: str = ": finished files are kept: run it again") -> None:
         super().__init__(f"stopped{message}")
         self.exit_code = SIGNALLED + number
@@ -40,8 +43,8 @@ class Stopped(KeyboardInterrupt):
 
     @classmethod
     def of(cls, error: KeyboardInterrupt) -> "Stopped":
-        """The error itself, or that of Ctrl-C."""
-        return error if isinstance(error, cls) else cls()
+        """The error itself, or that of the last signal."""
+        return error if isinstance(error, cls) else cls(cls.last)
 
 
 class Parser(argparse.ArgumentParser):
@@ -170,6 +173,7 @@ def interrupts_after_imports() -> Iterator[None]:
     is_main = threading.current_thread() is threading.main_thread()
     taken = [number for number, usual in USUAL.items() if is_main and signal.getsignal(number) == usual]
     later: dict[int, threading.Timer] = {}
+    Stopped.last = signal.SIGINT
 
     def interrupted(number: int, frame: FrameType | None) -> None:
         if (timer := later.pop(number, None)) is not None:
@@ -177,6 +181,7 @@ def interrupts_after_imports() -> Iterator[None]:
         if not _must_wait(frame):
             if number == signal.SIGTERM:
                 signal.signal(number, signal.SIG_IGN)
+            Stopped.last = number
             raise Stopped(number)
         later[number] = threading.Timer(RETRY, os.kill, (os.getpid(), number))
         later[number].daemon = True
