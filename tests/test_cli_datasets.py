@@ -4,6 +4,8 @@ import os
 import re
 import shlex
 import shutil
+import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -151,9 +153,10 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     said(capsys)
     assert main(["info", str(out)]) == 0
     assert "  unfinished: 3 of 8 samples are made: gcd generate" in said(capsys)
-    assert main(["verify", str(out)]) == 1
     message = "3 of 8 samples are made"
-    assert message in said(capsys)
+    for verb, code in (("verify", 1), ("index", 0)):
+        assert main([verb, str(out)]) == code
+        assert message in said(capsys)
     assert main(publish) == 2
     assert message in (error := capsys.readouterr().err)
     assert "--partial" in error
@@ -165,6 +168,24 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     assert main(["info", str(out)]) == 0
     assert "unfinished" not in said(capsys)
     assert main(publish) == 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
+    number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """Also where a library raises an interrupt of its own, as Ray does."""
+
+    def interrupted(**_: object) -> None:
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr("logging.basicConfig", interrupted)
+    assert main(["info", "nowhere"]) == code
+    assert capsys.readouterr().err == "gcd: stopped: finished files are kept: run it again\n"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.garments import encoded
 from gcd_dataset.making.progress import Progress
-from gcd_dataset.making.run import Made, Wanted, begin, make_shards, place_for, run
+from gcd_dataset.making.run import Made, Wanted, run
+from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
@@ -81,9 +82,8 @@ def test_an_interrupted_run_closes_its_source_at_once(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     work = Work(place_for(tmp_path), Plan("garments", 0, {"fake": True}, 3, 1), {"train": range(3)})
-    begin(work)
     with pytest.raises(KeyboardInterrupt) as caught:
-        run(work, partial(make_shards, maker=make), on_progress=interrupt)
+        run(work, make, on_progress=interrupt)
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 

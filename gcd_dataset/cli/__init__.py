@@ -44,10 +44,10 @@ BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, n
 @interrupts_after_imports()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     name = "gcd"
     try:
+        logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+        logging.getLogger("gcd_dataset").setLevel(logging.INFO)
         options = _with_user_paths(_parse(arguments))
         name = f"gcd {options.verb}"
         return int(options.run(options))
@@ -255,11 +255,15 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
-    generate = add_verb(verbs, "generate", _generate, "make a data set")
+    again = (
+        "The same command continues a stopped run, and with a larger --count a folder grows:\n"
+        "finished samples are not made again."
+    )
+    generate = add_verb(verbs, "generate", _generate, "make a data set", again)
     generate.add_argument(
         "out", metavar="OUT", help="folder for the shards, created if missing; or a URL such as s3://BUCKET/PREFIX"
     )
-    generate.add_argument("--count", type=natural_number, help="number of garments, or of bodies")
+    generate.add_argument("--count", type=natural_number, metavar="N", help="number of garments, or of bodies")
     generate.add_argument("--seed", type=natural_number, help="seed of all random numbers (default: 0)")
     generate.add_argument(
         "--recipe",
@@ -270,7 +274,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         "--workers",
         type=process_count,
         metavar="K|auto",
-        help="processes that make garments; on each GPU two more drape them (default: auto, one for each core)",
+        help="processes that make garments; on each GPU two more drape them (default: auto, one for each core); with "
+        "--engine ray: shards in work at a time (default: as many as the cluster has room for)",
     )
     generate.add_argument(
         "--engine",
@@ -288,8 +293,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     generate.add_argument(
         "--job",
         metavar="I/N",
-        help="make every N-th shard only, from shard I on, I from 0; jobs may run at the same time, and the last "
-        "one writes manifest and index (default: all shards)",
+        help="for array jobs: make every N-th shard only, from shard I on, I from 0 to N-1; jobs may run at the same "
+        "time, on any machines that share OUT, and the last one writes manifest and index (default: all shards)",
     )
     generate.add_argument(
         "--log", type=Path, metavar="FILE", help="append progress, rate, waits and memory as lines of JSON"

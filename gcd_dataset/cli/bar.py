@@ -11,8 +11,6 @@ from gcd_dataset.making.progress import SETTLED, Progress
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["Bar", "postfix"]
-
 MOST_RULES = 3  # rules named in the bar
 
 

@@ -10,8 +10,6 @@ from typing import Any
 from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb, open_source, require_folder
 from gcd_dataset.errors import ConfigError, ShardError
 
-__all__ = ["add_verbs", "summary_lines"]
-
 RECIPE = "recipe:"
 
 
@@ -28,7 +26,11 @@ def add_verbs(verbs: Any) -> None:
     verify.add_argument("--full", action="store_true", help="check every byte, not only headers and lengths")
     verify.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
 
-    index = add_verb(verbs, "index", _index, "gather manifest and index of a data set from its shards")
+    itself = (
+        "gcd generate and gcd convert do so themselves when the last shard is made: this is for\n"
+        "data sets that stay unfinished, and for lost or damaged files beside the shards."
+    )
+    index = add_verb(verbs, "index", _index, "gather manifest and index of a data set from its shards", itself)
     index.add_argument("dataset", metavar="DATASET", help="folder of shards, or URL such as s3://BUCKET/PREFIX")
 
     download = add_verb(verbs, "download", _download, "download a data set from the Hub or a URL; resumes if stopped")
@@ -71,7 +73,7 @@ def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
 
     if options.dataset.startswith(RECIPE):
-        from gcd_dataset.making.recipes import recipe_lines
+        from gcd_dataset.cli.recipes import recipe_lines
 
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
@@ -86,8 +88,8 @@ def _verify(options: argparse.Namespace) -> int:
     folder, count, named = require_folder(options.dataset), 0, ""
     found = faults(folder, full=options.full)
     if options.recipe is not None:
+        from gcd_dataset.cli.recipes import recipe_faults
         from gcd_dataset.generator.recipes import find_recipe
-        from gcd_dataset.making.recipes import recipe_faults
 
         recipe = find_recipe(options.recipe)
         named, found = f": this is {recipe.name}", chain(found, recipe_faults(folder, recipe))
@@ -100,7 +102,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _index(options: argparse.Namespace) -> int:
-    from gcd_dataset.making.run import place_for
+    from gcd_dataset.making.store import place_for
     from gcd_dataset.verbs import index
 
     if "://" not in options.dataset:

@@ -20,12 +20,11 @@ from gcd_dataset.cli.verb import (
 )
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
-__all__ = ["add_verbs"]
-
 
 def add_verbs(verbs: Any) -> None:
     """Add these verbs to ``gcd``."""
-    convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards")
+    again = "The same command continues a stopped conversion, and adds the garments of further batches."
+    convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards", again)
     convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and the like")
     convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; created if missing")
     convert.add_argument(

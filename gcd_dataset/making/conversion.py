@@ -1,7 +1,7 @@
 """Converting the published GarmentCodeData to shards."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
@@ -10,7 +10,8 @@ from typing import NamedTuple
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Wanted, make_shards, place_for, run
+from gcd_dataset.making.run import Made, Wanted, run
+from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
@@ -21,17 +22,14 @@ from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.notes import note_name, read_note, shards_named
 from gcd_dataset.workers import parallel_map_chunks
 
-__all__ = ["convert"]
-
 CHUNK = 8  # garments per task of a worker: a second of work, 12 MB of results
 SEED = 0  # published garments have no seed
 
 
 class _Source(NamedTuple):
-    """One split of a published data set."""
+    """A published data set."""
 
     root: Path
-    split: str
     bodies: str
     cache_dir: Path | None
 
@@ -54,32 +52,20 @@ def convert(
     """
     _batches.cache_clear()  # further batches may have been downloaded
     _dataset.cache_clear()
-    cache = None if cache_dir is None else Path(cache_dir)
-    sources = {split: _Source(Path(root), split, bodies, cache) for split in SPLIT_NAMES}
-    garments = {
-        split: PublishedGarments(_batches(root_, body, folder), split)
-        for root_, split, body, folder in sources.values()
-    }
+    source = _Source(Path(root), bodies, None if cache_dir is None else Path(cache_dir))
+    garments = [PublishedGarments(_batches(source), split) for split in SPLIT_NAMES]
+    if not any(map(len, garments)):
+        garments[0].require_any()
     positions = {
-        split: {entry.index: k for k, entry in enumerate(found.entries)}
-        for split, found in garments.items()
+        found.split: {entry.index: position for position, entry in enumerate(found.entries)}
+        for found in garments
         if len(found)
     }
-    if not positions:
-        next(iter(garments.values())).require_any()
-    origin = _dataset(sources[next(iter(positions))]).origin
+    origin = _dataset(source, next(iter(positions))).origin
     plan = Plan(GARMENTS.kind, SEED, origin, sum(map(len, positions.values())), 1)
     work = Work(place_for(out), plan, {split: sorted(numbers) for split, numbers in positions.items()})
-
-    def make(wanted: Wanted) -> Iterator[Made]:
-        runs = []
-        for split, tasks in groupby(wanted, key=lambda entry: entry[0].split):
-            of_split = [positions[split][index] for _, left in tasks for index in left]
-            runs.append(parallel_map_chunks(partial(_convert, sources[split]), of_split, workers, chunk=CHUNK))
-        return chain.from_iterable(runs)
-
     _retry_skipped(work)
-    return run(work, partial(make_shards, maker=make), on_progress=on_progress)
+    return run(work, partial(_make, source, positions, workers), on_progress=on_progress)
 
 
 def _retry_skipped(work: Work) -> None:
@@ -91,25 +77,32 @@ def _retry_skipped(work: Work) -> None:
             work.place.remove(note.record.name(split))
 
 
+def _make(source: _Source, positions: Mapping[str, Mapping[int, int]], workers: int, wanted: Wanted) -> Iterator[Made]:
+    runs = []
+    for split, tasks in groupby(wanted, key=lambda entry: entry[0].split):
+        of_split = [positions[split][index] for _, left in tasks for index in left]
+        runs.append(parallel_map_chunks(partial(_convert, source, split), of_split, workers, chunk=CHUNK))
+    return chain.from_iterable(runs)
+
+
 @functools.lru_cache(maxsize=1)
-def _batches(root: Path, bodies: str, cache_dir: Path | None) -> PublishedBatches:
+def _batches(source: _Source) -> PublishedBatches:
     """The published batches; cached, since each worker process needs them once."""
-    return PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
+    return PublishedBatches(source.root, bodies=source.bodies, cache_dir=source.cache_dir)
 
 
 @functools.lru_cache(maxsize=len(SPLIT_NAMES))
-def _dataset(source: _Source) -> PublishedGarmentCodeData:
+def _dataset(source: _Source, split: str) -> PublishedGarmentCodeData:
     """A published split; cached, since each worker process needs it once."""
-    return PublishedGarmentCodeData(_batches(source.root, source.bodies, source.cache_dir), source.split)
+    return PublishedGarmentCodeData(_batches(source), split)
 
 
-def _convert(source: _Source, positions: Sequence[int]) -> list[Made]:
-    return [_convert_one(_dataset(source), position) for position in positions]
-
-
-def _convert_one(published: PublishedGarmentCodeData, position: int) -> Made:
-    index = published.number(position)
-    try:
-        return Made(index, encode_sample(published.sample(position)))
-    except (ShardError, PatternError) as error:
-        return Made(index, None, f"{published.name(position)}: {error}")
+def _convert(source: _Source, split: str, positions: Sequence[int]) -> list[Made]:
+    published, made = _dataset(source, split), []
+    for position in positions:
+        index = published.number(position)
+        try:
+            made.append(Made(index, encode_sample(published.sample(position))))
+        except (ShardError, PatternError) as error:
+            made.append(Made(index, None, f"{published.name(position)}: {error}"))
+    return made

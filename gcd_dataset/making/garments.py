@@ -3,7 +3,7 @@
 import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -12,17 +12,15 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
-from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Maker, MakeShards, Wanted, make_shards, place_for, run
+from gcd_dataset.making.run import Made, MakeShards, Wanted, make_shards, run
+from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import GARMENTS, TRAIN
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.waits import take_waits
-
-__all__ = ["CPU_SECONDS", "Engine", "encoded", "generate", "generate_recipe", "maker_of", "work_of", "workers_for"]
 
 Engine = Literal["local", "ray"]
 
@@ -64,10 +62,9 @@ def generate(
     neither on that nor on ``workers`` and ``job``. Raises ``ConfigError`` if ``out`` holds another data set,
     ``OutputError`` if it cannot be written, ``GcdError`` if a process is killed.
     """
-    check_count(count)
-    return _generate(
-        out, {TRAIN: range(count)}, seed, config or MakeConfig(), None, job, workers, engine, on_progress, log
-    )
+    splits, config = {TRAIN: range(check_count(count))}, config or MakeConfig()
+    options = {"job": job, "workers": workers, "engine": engine, "on_progress": on_progress, "log": log}
+    return _generate(out, splits, seed, config, None, **options)
 
 
 def generate_recipe(
@@ -87,10 +84,10 @@ def generate_recipe(
     raises as ``find_recipe`` does, too. The manifest names the recipe, with the hash of all patterns.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
-    config = replace(recipe.config, device=device)
     splits = {split: recipe.indices_in(split).tolist() for split in recipe.splits}
-    named = (recipe.name, recipe.sha256)
-    return _generate(out, splits, recipe.seed, config, named, job, workers, engine, on_progress, log)
+    config, named = replace(recipe.config, device=device), (recipe.name, recipe.sha256)
+    options = {"job": job, "workers": workers, "engine": engine, "on_progress": on_progress, "log": log}
+    return _generate(out, splits, recipe.seed, config, named, **options)
 
 
 def _generate(
@@ -99,66 +96,51 @@ def _generate(
     seed: int,
     config: MakeConfig,
     named: tuple[str, str] | None,
-    job: Job | None,
-    workers: int | None,
-    engine: str,
-    on_progress: ProgressCallback,
-    log: Path | str | None,
+    **given: Any,
 ) -> Progress:
+    """``named``: name and SHA-256 of the recipe; ``given``: the other options of ``generate``."""
+    workers, engine = given["workers"], given["engine"]
     if engine not in (known := get_args(Engine)):
         raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
-    count = sum(map(len, splits.values()))
-    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine}
-    options |= _as_json(config) | {"job": job and str(job), "name": named and named[0]}
+    options = {"workers": workers, "engine": engine}
     with contextlib.ExitStack() as opened:
-        make: MakeShards
+        make: MakeShards = make_shards
+        devices: tuple[str, ...] = ()
         if engine == "ray":
             from gcd_dataset.making.ray import ray_cluster
 
-            cluster = opened.enter_context(ray_cluster(config, workers))
-            config = cluster.config
-            make = partial(cluster.make_shards, keeps_all=named is not None)
-        else:
-            _require_devices(config)
-            make = partial(make_shards, maker=maker_of(seed, config, workers, keeps_all=named is not None))
-        work = work_of(out, splits, seed, config, named)
-        devices = devices_of(config) if engine == "local" and config.stage == "drape" else ()
-        logging = run_log(log, on_progress, options=options, recipe=recipe_of(config), devices=devices)
-        on_progress = opened.enter_context(logging)
-        return run(work, make, job=job, on_progress=on_progress)
+            config, make = opened.enter_context(ray_cluster(config, workers))
+            workers = 0
+        elif config.stage == "drape":
+            from gcd_dataset.generator.drape import resolve_device
+
+            devices = devices_of(config)
+            for device in devices:
+                resolve_device(device)  # raises for one that is missing, before anything is written
+        plan = Plan(GARMENTS.kind, seed, recipe_of(config), sum(map(len, splits.values())), 1, named=named)
+        work = Work(place_for(out), plan, splits, config.wearers)
+        maker = partial(make_garments, seed, config, workers, named is not None)
+        run_options = {"job": given["job"], "log": given["log"], "options": options, "devices": devices}
+        return run(work, maker, engine=make, on_progress=given["on_progress"], **run_options)
 
 
-def work_of(
-    out: Path | str,
-    splits: Mapping[str, Sequence[int]],
-    seed: int,
-    config: MakeConfig,
-    named: tuple[str, str] | None = None,
-) -> Work:
-    """The data set to make. ``splits``: split to indices; ``named``: name and SHA-256 of its recipe."""
-    count = sum(map(len, splits.values()))
-    plan = Plan(GARMENTS.kind, seed, recipe_of(config), count, 1, named=named)
-    return Work(place_for(out), plan, splits, config.wearers)
+def make_garments(
+    seed: int, config: MakeConfig, workers: int | None, keeps_all: bool, wanted: Wanted, **options: Any
+) -> Iterator[Made]:
+    """Make the missing garments of tasks.
 
+    ``keeps_all``: failed drapes stay in their split; ``options``: of ``produce``.
+    """
+    indices = [index for _, left in wanted for index in left]
+    if not indices:
+        return iter(())
+    if config.stage == "drape" and not options:
+        from gcd_dataset.generator.drape import log_drape_time
 
-def maker_of(
-    seed: int, config: MakeConfig, workers: int | None = None, *, keeps_all: bool = False, **options: Any
-) -> Maker:
-    """The maker of garments. ``keeps_all``: failed drapes stay in their split; ``options``: of ``produce``."""
-
-    def make(wanted: Wanted) -> Iterator[Made]:
-        indices = [index for _, left in wanted for index in left]
-        if not indices:
-            return iter(())
-        if config.stage == "drape" and not options:
-            from gcd_dataset.generator.drape import log_drape_time
-
-            log_drape_time(len(indices), config.device, config.resolution)
-        processes = workers_for(config, len(indices)) if workers is None else workers
-        finished = partial(encoded, config.wearers, keeps_all)
-        return produce(seed, indices, config, workers=processes, finished=finished, **options)
-
-    return make
+        log_drape_time(len(indices), config.device, config.resolution)
+    processes = workers_for(config, len(indices)) if workers is None else workers
+    finished = partial(encoded, config.wearers, keeps_all)
+    return produce(seed, indices, config, workers=processes, finished=finished, **options)
 
 
 def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
@@ -172,31 +154,10 @@ def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
 
 def workers_for(config: MakeConfig, count: int) -> int:
     """The fastest number of processes to make ``count`` samples: one for each core, fewer for a small number."""
+    from gcd_dataset.generator.drape import seconds_per_garment
     from gcd_dataset.generator.drape.device import cores
 
-    worthwhile = int(_cpu_seconds(config) * count / STARTUP)
-    return min(cores(), worthwhile, math.ceil(count / config.wearers))
-
-
-def _cpu_seconds(config: MakeConfig) -> float:
-    """CPU time of a worker for one garment [s], draping included if it runs on the CPU."""
-    from gcd_dataset.generator.drape import seconds_per_garment
-
-    each = CPU_SECONDS[config.stage]
+    seconds = CPU_SECONDS[config.stage]
     if config.stage == "drape" and device_kind(config) == "cpu":
-        each += seconds_per_garment("cpu", config.resolution)
-    return each
-
-
-def _require_devices(config: MakeConfig) -> None:
-    """Raise ``ConfigError`` for a device that is missing, before anything is written."""
-    if config.stage == "drape":
-        from gcd_dataset.generator.drape import resolve_device
-
-        for device in devices_of(config):
-            resolve_device(device)
-
-
-def _as_json(config: MakeConfig) -> dict[str, Any]:
-    """The options as a JSON object."""
-    return {entry.name: getattr(config, entry.name) for entry in fields(config)} | {"design": config.design.to_dict()}
+        seconds += seconds_per_garment("cpu", config.resolution)
+    return min(cores(), int(seconds * count / STARTUP), math.ceil(count / config.wearers))

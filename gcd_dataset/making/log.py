@@ -16,6 +16,7 @@ end, stopped, failed
     error message. A killed run logs none of these events.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -25,7 +26,6 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,6 @@ from gcd_dataset.generator.recipe import versions
 from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.shards.layout import recipe_hash
 
-__all__ = ["run_log"]
-
 EVERY = 100  # samples between two progress lines …
 EVERY_S = 10.0  # … or seconds
 BEGIN = b'{"event": "'
@@ -46,7 +44,7 @@ TAIL = 1 << 20  # bytes read to find the last line; longer than any line
 logger = logging.getLogger("gcd_dataset")
 
 
-@contextmanager
+@contextlib.contextmanager
 def run_log(
     path: Path | str | None,
     on_progress: ProgressCallback,
@@ -54,7 +52,6 @@ def run_log(
     options: Mapping[str, Any],
     recipe: Mapping[str, Any],
     devices: Sequence[str] = (),
-    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[ProgressCallback]:
     """Log the block as a run: yields a callback that calls ``on_progress`` and appends to the log in ``path``.
 
@@ -64,42 +61,35 @@ def run_log(
     if path is None:
         yield on_progress
         return
-    lines = _Lines(user_path(path))
-    try:
-        machine = {"host": platform.node(), "pid": os.getpid(), **_hardware(devices)}
-        begin = {"options": options, "versions": versions(), "recipe": recipe_hash(recipe), "machine": machine}
-        lines.write("begin", begin)
-        run = _Run(lines, on_progress, clock)
+    from gcd_dataset.generator.drape.device import cores, device_names
+
+    with _appended(user_path(path)) as write:
+        last = logged = Progress(0, 0)
+        begun = written = time.monotonic()
+        gpus = device_names([device for device in devices if device != "cpu"])
+        machine = {"host": platform.node(), "pid": os.getpid(), "cores": cores(), "gpus": gpus}
+        write("begin", {"options": options, "versions": versions(), "recipe": recipe_hash(recipe), "machine": machine})
+
+        def report(progress: Progress) -> None:
+            nonlocal last, logged, written
+            last, now = progress, time.monotonic()
+            if progress.made - logged.made >= EVERY or (now - written >= EVERY_S and progress.made):
+                logged, written = progress, now
+                write("progress", _figures(progress))
+            on_progress(progress)
+
+        def end(event: str, **more: str) -> None:
+            write(event, {**_figures(last), "seconds": round(time.monotonic() - begun, 3), **more})
+
         try:
-            yield run.report
-        except BaseException as error:
-            run.end("stopped" if isinstance(error, KeyboardInterrupt) else "failed", error)
+            yield report
+        except KeyboardInterrupt:
+            end("stopped")
             raise
-        run.end("end")
-    finally:
-        lines.close()
-
-
-class _Run:
-    """Forwards progress to a callback, and logs it at intervals."""
-
-    def __init__(self, lines: "_Lines", on_progress: ProgressCallback, clock: Callable[[], float]) -> None:
-        self._lines, self._on_progress, self._clock = lines, on_progress, clock
-        self._begun = self._written = clock()
-        self._made, self._last = 0, Progress(0, 0)
-
-    def report(self, progress: Progress) -> None:
-        self._last = progress
-        if progress.made - self._made >= EVERY or (self._clock() - self._written >= EVERY_S and progress.made):
-            self._written, self._made = self._clock(), progress.made
-            self._lines.write("progress", _figures(progress))
-        self._on_progress(progress)
-
-    def end(self, event: str, error: BaseException | None = None) -> None:
-        entry: dict[str, Any] = {**_figures(self._last), "seconds": round(self._clock() - self._begun, 3)}
-        if event == "failed":
-            entry["error"] = " ".join(str(error).split()) or type(error).__name__
-        self._lines.write(event, entry)
+        except BaseException as error:
+            end("failed", error=" ".join(str(error).split()) or type(error).__name__)
+            raise
+        end("end")
 
 
 def _figures(progress: Progress) -> dict[str, Any]:
@@ -116,12 +106,6 @@ def _figures(progress: Progress) -> dict[str, Any]:
     }
 
 
-def _hardware(devices: Sequence[str]) -> dict[str, Any]:
-    from gcd_dataset.generator.drape.device import cores, device_names
-
-    return {"cores": cores(), "gpus": device_names([device for device in devices if device != "cpu"])}
-
-
 def _resident() -> float:
     """Resident memory of this process [bytes]; its peak on systems without ``/proc``."""
     try:
@@ -131,51 +115,47 @@ def _resident() -> float:
         return peak if sys.platform == "darwin" else peak * 1024
 
 
-class _Lines:
-    """A log file open for appending. Raises ``OutputError`` if it cannot be opened."""
+# ------------------------------------------------------------------------------------------------------------ the file
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._failed = path, False
-        make_folder(path.parent)
+
+@contextlib.contextmanager
+def _appended(path: Path) -> Iterator[Callable[[str, Mapping[str, Any]], None]]:
+    """The function that appends a line to a log file: its event and its other keys. Raises ``OutputError``."""
+    make_folder(path.parent)
+    with contextlib.ExitStack() as opened:
         with writing_to(path):
             # With O_NONBLOCK, opening a pipe without a reader fails instead of blocking.
-            flags = os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
-            self._file = os.open(path, os.O_WRONLY | flags, 0o644)
+            file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+            opened.callback(os.close, file)
+            _drop_partial_line(file, path)
+        failed = False
+
+        def write(event: str, entry: Mapping[str, Any]) -> None:
+            nonlocal failed
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
             try:
-                self._drop_partial_line()
-            except BaseException:
-                self.close()
-                raise
+                _append(file, (json.dumps({"event": event, "time": now, **entry}, default=str) + "\n").encode())
+            except OSError as error:
+                if not failed:
+                    logger.warning("%s: cannot be written (%s): the run goes on without its log", path, error.strerror)
+                failed = True
 
-    def write(self, event: str, entry: Mapping[str, Any]) -> None:
-        """Append a line; the first failure logs a warning, later ones are silent."""
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        line = json.dumps({"event": event, "time": now, **entry}, default=str) + "\n"
-        try:
-            _append(self._file, line.encode())
-        except OSError as error:
-            if not self._failed:
-                logger.warning(
-                    "%s: cannot be written (%s): the run goes on without its log", self._path, error.strerror
-                )
-            self._failed = True
+        yield write
 
-    def close(self) -> None:
-        os.close(self._file)
 
-    def _drop_partial_line(self) -> None:
-        """Truncate a partial last line, left by a power cut. Raises ``OutputError`` for a file that is not a log."""
-        status = os.fstat(self._file)
-        if not stat.S_ISREG(status.st_mode):
-            return
-        with self._path.open("rb") as file:
-            file.seek(max(status.st_size - TAIL, 0))
-            before, _, partial = file.read().rpartition(b"\n")
-        last = before.rpartition(b"\n")[2]
-        is_foreign = last and not last.startswith(BEGIN)
-        if is_foreign or (partial and not (partial.startswith(BEGIN) or BEGIN.startswith(partial))):
-            raise OutputError(f"{self._path}: its last line is not a line of a run log: choose another file")
-        os.ftruncate(self._file, status.st_size - len(partial))
+def _drop_partial_line(file: int, path: Path) -> None:
+    """Truncate a partial last line, left by a power cut. Raises ``OutputError`` for a file that is not a log."""
+    status = os.fstat(file)
+    if not stat.S_ISREG(status.st_mode):
+        return
+    with path.open("rb") as content:
+        content.seek(max(status.st_size - TAIL, 0))
+        before, _, partial = content.read().rpartition(b"\n")
+    last = before.rpartition(b"\n")[2]
+    is_foreign = last and not last.startswith(BEGIN)
+    if is_foreign or (partial and not (partial.startswith(BEGIN) or BEGIN.startswith(partial))):
+        raise OutputError(f"{path}: its last line is not a line of a run log: choose another file")
+    os.ftruncate(file, status.st_size - len(partial))
 
 
 def _append(file: int, line: bytes) -> None:

@@ -3,21 +3,20 @@
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import versions
-from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
-from gcd_dataset.making.run import Made, Wanted, begin, make_shards, place_for, run
+from gcd_dataset.making.run import Made, Wanted, run
+from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
 from gcd_dataset.shards.layout import BODIES, TRAIN, mesh_name
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.waits import take_waits
 from gcd_dataset.workers import parallel_map_chunks
-
-__all__ = ["generate_people"]
 
 CHUNK = 16  # people per task of a worker: a quarter of a second of work, 10 MB of results
 CPU_SECONDS = 0.016  # CPU time per body [s]
@@ -43,22 +42,19 @@ def generate_people(
     check_count(count)
     mesh = model_mesh()
     recipe = {**people_recipe(bodies), "mesh": mesh.sha256}
-    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "job": job and str(job), **recipe}
-    work = Work(place_for(out), Plan(BODIES.kind, seed, recipe, count, 1), {TRAIN: range(count)})
-
-    def make(wanted: Wanted) -> Iterator[Made]:
-        indices = [index for _, left in wanted for index in left]
-        processes = min(cores(), int(CPU_SECONDS * len(indices) / STARTUP)) if workers is None else workers
-        return parallel_map_chunks(partial(_make, bodies, seed, recipe), indices, processes, chunk=CHUNK)
-
-    with run_log(log, on_progress, options=options, recipe=recipe) as on_progress:
-        begin(work)
-        if not work.place.exists(mesh_name(TRAIN)):
-            work.place.write(mesh_name(TRAIN), mesh_bytes(mesh))
-        return run(work, partial(make_shards, maker=make), job=job, on_progress=on_progress)
+    plan, files = Plan(BODIES.kind, seed, recipe, count, 1), {mesh_name(TRAIN): mesh_bytes(mesh)}
+    work = Work(place_for(out), plan, {TRAIN: range(count)}, files=files)
+    maker = partial(_make, seed, bodies, recipe, workers)
+    return run(work, maker, job=job, on_progress=on_progress, log=log, options={"workers": workers})
 
 
-def _make(bodies: str, seed: int, recipe: dict[str, str], indices: Sequence[int]) -> list[Made]:
+def _make(seed: int, bodies: str, recipe: dict[str, Any], workers: int | None, wanted: Wanted) -> Iterator[Made]:
+    indices = [index for _, left in wanted for index in left]
+    processes = min(cores(), int(CPU_SECONDS * len(indices) / STARTUP)) if workers is None else workers
+    return parallel_map_chunks(partial(_make_chunk, seed, bodies, recipe), indices, processes, chunk=CHUNK)
+
+
+def _make_chunk(seed: int, bodies: str, recipe: dict[str, Any], indices: Sequence[int]) -> list[Made]:
     origin = {"seed": seed, "versions": versions()}
     people = ((index, make_person(seed, index, bodies=bodies)) for index in indices)
     return [

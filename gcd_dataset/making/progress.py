@@ -8,10 +8,9 @@ from typing import NamedTuple, Self
 
 from gcd_dataset.waits import Wait, Waits, sum_waits, wait_shares
 
-__all__ = ["SETTLED", "Pace", "Progress", "ProgressCallback", "ignore_progress"]
-
 SETTLED = "SETTLED"  # name of ``Outcome.SETTLED``
 WINDOW = 60.0  # s: rates and waits are averages over the last minute
+EVERY = 1.0  # s between two marks of the window, which begins at one
 
 
 @dataclass(frozen=True)
@@ -75,13 +74,10 @@ class _Mark(NamedTuple):
 
 
 class Pace:
-    """Rate and waits over a sliding window of a minute.
+    """Rate and waits over a sliding window of a minute. ``clock``: time [s] from any origin."""
 
-    ``clock``: time [s] from any origin; ``every``: seconds between two marks. The window begins at a mark.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic, *, every: float = 1.0) -> None:
-        self._clock, self._every = clock, every
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._waits: Waits = {}
         self._marks = deque([_Mark(clock(), 0, {})])
 
@@ -92,7 +88,7 @@ class Pace:
         while len(marks) > 1 and now - marks[1].time >= WINDOW:
             marks.popleft()
         first = marks[0]
-        if now - marks[-1].time >= self._every:
+        if now - marks[-1].time >= EVERY:
             marks.append(_Mark(now, progress.made, self._waits))
         if now <= first.time:
             return progress

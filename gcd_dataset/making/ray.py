@@ -5,22 +5,18 @@ node again, and a run that was stopped continues with the missing ones. Tasks on
 """
 
 import contextlib
-import errno
 import fcntl
 import hashlib
-import logging
 import os
 import signal
 import socket
 import tempfile
-import threading
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from gcd_dataset.errors import ConfigError, DrapeError, GcdError, OutputError, shown
@@ -28,19 +24,15 @@ from gcd_dataset.generator.drapers import SharedDraper
 from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, DraperAddress, owner_file
 from gcd_dataset.generator.maker import AHEAD
 from gcd_dataset.generator.recipe import MakeConfig, versions
-from gcd_dataset.making.garments import maker_of
-from gcd_dataset.making.run import Made, make_shards
+from gcd_dataset.making.run import Made, Maker, MakeShards, make_shards
 from gcd_dataset.making.tasks import Task
 from gcd_dataset.shards.place import Place
-
-__all__ = ["RayCluster", "code_versions", "gpu_share", "mismatch", "ray_cluster", "with_cluster_device"]
 
 RETRIES = 3  # of a shard, after losses of its worker, node or draping process
 IN_FLIGHT = 1000  # tasks that Ray knows of: an autoscaler sees the demand
 ANSWER = 10.0  # s: longest wait for the address of a cluster
 LOOK = 30.0  # s between checks of the nodes while no shard is done
 CPUS, CPUS_BESIDE_GPU = 1.0, 0.5  # of a task: while one waits for its drapes, another uses the CPU
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors of a disk without room
 RESUME = "then give the same command again to continue"
 
 _held: dict[Path, int] = {}
@@ -48,85 +40,69 @@ _held: dict[Path, int] = {}
 
 
 @contextmanager
-def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["RayCluster"]:
-    """Connect to a Ray cluster for the block.
+def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator[tuple[MakeConfig, MakeShards]]:
+    """Connect to a Ray cluster for the block: the config with the device that it drapes on, and its engine.
 
     The first available of: the cluster that this program is already connected to, the cluster at ``RAY_ADDRESS``, a
     cluster that runs on this machine, and a new local cluster, which ends with the block. ``workers``: most shards in
     work at a time, by default as many as the cluster has room for. Raises ``ConfigError`` if ray is not installed, the
     cluster does not answer, or it lacks the GPU that the config asks for.
     """
-    ray = _imported()
-    with contextlib.ExitStack() as opened:
-        if not ray.is_initialized():
-            opened.callback(ray.shutdown)
-            with _own_handler():
-                _connect(ray)
-        gpus = int(ray.cluster_resources().get("GPU", 0)) if config.stage == "drape" else 0
-        config = with_cluster_device(config, gpus)
-        share = gpu_share(ray.nodes()) if config.device == "cuda" and config.stage == "drape" else 0.0
-        yield RayCluster(config, share, workers or IN_FLIGHT)
+    with _connected() as ray:
+        drapes = config.stage == "drape"
+        config = with_cluster_device(config, int(ray.cluster_resources().get("GPU", 0)) if drapes else 0)
+        gpu = gpu_share(ray.nodes()) if drapes and config.device == "cuda" else 0.0
+        yield config, partial(_make_shards, gpu=gpu, most=workers or IN_FLIGHT)
 
 
-@dataclass(frozen=True)
-class RayCluster:
-    """A connected cluster."""
+def _make_shards(
+    place: Place, tasks: Sequence[Task], maker: Maker, *, gpu: float, most: int
+) -> Generator[Made, None, None]:
+    """Make the shards of tasks, yielding their samples, without members, when a shard is stored.
 
-    config: MakeConfig
-    """Options of the samples; the device is the one that the cluster drapes on."""
-    gpu: float
-    """Part of a GPU for each task; 0 if tasks drape on their CPU."""
-    most: int
-    """Most tasks that Ray knows of at a time."""
+    ``gpu``: part of a GPU for each task, 0 if tasks drape on their CPU; ``most``: tasks that Ray knows of at a time.
+    The first error cancels the other tasks. Raises as ``make_shards``, and ``GcdError`` for a shard that Ray has lost
+    too often.
+    """
+    import ray
 
-    def make_shards(
-        self, place: Place, tasks: Sequence[Task], *, keeps_all: bool = False
-    ) -> Generator[Made, None, None]:
-        """Make the shards of tasks, yielding their samples, without members, when a shard is stored.
-
-        The first error cancels the other tasks. Raises as ``run.make_shards``, and ``GcdError`` for a shard that Ray
-        has lost too often.
-        """
-        import ray
-
-        options = {"num_cpus": CPUS_BESIDE_GPU if self.gpu else CPUS, "num_gpus": self.gpu, "max_retries": RETRIES}
-        # max_calls: by default a worker ends after one task with a GPU.
-        submit = ray.remote(**options, max_calls=0, retry_exceptions=[DrapeError])(_make).remote
-        waiting, in_flight = iter(tasks), dict[Any, Task]()
-        try:
-            while True:
-                for task in islice(waiting, self.most - len(in_flight)):
-                    in_flight[submit(place, task, self.config, keeps_all, code_versions())] = task
-                if not in_flight:
-                    return
-                ready, _ = ray.wait(list(in_flight), timeout=LOOK)
-                if not ready and not any(node["Alive"] and "CPU" in node["Resources"] for node in ray.nodes()):
-                    raise GcdError(f"the Ray cluster has no node left: add one (ray status lists the nodes), {RESUME}")
-                for reference in ready:
-                    yield from _fetched(ray, reference, place, in_flight.pop(reference))
-        finally:
-            for reference in in_flight:
-                ray.cancel(reference, force=True)
-            if in_flight:  # else ray.shutdown may crash
-                ray.wait(list(in_flight), num_returns=len(in_flight), timeout=5.0)
+    options = {"num_cpus": CPUS_BESIDE_GPU if gpu else CPUS, "num_gpus": gpu, "max_retries": RETRIES}
+    # max_calls: by default a worker ends after one task with a GPU.
+    submit = ray.remote(**options, max_calls=0, retry_exceptions=[DrapeError])(_make).remote
+    waiting, in_flight = iter(tasks), dict[Any, Task]()
+    try:
+        while True:
+            for task in islice(waiting, most - len(in_flight)):
+                in_flight[submit(place, task, maker, code_versions())] = task
+            if not in_flight:
+                return
+            ready, _ = ray.wait(list(in_flight), timeout=LOOK)
+            if not ready and not any(node["Alive"] and "CPU" in node["Resources"] for node in ray.nodes()):
+                raise GcdError(f"the Ray cluster has no node left: add one (ray status lists the nodes), {RESUME}")
+            for reference in ready:
+                yield from _fetched(ray, reference, place, in_flight.pop(reference))
+    finally:
+        for reference in in_flight:
+            ray.cancel(reference, force=True)
+        if in_flight:  # else ray.shutdown may crash
+            ray.wait(list(in_flight), num_returns=len(in_flight), timeout=5.0)
 
 
-def _fetched(ray: ModuleType, reference: Any, place: Place, task: Task) -> list[Made]:
+def _fetched(ray: Any, reference: Any, place: Place, task: Task) -> list[Made]:
     """The samples of a finished task. Raises its error, and ``GcdError`` if Ray cannot run it."""
     try:
         node, made = ray.get(reference)
     except ray.exceptions.RayTaskError as error:
         if isinstance(error.cause, GcdError):
             raise error.cause from None
-        cause = " ".join(f"{type(error.cause).__name__}: {error.cause}".split())[:200]
+        cause = _line(f"{type(error.cause).__name__}: {error.cause}")
         if "No module named" in cause:
             raise ConfigError("node without gcd_dataset, or with another one: install the same on every node") from None
         raise GcdError(f"on a node of the Ray cluster: {cause}: correct this there, {RESUME}") from None
     except ray.exceptions.RayError as error:
-        lost = " ".join(str(error).split())[:200]
         raise GcdError(
-            f"Ray lost shard {task.tar} {RETRIES + 1} times, the last by {type(error).__name__} ({lost}): look at ray "
-            f"status and Ray's logs, {RESUME}"
+            f"Ray lost shard {task.tar} {RETRIES + 1} times, the last by {type(error).__name__} ({_line(error)}): look "
+            f"at ray status and Ray's logs, {RESUME}"
         ) from error
     if not place.exists(task.tar):
         raise ConfigError(f"{place.location()}: node {node} has another folder of this name: give a shared folder")
@@ -159,22 +135,26 @@ def gpu_share(nodes: Sequence[Mapping[str, Any]]) -> float:
 # ------------------------------------------------------------------------------------------------------- on the cluster
 
 
-def _make(
-    place: Place, task: Task, config: MakeConfig, keeps_all: bool, wanted: Mapping[str, str]
-) -> tuple[str, list[Made]]:
+def _make(place: Place, task: Task, maker: Maker, wanted: Mapping[str, str]) -> tuple[str, list[Made]]:
     """On a node: make and store a shard; the node's address and the samples. Raises ``ConfigError`` for other code."""
     import ray
 
     node = str(ray.util.get_node_ip_address())
-    if difference := mismatch(wanted, code_versions()):
-        raise ConfigError(f"node {node}: {difference}")
+    found = code_versions()
+    if other := [name for name in wanted if found.get(name) != wanted[name]]:
+        differences = ", ".join(f"{name} {found.get(name, 'missing')} instead of {wanted[name]}" for name in other)
+        raise ConfigError(f"node {node}: {differences}: install the same on every node")
     try:
         with contextlib.ExitStack() as opened:
-            options = {"draper": opened.enter_context(_draper(task)), "ahead": AHEAD} if config.stage == "drape" else {}
-            maker = maker_of(task.plan.seed, config, 0, keeps_all=keeps_all, **options)
-            return node, [made._replace(members=None) for made in make_shards(place, [task], maker)]
+            options: dict[str, Any] = {}
+            if task.plan.recipe["stage"] == "drape":
+                options = {"draper": opened.enter_context(_draper(task)), "ahead": AHEAD}
+            made = make_shards(place, [task], partial(maker, **options))
+            return node, [sample._replace(members=None) for sample in made]
     except (OSError, MemoryError) as fault:
-        raise _node_fault(node, fault) from None
+        said = str(fault) or "out of memory"
+        remedy = "free disk or memory there, or give fewer --workers, or remove the node from the cluster"
+        raise OutputError(f"node {node}: {said}: {remedy}, {RESUME}") from None
 
 
 def _draper(task: Task) -> Any:
@@ -208,82 +188,56 @@ def _address(folder: Path) -> DraperAddress:
     return DraperAddress(folder, "cuda:0", detached=True)  # the one GPU that Ray shows to this task
 
 
-def _node_fault(node: str, fault: OSError | MemoryError) -> GcdError:
-    """The error for a fault of a node: too little memory, a full disk, or another one of its system."""
-    if isinstance(fault, MemoryError) or fault.errno == errno.ENOMEM:
-        said = f" ({fault})" if str(fault) else ""
-        remedy = "give fewer --workers, or a node with more memory for each CPU"
-        return GcdError(f"node {node}: out of memory{said}: {remedy}, {RESUME}")
-    remedy = "make room there" if fault.errno in FULL else "correct this there"
-    return OutputError(f"node {node}: {fault}: {remedy}, or remove the node from the cluster, {RESUME}")
-
-
 @cache
 def code_versions() -> dict[str, str]:
     """Versions of the packages that determine the samples, and a hash of this package's source files.
 
     The hash tells checkouts of one version apart.
     """
-    root = Path(__file__).resolve().parents[1]
-    sources = hashlib.sha256()
-    for folder, below, names in os.walk(root, followlinks=True):
-        below.sort()
-        for name in sorted(name for name in names if name.endswith(".py")):
-            path = Path(folder, name)
-            sources.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    root, sources = Path(__file__).resolve().parents[1], hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        sources.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return versions() | {"sources": sources.hexdigest()[:12]}
-
-
-def mismatch(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
-    """The differences between the versions of a node and of this machine, with a remedy; ``None`` without any."""
-    different = [
-        f"{name} {theirs.get(name, 'missing')} instead of {version}"
-        for name, version in ours.items()
-        if theirs.get(name) != version
-    ]
-    return f"{', '.join(different)}: install the same on every node" if different else None
 
 
 # ------------------------------------------------------------------------------------------------------ on this machine
 
 
-def _imported() -> ModuleType:
+@contextmanager
+def _connected() -> Iterator[Any]:
+    """Ray, connected for the block, unless this program is connected already. Raises as ``ray_cluster`` does."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage report from a local cluster
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # avoids a FutureWarning
     try:
         import ray
     except ImportError as error:
         raise ConfigError(f"engine ray: ray is not installed ({error}): pip install 'gcd-dataset[ray]'") from error
-    return ray
+    with contextlib.ExitStack() as opened:
+        if not ray.is_initialized():
+            opened.callback(ray.shutdown)
+            _connect(ray)
+        yield ray
 
 
-@contextmanager
-def _own_handler() -> Iterator[None]:
-    """Restore the handler of SIGTERM after the block: that of Ray aborts the process."""
-    handler = signal.getsignal(signal.SIGTERM)
-    yield
-    if handler is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, handler)
-
-
-def _connect(ray: ModuleType) -> None:
-    """Connect to the cluster at ``RAY_ADDRESS``, to one on this machine, or to a new one. Raises ``ConfigError``."""
-    address = os.environ.get("RAY_ADDRESS", "")
-    remedy = "start the cluster there (ray status shows it), or unset RAY_ADDRESS for one on this machine"
-    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-    if address in ("", "local"):
+def _connect(ray: Any) -> None:
+    address, options = os.environ.get("RAY_ADDRESS", ""), dict[str, Any](log_to_driver=False, logging_level="ERROR")
+    if address == "local":
         from gcd_dataset.generator.drape.device import cores
 
-        options |= {"num_cpus": cores(), "include_dashboard": False} if address == "local" else {}
-    elif address != "auto":
-        host, _, port = address.rpartition(":")
-        if "://" in address or not host or not port.isdecimal():
-            raise ConfigError(f"RAY_ADDRESS is {shown(address)}: give HOST:PORT, and run gcd on a node of the cluster")
-        try:  # ray.init tries for long, deaf to Ctrl-C
-            socket.create_connection((host, int(port)), timeout=ANSWER).close()
-        except OSError as error:
-            raise ConfigError(f"RAY_ADDRESS {address}: no Ray cluster answers ({error}): {remedy}") from error
+        options |= {"num_cpus": cores(), "include_dashboard": False}
+    handler = signal.getsignal(signal.SIGTERM)
     try:
+        if address not in ("", "auto", "local"):  # ray.init tries for long, deaf to Ctrl-C
+            host, _, port = address.rpartition(":")
+            socket.create_connection((host, int(port)), timeout=ANSWER).close()
         ray.init(**options)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"no Ray cluster: {' '.join(str(error).split())[:200]}: {remedy}") from error
+    except (OSError, RuntimeError, ValueError) as error:
+        remedy = "start a cluster at that HOST:PORT (ray status shows it), or unset RAY_ADDRESS for one on this machine"
+        raise ConfigError(f"RAY_ADDRESS {shown(address)}: no Ray cluster answers ({_line(error)}): {remedy}") from error
+    finally:
+        with contextlib.suppress(ValueError):  # not in the main thread
+            signal.signal(signal.SIGTERM, handler or signal.SIG_DFL)  # that of Ray aborts the process
+
+
+def _line(error: object) -> str:
+    return " ".join(str(error).split())[:200]

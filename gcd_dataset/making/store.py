@@ -1,9 +1,13 @@
-"""A data set in a store of ``fsspec``: S3, Google Cloud Storage and others."""
+"""The place of a data set that a user names: a folder, or a store of ``fsspec`` such as S3 or Google Cloud Storage."""
 
 import contextlib
 import hashlib
+import logging
+import re
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+import time
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -11,50 +15,78 @@ from urllib.parse import unquote
 from gcd_dataset.errors import ConfigError, OutputError, ShardError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.shards.access import read_file, writing
-from gcd_dataset.shards.place import VIEWS, FolderPlace, Place
-
-__all__ = ["UrlPlace", "place_of"]
+from gcd_dataset.shards.cache import default_cache
+from gcd_dataset.shards.manifest import MANIFEST
+from gcd_dataset.shards.notes import shards_named
+from gcd_dataset.shards.place import FolderPlace, Place
 
 LOCAL = ("file", "local")  # protocols of fsspec for folders
 READ_ONLY = ("http", "https", "hf")
 AT_ONCE = 32  # requests
+SLOW = 30.0  # s without an answer before a warning
+NAMED = 3  # files named in a message
+OURS = re.compile(r"\..*|views|mesh-.+|.+\.index|rejects\.jsonl|.+-\d{5,}\.json")
+"""Files of a data set, besides its shards and its manifest."""
+
+logger = logging.getLogger("gcd_dataset")
+
+
+def place_for(out: Path | str) -> Place:
+    """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to.
+
+    Logs a warning before a new data set is written into a folder with other files.
+    """
+    protocol, separator, path = str(out).partition("://")
+    if not separator or protocol in LOCAL:
+        place = FolderPlace(unquote(path) if separator else out)
+        _warn_of_others(place)
+        return place
+    import fsspec
+
+    if protocol in READ_ONLY or "::" in path or not path or protocol not in fsspec.available_protocols():
+        raise ConfigError(
+            f"{shown(str(out))}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX"
+        )
+    return UrlPlace(str(out))
+
+
+def _warn_of_others(place: FolderPlace) -> None:
+    if not place.folder.is_dir():
+        return
+    names = sorted(name for name in place.names() if "/" not in name)
+    if MANIFEST in names or shards_named(names):
+        return
+    if others := [shown(name) for name in names if not OURS.fullmatch(name)]:
+        named = ", ".join(others[:NAMED]) + (f" and {len(others) - NAMED} more" if len(others) > NAMED else "")
+        logger.warning("%s: holds other files (%s), which stay beside the data set: right folder?", place.folder, named)
 
 
 class UrlPlace(Place):
     """A data set in a store of ``fsspec``; a file is uploaded by one request."""
 
-    def __init__(self, url: str, cache: Path) -> None:
+    def __init__(self, url: str) -> None:
         self._url = url.rstrip("/")
-        self.work = cache / "work" / hashlib.sha256(self._url.encode()).hexdigest()[:16]
-        self._opened: Any = None
-        self._lock = threading.Lock()
+        self.work = default_cache(None) / "work" / hashlib.sha256(self._url.encode()).hexdigest()[:16]
 
     def location(self, name: str = "") -> str:
         return f"{self._url}/{name}" if name else self._url
 
     def names(self) -> frozenset[str]:
-        fs, root = self._store()
-        found: set[str] = set()
-        for folder, prefix in ((root, ""), (f"{root}/{VIEWS}", f"{VIEWS}/")):
-            with self._asking(ShardError), contextlib.suppress(FileNotFoundError):
-                entries = fs.ls(folder, detail=True, refresh=True)
-                found |= {prefix + entry["name"].rpartition("/")[2] for entry in entries if entry["type"] == "file"}
-        return frozenset(found)
+        with self._asking(ShardError) as (fs, root):
+            fs.invalidate_cache()
+            return frozenset(path.removeprefix(f"{root}/") for path in fs.find(root, maxdepth=2))
 
     def exists(self, name: str) -> bool:
-        fs, root = self._store()
-        with self._asking(ShardError):
+        with self._asking(ShardError) as (fs, root):
             fs.invalidate_cache()
             return bool(fs.exists(f"{root}/{name}"))
 
     def read(self, names: Iterable[str]) -> Iterator[bytes]:
-        fs, root = self._store()
-        wanted = [f"{root}/{name}" for name in names]
-        with self._asking(ShardError):
-            for first in range(0, len(wanted), AT_ONCE):
-                part = wanted[first : first + AT_ONCE]
-                content = fs.cat(part) if len(part) > 1 else {part[0]: fs.cat_file(part[0])}
-                yield from (content[fs._strip_protocol(path)] for path in part)
+        waiting = iter(names)
+        while part := list(islice(waiting, AT_ONCE)):
+            with self._asking(ShardError) as (fs, root):
+                content = fs.cat([f"{root}/{name}" for name in part])
+            yield from (content[f"{root}/{name}"] for name in part)
 
     def fetch(self, name: str) -> Path:
         path = make_folder(self.work / "fetched") / name.replace("/", "-")
@@ -62,8 +94,7 @@ class UrlPlace(Place):
         return path
 
     def write(self, name: str, content: bytes) -> None:
-        fs, root = self._store()
-        with self._asking(OutputError):
+        with self._asking(OutputError) as (fs, root):
             fs.pipe_file(f"{root}/{name}", content)
 
     def put(self, draft: Path, name: str) -> None:
@@ -72,55 +103,30 @@ class UrlPlace(Place):
             draft.unlink()
 
     def remove(self, name: str) -> None:
-        fs, root = self._store()
-        with self._asking(OutputError), contextlib.suppress(FileNotFoundError):
+        with self._asking(OutputError) as (fs, root), contextlib.suppress(FileNotFoundError):
             fs.rm_file(f"{root}/{name}")
 
-    def _store(self) -> tuple[Any, str]:
+    @contextlib.contextmanager
+    def _asking(self, error: type[OutputError | ShardError]) -> Iterator[tuple[Any, str]]:
+        """The file system of the store, and the path in it; turns its errors into ``error``.
+
+        How long a request is tried is up to the store's library; after ``SLOW`` a warning is logged.
+        """
         import fsspec
 
-        with self._lock:
-            if self._opened is None:
-                with self._asking(OutputError):
-                    self._opened = fsspec.core.url_to_fs(self._url)
-            return self._opened
-
-    @contextlib.contextmanager
-    def _asking(self, error: type[OutputError | ShardError]) -> Iterator[None]:
-        """Turn the errors of a store into ``error``."""
+        message = f"{self._url}: no answer for {SLOW:.0f} s; still trying, and Ctrl-C stops: finished shards are kept"
+        begun, timer = time.monotonic(), threading.Timer(SLOW, logger.warning, [message])
+        timer.daemon = True
+        timer.start()
         try:
-            yield
+            yield fsspec.core.url_to_fs(self._url)
         except FileNotFoundError as fault:
-            if error is OutputError:
-                raise OutputError(f"{self._url}: no such bucket or folder ({fault}): make it first") from fault
-            raise
-        except (OutputError, ShardError):
-            raise
+            raise error(f"{self._url}: no such bucket, folder or file ({fault}): make it first") from fault
         except Exception as fault:  # each library of a store has errors of its own
-            cause = " ".join(f"{type(fault).__name__}: {fault}".split())
-            remedy = "check the URL and the rights of its credentials, then give the same command again to continue"
-            raise error(f"{self._url}: the store does not answer, or refuses ({cause:.300}): {remedy}") from fault
-
-    def __getstate__(self) -> Mapping[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_opened", "_lock")}
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        self.__dict__.update(state, _opened=None, _lock=threading.Lock())
-
-
-def place_of(out: Path | str, cache: Path) -> Place:
-    """The place that a path or URL names; ``cache``: folder in which a store's drafts lie.
-
-    Raises ``ConfigError`` for a URL that cannot be written to.
-    """
-    text = str(out)
-    protocol, separator, path = text.partition("://")
-    if not separator:
-        return FolderPlace(out)
-    if protocol in LOCAL:
-        return FolderPlace(unquote(path))
-    import fsspec
-
-    if protocol in READ_ONLY or "::" in text or not path or protocol not in fsspec.available_protocols():
-        raise ConfigError(f"{shown(text)}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX")
-    return UrlPlace(text, cache)
+            cause = f"{type(fault).__name__}: {fault}; tried for {time.monotonic() - begun:.0f} s"
+            raise error(
+                f"{self._url}: the store does not answer, or refuses ({' '.join(cause.split()):.300}): check the URL "
+                "and the rights of its credentials, then give the same command again to continue"
+            ) from fault
+        finally:
+            timer.cancel()

@@ -1,15 +1,13 @@
 """The tasks of a data set: one for each shard, a function of its plan alone."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.manifest import Plan, ShardRecord
 from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import shard_size_of
-
-__all__ = ["Job", "Task", "Work", "check_count", "parse_job"]
 
 MOST = 10_000_000  # samples of a data set
 
@@ -35,23 +33,23 @@ class Work:
 
     place: Place
     plan: Plan
-    """Of all splits; ``plan_of`` gives that of one."""
+    """Of all splits; each task has that of its split."""
     splits: Mapping[str, Sequence[int]]
     """Split to the indices of its samples, ascending."""
     wearers: int = 1
     """Samples of a design, which lie in one shard."""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """Name to content of the files beside the shards."""
 
-    def plan_of(self, split: str) -> Plan:
-        """The plan of a split."""
-        return replace(self.plan, shard_size=shard_size_of(len(self.splits[split]), self.wearers))
-
-    def tasks(self) -> Iterator[Task]:
+    def tasks(self) -> list[Task]:
         """The tasks of all splits, in their order."""
+        tasks = []
         for split, indices in self.splits.items():
-            plan = self.plan_of(split)
-            size = plan.shard_size
+            size = shard_size_of(len(indices), self.wearers)
+            plan = replace(self.plan, shard_size=size)
             for number, first in enumerate(range(0, len(indices), size)):
-                yield Task(plan, split, number, indices[first : first + size])
+                tasks.append(Task(plan, split, number, indices[first : first + size]))
+        return tasks
 
 
 class Job(NamedTuple):

@@ -111,7 +111,8 @@ def test_an_unwearable_design_gives_the_same_error_with_and_without_ray(
         assert main([*command, "--engine", engine]) == 1
         said.append(one_line(capfd.readouterr().err))
     assert said[0] == said[1]
-    assert contents(tmp_path / "ray") == contents(tmp_path / "local")
+    # Of other shards some may be finished before they are cancelled.
+    assert contents(tmp_path / "local").items() <= contents(tmp_path / "ray").items()
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.making.progress import Progress
 from gcd_dataset.records import Sample
-
-__all__ = ["COUNT", "CUFFED", "contents", "killed", "made_once"]
 
 CUFFED = MakeConfig(
     stage="pattern",
@@ -67,3 +67,14 @@ def killed(work: Callable[..., Any], *, after: int) -> None:
         finally:
             os._exit(1)
     assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+
+
+def stopped(work: Callable[..., Any], *, after: int) -> None:
+    """Run ``work(on_progress=…)`` until Ctrl-C after ``after`` samples."""
+
+    def report(progress: Progress) -> None:
+        if progress.made == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work(on_progress=report)

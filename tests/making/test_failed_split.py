@@ -21,9 +21,8 @@ from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
-from gcd_dataset.shards import ShardReader, encode_sample
-from gcd_dataset.verbs import Job, Progress, export, generate
-from tests.making.real import contents, killed
+from gcd_dataset.verbs import Job, export, generate
+from tests.making.real import contents, stopped
 
 COUNT = 8
 KEPT = MakeConfig(
@@ -90,16 +89,6 @@ def test_settled_drapes_go_to_train_and_others_to_failed(out: Path, failed: list
     assert len(GarmentDataset(out, "train+failed")) == COUNT
 
 
-def test_samples_are_the_same_bytes_as_ever(out: Path, samples: tuple[Sample, ...], failed: list[int]) -> None:
-    for split in ("train", "failed"):
-        reader = ShardReader(out, split)
-        for position in range(len(reader)):
-            members = reader.read(position, reader.layout.members)
-            assert {name: bytes(data) for name, data in members.items()} == encode_sample(
-                samples[reader.number(position)]
-            )
-
-
 def test_readers_cope_with_gaps(out: Path, failed: list[int], tmp_path: Path) -> None:
     train = GarmentDataset(out)
     settled = [k for k in range(COUNT) if k not in failed]
@@ -138,25 +127,11 @@ def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, monkeypat
     monkeypatch.setenv("HOME", str(tmp_path))
     url = f"memory://bucket/{tmp_path.name}"
 
-    def stop(progress: Progress) -> None:
-        if progress.made == 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        generate(url, COUNT, seed=5, config=KEPT, on_progress=stop)
+    stopped(partial(generate, url, COUNT, seed=5, config=KEPT), after=4)
     generate(url, COUNT, seed=5, config=KEPT)
     store = fsspec.filesystem("memory")
     root = f"/bucket/{tmp_path.name}/"
     assert {name.removeprefix(root): store.cat_file(name) for name in store.find(root)} == contents(out)
-
-
-@pytest.mark.parametrize("after", [1, 4, COUNT])
-def test_a_killed_run_goes_on_in_both_splits(after: int, out: Path, tmp_path: Path) -> None:
-    again = tmp_path / "again"
-    make = partial(generate, again, COUNT, seed=5, config=KEPT)
-    killed(make, after=after)
-    assert make().made == COUNT - after
-    assert contents(again) == contents(out)
 
 
 @pytest.mark.parametrize("of", [2, 9])
@@ -164,12 +139,6 @@ def test_jobs_of_both_splits_are_one_run(of: int, out: Path, tmp_path: Path) -> 
     for number in reversed(range(of)):
         generate(tmp_path / "jobs", COUNT, seed=5, config=KEPT, job=Job(number, of))
     assert contents(tmp_path / "jobs") == contents(out)
-
-
-def test_a_set_grows_in_both_splits(out: Path, tmp_path: Path) -> None:
-    generate(tmp_path / "grown", 5, seed=5, config=KEPT)
-    assert generate(tmp_path / "grown", COUNT, seed=5, config=KEPT).made == COUNT - 5
-    assert contents(tmp_path / "grown") == contents(out)
 
 
 def test_notes_of_failed_drapes_are_made_again(out: Path) -> None:

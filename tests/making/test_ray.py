@@ -1,26 +1,43 @@
 """The parts of the Ray engine that run without Ray."""
 
 import errno
+import re
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.making import ray
-from gcd_dataset.making.ray import code_versions, gpu_share, mismatch, with_cluster_device
+from gcd_dataset.making.ray import code_versions, gpu_share, with_cluster_device
+from gcd_dataset.making.run import Made, Maker
+from gcd_dataset.making.tasks import Task
+from gcd_dataset.shards.manifest import Plan
+from gcd_dataset.shards.place import FolderPlace
 from tests.test_cli import one_line
 
 
-def test_ray_does_not_keep_its_handler_of_sigterm() -> None:
+@pytest.fixture
+def fake_ray(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """A module ``ray`` whose ``init`` takes SIGTERM, as that of Ray does."""
+    found = SimpleNamespace(is_initialized=lambda: False, shutdown=lambda: None, cluster_resources=dict, nodes=list)
+    found.util = SimpleNamespace(get_node_ip_address=lambda: "10.0.0.7")
+    found.init = lambda **_: signal.signal(signal.SIGTERM, lambda *_: None)
+    monkeypatch.setitem(sys.modules, "ray", found)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    return found
+
+
+def test_ray_does_not_keep_its_handler_of_sigterm(fake_ray: SimpleNamespace) -> None:
     """It would abort the process."""
     before = signal.getsignal(signal.SIGTERM)
-    with ray._own_handler():
-        signal.signal(signal.SIGTERM, lambda *_: None)
-    assert signal.getsignal(signal.SIGTERM) == before
+    with ray.ray_cluster(MakeConfig(stage="pattern")):
+        assert signal.getsignal(signal.SIGTERM) == before
 
 
 @pytest.mark.parametrize(("asked", "gpus", "device"), [("auto", 4, "cuda"), ("auto", 0, "cpu"), ("cpu", 4, "cpu")])
@@ -44,44 +61,53 @@ def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
     assert gpu_share([{"Alive": False, "Resources": resources[0]}, {"Alive": True, "Resources": resources[2]}]) == 0
 
 
-def test_versions_that_differ_are_named_with_both() -> None:
-    message = mismatch(versions(), versions() | {"numpy": "1.0"})
-    assert message is not None
-    assert message.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
-    assert mismatch(versions(), dict(versions())) is None
-    assert "gcd_dataset missing instead of" in str(mismatch(versions(), {}))
-    assert len(code_versions()["sources"]) == 12
+def node_task(place: Path, maker: Maker, wanted: dict[str, str]) -> None:
+    """Make a shard as a node does whose driver has the versions ``wanted``."""
+    task = Task(Plan("garments", 0, {"stage": "pattern"}, 1, 1), "train", 0, [0])
+    ray._make(FolderPlace(place), task, maker, wanted)
+
+
+def test_versions_that_differ_are_named_with_both(tmp_path: Path, fake_ray: SimpleNamespace) -> None:
+    wanted = code_versions() | {"numpy": "1.0", "other": "2.0"}
+    assert len(wanted["sources"]) == 12
+    message = (
+        f"node 10.0.0.7: numpy {versions()['numpy']} instead of 1.0, other missing instead of 2.0: install the same"
+    )
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        node_task(tmp_path, lambda wanted: iter(()), wanted)
 
 
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (MemoryError(), "node 10.0.0.7: out of memory: give fewer --workers, or a node with more memory"),
-        (MemoryError("Unable to allocate 3 GiB"), "out of memory (Unable to allocate 3 GiB): give fewer --workers"),
-        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room there, or remove"),
-        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied: correct this there, or remove"),
+        (MemoryError(), "node 10.0.0.7: out of memory: free disk or memory there, or give fewer --workers"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: free disk or memory there"),
     ],
 )
-def test_a_fault_of_a_node_is_named_with_its_remedy(fault: OSError | MemoryError, message: str) -> None:
-    said = str(ray._node_fault("10.0.0.7", fault))
-    assert message in said
-    assert said.endswith("then give the same command again to continue")
-
-
-def test_an_address_without_a_server_fails_soon(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_fault_of_a_node_is_named_with_its_remedy(
+    fault: Exception, message: str, tmp_path: Path, fake_ray: SimpleNamespace
 ) -> None:
-    monkeypatch.setitem(sys.modules, "ray", type(sys)("ray"))
-    monkeypatch.setattr(sys.modules["ray"], "is_initialized", lambda: False, raising=False)
-    monkeypatch.setattr(sys.modules["ray"], "shutdown", lambda: None, raising=False)
+    def maker(wanted: object) -> Iterator[Made]:
+        raise fault
+
+    with pytest.raises(OutputError, match=f"{message}.*then give the same command again to continue"):
+        node_task(tmp_path, maker, code_versions())
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
+def test_an_address_without_a_server_fails_soon(
+    address: str,
+    tmp_path: Path,
+    fake_ray: SimpleNamespace,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", address)
     command = ["generate", str(tmp_path / "out"), "--count", "1", "--stage", "pattern", "--engine", "ray"]
-    for address, message in (
-        ("127.0.0.1:1", "RAY_ADDRESS 127.0.0.1:1: no Ray cluster answers"),
-        ("ray://host:10001", "give HOST:PORT"),
-    ):
-        monkeypatch.setenv("RAY_ADDRESS", address)
-        assert main(command) == 2
-        assert message in one_line(capsys.readouterr().err)
+    assert main(command) == 2
+    message = one_line(capsys.readouterr().err)
+    assert f"RAY_ADDRESS {address}: no Ray cluster answers" in message
+    assert "HOST:PORT" in message
     assert not (tmp_path / "out").exists()
 
 
