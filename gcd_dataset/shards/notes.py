@@ -17,9 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
-import mmap
-import os
 import re
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,43 +30,32 @@ import numpy as np
 
 from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import open_regular
+from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
-from gcd_dataset.shards.access import REMEDY, read_file, reading
+from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
+    META,
+    MOST,
     Manifest,
     Plan,
     RecipeRecord,
     ShardRecord,
     SplitRecord,
+    checked,
+    is_count,
     other_schema,
     parse_manifest,
     ranked,
+    shard_name,
 )
 from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects
 from gcd_dataset.shards.pattern_arrays import stored_pattern
 from gcd_dataset.shards.place import Place
-from gcd_dataset.shards.tar import BLOCK, padded, samples_in
-
-__all__ = [
-    "EARLIER",
-    "REJECTS",
-    "Gathered",
-    "Note",
-    "Row",
-    "StoredSample",
-    "gather",
-    "note_name",
-    "note_of",
-    "plan_of_sample",
-    "read_note",
-    "row_of",
-    "shards_named",
-    "stored_samples",
-]
+from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
@@ -77,7 +65,6 @@ OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
 NOTHING = "no shards: give a folder made by gcd generate"
 FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
-META = "meta.json"
 
 
 def note_name(split: str, number: int) -> str:
@@ -106,25 +93,36 @@ class StoredSample(NamedTuple):
 
 def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
     """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
-    position = 0
+    # A draft is not mapped: its owner may truncate it.
+    content, position = memoryview(read_file(path)) if damaged else mapped(path), 0
     try:
-        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
+        for key, members in samples_in(content):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
             yield StoredSample(int(key[4:]), position, end, members)
             position = end
+        if not damaged and (len(content) != position + END or any(content[position:])):
+            raise ShardError(f"cut off, or written on, at byte {position}")
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def _mapped(path: Path) -> memoryview:
-    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
-    with reading(path), open_regular(path) as file:
-        if not os.fstat(file.fileno()).st_size:
-            return memoryview(b"")
-        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+def checked_meta(members: Mapping[str, Bytes], number: int) -> dict[str, Any]:
+    """The ``meta`` of sample ``number``. Raises ``ShardError`` unless these of its members match its checksums."""
+    try:
+        meta = read_meta(members.get(META, b""))
+        if not isinstance(meta.get("crc32"), Mapping):
+            raise ShardError(f"crc32 is {found(meta.get('crc32'))}, expected an object")
+        if meta["index"] != number:
+            raise ShardError(f"is of {key_of(meta['index'])}")
+    except ShardError as error:
+        raise ShardError(f"member {META}: {error}") from error
+    for member, data in members.items():
+        if member != META and zlib.crc32(data) != meta["crc32"].get(member):
+            raise ShardError(f"member {member}: bytes differ from the written ones")
+    return meta
 
 
 class Row(NamedTuple):
@@ -147,24 +145,21 @@ class Row(NamedTuple):
 def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: int | None) -> Row:
     """What the note says of a sample that begins at ``start`` and ``views_start`` [bytes]. Raises ``ShardError``."""
     meta = read_meta(members[META])
-    number, drape = meta["index"], meta.get("drape")
-    patterns = PatternHash()
-    if plan.named is not None and plan.kind == GARMENTS.kind:
-        patterns = hash_pattern(number, stored_pattern(members))
-    return Row(
-        number,
-        start // BLOCK,
-        -1 if views_start is None else views_start // BLOCK,
-        meta.get("grade") or "",
-        drape["outcome"] if drape else "",
-        [] if plan.kind == BODIES.kind else [*_lines(plan, number, read_rejects(members[META]))],
-        meta.get("redraws") or {},
-        patterns,
-    )
+    number, grade, outcome = meta["index"], meta.get("grade") or "", (meta.get("drape") or {}).get("outcome", "")
+    if number >= MOST or grade not in GRADES or outcome not in OUTCOMES:
+        raise ShardError(f"index {number}, grade {found(grade)}, outcome {found(outcome)}: one is out of range")
+    rejects = [] if plan.kind == BODIES.kind else list(_lines(plan, number, read_rejects(members[META])))
+    is_hashed = plan.named is not None and plan.kind == GARMENTS.kind
+    patterns = hash_pattern(number, stored_pattern(members)) if is_hashed else PatternHash()
+    blocks = start // BLOCK, -1 if views_start is None else views_start // BLOCK
+    return Row(number, *blocks, grade, outcome, rejects, meta.get("redraws") or {}, patterns)
 
 
 def _lines(plan: Plan, number: int, rejects: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    design = number // (plan.recipe.get("bodies_each", 1) + (plan.recipe.get("bodies") == "both"))
+    each = plan.recipe.get("bodies_each", 1)
+    if not is_count(each) or not each:
+        raise ShardError(f"bodies_each is {found(each)}")
+    design = number // (each + (plan.recipe.get("bodies") == "both"))
     for attempt, reject in enumerate(rejects):
         line = {name: reject[name] for name in ("index", "rule", "reason")}
         figures = decode_json(reject["figures"].encode())
@@ -242,22 +237,38 @@ class Note:
 
     @classmethod
     def from_bytes(cls, content: bytes, path: str) -> Self:
-        """The note in a file. Raises ``ShardError``."""
+        """The note in a file. Raises ``ShardError``, also for the note of a shard of another name."""
         try:
             entry = decode_json(content, limit=LARGEST_MANIFEST)
-            value, ties, count = entry["patterns"]
+            values = checked(cls, entry, "the file")
+            value, ties, count = values["patterns"]
             own = {
                 "plan": Plan.from_json(entry["plan"], "plan"),
                 "record": ShardRecord.from_json(entry["record"], "record"),
-                "members": tuple(entry["members"]),
                 "patterns": PatternHash(int(value, 16), tuple(int(tie, 16) for tie in ties), count),
             }
-            note = cls(**{**entry, **own})
+            note = cls(**{**values, **own})
+            if not (all(map(_is_row, note.rows)) and all(map(_is_line, note.rejects)) and is_count(count)):
+                raise ShardError("a row is out of range")
+            if not all(map(str.isdecimal, note.skipped)):
+                raise ShardError(f"skipped is {found(note.skipped)}")
             if len(note.rows) != note.record.count:
                 raise ShardError(f"{len(note.rows)} rows for {note.record.count} samples")
+            if path.rpartition("/")[2] != (name := note_name(note.split, note.record.number)):
+                raise ShardError(f"it is {shown(name)}")
             return note
-        except (ShardError, KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
+        except (ShardError, TypeError, ValueError) as error:
+            raise ShardError(f"{path}: not the note of this shard ({error}): delete it, then run gcd index") from error
+
+
+def _is_row(row: Any) -> bool:
+    if not isinstance(row, list) or len(row) != 5 or {*map(type, row[:3])} != {int}:
+        return False
+    return 0 <= row[0] < MOST and 0 <= row[1] < MOST and -1 <= row[2] < MOST and row[3] in GRADES and row[4] in OUTCOMES
+
+
+def _is_line(line: Any) -> bool:
+    return isinstance(line, Mapping) and is_count(line.get("design")) and is_count(line.get("attempt"))
 
 
 def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan | None) -> Note:
@@ -306,9 +317,8 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     name = note_name(split, number)
     if place.exists(name):
         return Note.from_bytes(next(place.read([name])), place.location(name))
-    record = ShardRecord(number, 0, 0, "")
-    path = place.fetch(record.name(split))
-    views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
+    path, pictures = place.fetch(shard_name(split, number)), shard_name(split, number, views=True)
+    views = place.fetch(pictures) if place.exists(pictures) else None
     if plan is None:
         with reading(path), open_regular(path) as file:
             head = file.read(BLOCK)
@@ -425,19 +435,21 @@ def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, Split
         skipped=sum(len(note.skipped) for note in notes),
     )
     rows = [row for note in notes for row in note.rows]
+    numbers, starts, views_starts, grades, outcomes = zip(*rows, strict=True) if rows else ((),) * 5
     index = SplitIndex(
         record,
-        np.array([row[0] for row in rows], np.int32),
-        np.array([row[1] for row in rows], np.int32),
-        np.array([row[2] for row in rows if row[2] >= 0], np.int32),
-        np.array([GRADES.index(row[3]) for row in rows], np.uint8),
-        np.array([OUTCOMES.index(row[4]) for row in rows], np.uint8),
+        np.array(numbers, np.int32),
+        np.array(starts, np.int32),
+        np.array([start for start in views_starts if start >= 0], np.int32),
+        np.array([*map(GRADES.index, grades)], np.uint8),
+        np.array([*map(OUTCOMES.index, outcomes)], np.uint8),
     )
     try:
         index.require_consistent()
     except ShardError as error:
         raise ShardError(
-            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}"
+            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}: move those of "
+            "another data set elsewhere, or delete all their notes, and run gcd index"
         ) from error
     record = replace(record, index_sha256=hashlib.sha256(index.to_bytes()).hexdigest())
     return record, replace(index, record=record)

@@ -11,8 +11,6 @@ from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import Manifest, ShardRecord
 
-__all__ = ["Store", "command_of"]
-
 
 class Store(ABC):
     """The files of a data set. May be pickled, forked, and read from several threads."""
