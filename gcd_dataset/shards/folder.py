@@ -39,7 +39,7 @@ class FolderStore(Store):
         self._manifest: Manifest | None = None
         self._gathered: Gathered | None = None
         self._place = FolderPlace(self.folder)
-        self._files: dict[Path, _OpenFile] = {}
+        self._files: dict[str, _OpenFile] = {}
 
     def location(self, name: str = "") -> str:
         return str(self.folder / name)
@@ -78,13 +78,17 @@ class FolderStore(Store):
         return index
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
-        return self.folder / shard.name(split, views=views)
+        path = self.folder / shard.name(split, views=views)
+        with reading(path):
+            if not path.exists():
+                raise self._missing(split, shard, views)
+        return path
 
     def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> Bytes:
-        path = self.path(split, shard, views=views)
+        path = self.folder / (name := shard.name(split, views=views))
         with reading(path):
             # This reference keeps the descriptor open while another thread evicts it.
-            file = self._files.get(path) or self._opened(split, shard, views)
+            file = self._files.get(name) or self._opened(split, shard, views)
             data = read_buffer(end - start).data
             got = 0
             while got < len(data):  # one call reads at most 2 GiB, less on network file systems
@@ -126,15 +130,12 @@ class FolderStore(Store):
     def _opened(self, split: str, shard: ShardRecord, views: bool) -> "_OpenFile":
         """A shard, opened. Raises ``ShardError`` for one that is missing or of another size."""
         path, size = self.path(split, shard, views=views), shard.views_size if views else shard.size
-        try:
-            file = _OpenFile(os.open(path, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
-        except FileNotFoundError as error:
-            raise self._missing(split, shard, views) from error
+        file = _OpenFile(os.open(path, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
         if (found := os.fstat(file.fd).st_size) != size:
             raise ShardError(f"{path}: {found} bytes, but {size} in {MANIFEST}: {self.remedy}")
         if len(self._files) >= OPEN_FILES:
             self._files.pop(next(iter(list(self._files))), None)
-        self._files[path] = file
+        self._files[shard.name(split, views=views)] = file
         return file
 
     def __getstate__(self) -> dict[str, Any]:

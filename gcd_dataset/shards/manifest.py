@@ -7,11 +7,12 @@ file is one line of JSON with sorted keys; ``digest`` is the SHA-256 of the file
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from types import UnionType
+from typing import Any, Self, get_args, get_origin
 
 import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError, shown
@@ -65,19 +66,13 @@ class Plan:
                 f"{location}: made by gcd_dataset {self.generator}, but this is {asked.generator}: choose another "
                 f"folder, or install {self.generator} to continue this one"
             )
-        for name, before, now in self._differences(asked):
-            raise ConfigError(
-                f"{location}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
-            )
-
-    def _differences(self, asked: "Plan") -> list[tuple[str, Any, Any]]:
         mine, theirs = self._options(), asked._options()
-        names = [*mine, *sorted(theirs.keys() - mine.keys())]
-        return [
-            (name, mine.get(name), theirs.get(name))
-            for name in names
-            if recipe_hash({"": mine.get(name)}) != recipe_hash({"": theirs.get(name)})
-        ]
+        for name in [*mine, *sorted(theirs.keys() - mine.keys())]:
+            before, now = mine.get(name), theirs.get(name)
+            if recipe_hash({"": before}) != recipe_hash({"": now}):
+                raise ConfigError(
+                    f"{location}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
+                )
 
     def _options(self) -> dict[str, Any]:
         named = None if self.named is None else f"{self.named[0]} ({self.named[1][:DIGITS]})"
@@ -136,7 +131,9 @@ class ShardRecord:
         record = cls(*entry)
         number, count, size, views = record.number, record.count, record.size, record.views_size
         are_whole = type(number) is type(count) is type(size) is type(views) is int
-        if not (are_whole and 0 <= number < MOST and 0 <= count < MOST and 0 <= size < LONGEST and 0 <= views < LONGEST):
+        if not (
+            are_whole and 0 <= number < MOST and 0 <= count < MOST and 0 <= size < LONGEST and 0 <= views < LONGEST
+        ):
             raise ShardError(f"{location}: {found(entry)}: a number is out of range")
         for sha256 in entry[3::2]:
             if type(sha256) is not str or HASH.fullmatch(sha256) is None:
@@ -300,7 +297,7 @@ def checked(kind: type, entry: Any, location: str) -> dict[str, Any]:
     for one in fields(kind):
         if one.name not in entry:
             raise ShardError(f"{location}: {one.name} is missing")
-        if not FORMS.get(one.type, _is_list)(entry[one.name]):
+        if not _fits(entry[one.name], one.type):
             raise ShardError(f"{location}: {one.name} is {found(entry[one.name])}")
     values = ((one.name, entry[one.name]) for one in fields(kind))
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values}
@@ -311,32 +308,17 @@ def is_count(value: Any) -> bool:
     return type(value) is int and 0 <= value < 1 << 62
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_object(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, list)
-
-
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
-
-
-FORMS: Mapping[Any, Callable[[Any], bool]] = {
-    str: _is_text,
-    int: is_count,
-    Plan: _is_object,
-    Mapping[str, Any]: _is_object,
-    Mapping[str, int]: lambda value: _is_object(value) and all(map(is_count, value.values())),
-    Mapping[str, str]: lambda value: _is_object(value) and all(map(_is_text, value.values())),
-    Mapping[str, SplitRecord]: _is_object,
-    RecipeRecord | None: lambda value: value is None or _is_object(value),
-    tuple[str, ...]: _are_texts,
-    tuple[str, str] | None: lambda value: value is None or (_are_texts(value) and len(value) == 2),
-}
-"""Type of a field to the check of its JSON value; fields of other types are lists."""
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a JSON value is of the type of a field; a record in it checks itself."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return any(_fits(value, one) for one in inner)
+    if origin is Mapping:
+        return isinstance(value, Mapping) and all(_fits(one, inner[1]) for one in value.values())
+    if origin is tuple and inner[-1] is not ...:
+        return isinstance(value, list) and len(value) == len(inner) and all(map(_fits, value, inner))
+    if origin in (tuple, Sequence):
+        return isinstance(value, list) and all(_fits(one, inner[0]) for one in value)
+    if is_dataclass(kind):
+        return isinstance(value, list | Mapping)
+    return is_count(value) if kind is int else kind is Any or isinstance(value, kind)

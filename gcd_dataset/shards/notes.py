@@ -89,10 +89,30 @@ class StoredSample(NamedTuple):
     """First byte, of the head of its first member."""
     end: int
     members: dict[str, memoryview]
+    views_start: int | None = None
+    """First byte of its pictures in their tar."""
+    views_end: int = 0
 
 
-def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
-    """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
+def stored_samples(path: Path, views: Path | None = None, *, damaged: bool = False) -> Iterator[StoredSample]:
+    """The samples of a shard, in order, with their pictures in the tar ``views`` if it is given.
+
+    Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``.
+    """
+    pictures = None if views is None else _samples_of(views, damaged)
+    for sample in _samples_of(path, damaged):
+        if pictures is not None:
+            picture = next(pictures, None)
+            if picture is None or picture.number != sample.number:
+                if damaged:
+                    return
+                raise ShardError(f"{views}: its samples differ from those of {path.name}: {REMEDY}")
+            members = sample.members | picture.members
+            sample = sample._replace(members=members, views_start=picture.start, views_end=picture.end)
+        yield sample
+
+
+def _samples_of(path: Path, damaged: bool) -> Iterator[StoredSample]:
     # A draft is not mapped: its owner may truncate it.
     content, position = memoryview(read_file(path)) if damaged else mapped(path), 0
     try:
@@ -203,14 +223,10 @@ class Note:
         record: ShardRecord,
         members: Iterable[str],
         rows: Sequence[Row],
-        skipped: Mapping[int, str] | None = None,
+        skipped: Mapping[int, str],
     ) -> Self:
         """The note of a shard with these samples."""
         lines = {(line["design"], line["attempt"]): line for row in rows for line in row.rejects}
-        rejected = Counter(line["rule"] for row in rows for line in row.rejects)
-        redraws: Counter[str] = Counter()
-        for row in rows:
-            redraws.update(row.redraws)
         return cls(
             split,
             plan,
@@ -218,10 +234,10 @@ class Note:
             tuple(sorted(members, key=is_picture)),
             [row[:5] for row in rows],
             [line for _, line in sorted(lines.items())],
-            ranked(rejected),
-            ranked(redraws),
+            ranked(Counter(line["rule"] for row in rows for line in row.rejects)),
+            ranked(sum((Counter(row.redraws) for row in rows), Counter())),
             sum((row.patterns for row in rows), PatternHash()),
-            {str(number): fault for number, fault in sorted((skipped or {}).items())},
+            {str(number): fault for number, fault in sorted(skipped.items())},
         )
 
     @property
@@ -276,27 +292,24 @@ def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan 
 
     ``plan``: by default that of the first sample, as far as its ``meta.json`` tells.
     """
-    pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
     rows, members = [], tuple[str, ...]()
-    for sample in stored_samples(path):
-        picture = pictures.get(sample.number)
-        content = sample.members | ({} if picture is None else picture.members)
+    for sample in stored_samples(path, views):
+        content = sample.members
+        members = members or tuple(content)
         try:
-            members = members or tuple(content)
-            if META not in content or tuple(content) != members:
-                other = sorted(set(content) ^ {META, *members}) or [META]
+            if tuple(content) != members:
+                other = sorted({*content} ^ {*members}) or ["their order"]
                 raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            meta = checked_meta(content, sample.number)
             if plan is None:
-                kind = BODIES.kind if set(BODIES.members) == set(content) else GARMENTS.kind
-                plan = plan_of_sample(read_meta(content[META]), Plan(kind, 0, {}, 0, 1))
-            rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
-            if rows[-1].number != sample.number:
-                raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
+                kind = BODIES.kind if {*BODIES.members} == {*content} else GARMENTS.kind
+                plan = plan_of_sample(meta, Plan(kind, 0, {}, 0, 1))
+            rows.append(row_of(plan, content, sample.start, sample.views_start))
         except ShardError as error:
             raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
     if plan is None:
         raise ShardError(f"{path}: no samples, and its note is lost: run gcd generate again")
-    return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
+    return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows, {})
 
 
 def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
@@ -319,11 +332,9 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
         return Note.from_bytes(next(place.read([name])), place.location(name))
     path, pictures = place.fetch(shard_name(split, number)), shard_name(split, number, views=True)
     views = place.fetch(pictures) if place.exists(pictures) else None
-    if plan is None:
-        with reading(path), open_regular(path) as file:
-            head = file.read(BLOCK)
-        if any(head) and KEY.match(head.decode("latin-1")) is None:
-            raise ShardError(f"{place.location()}: {FOREIGN}")
+    head = bytes(mapped(path)[:BLOCK])
+    if plan is None and any(head) and KEY.match(head.decode("latin-1")) is None:
+        raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
 
 
@@ -422,16 +433,12 @@ def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, Split
         if note.members != filled[0].members:
             path = place.location(note.record.name(note.split))
             raise ShardError(f"{path}: its samples have other members than the first shard: delete it, make it again")
-    rejected, redraws = Counter[str](), Counter[str]()
-    for note in notes:
-        rejected.update(note.rejected)
-        redraws.update(note.redraws)
     record = SplitRecord(
         replace(notes[0].plan, count=max(note.plan.count for note in notes)),
         tuple(note.record for note in notes),
         filled[0].members if filled else (),
-        ranked(rejected),
-        ranked(redraws),
+        ranked(sum((Counter(note.rejected) for note in notes), Counter())),
+        ranked(sum((Counter(note.redraws) for note in notes), Counter())),
         skipped=sum(len(note.skipped) for note in notes),
     )
     rows = [row for note in notes for row in note.rows]

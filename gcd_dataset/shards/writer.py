@@ -166,10 +166,10 @@ class _DraftTar:
                 with writing(path):
                     (self._place.folder / name).replace(path)
         main, views = self._paths
-        pictures = stored_samples(views, damaged=True) if views.exists() else iter(())
-        for sample in stored_samples(main, damaged=True) if main.exists() else ():
-            picture = next(pictures, None)
-            members = sample.members | ({} if picture is None else picture.members)
+        if not main.exists():
+            return
+        for sample in stored_samples(main, views if views.exists() else None, damaged=True):
+            members = sample.members
             try:
                 meta = checked_meta(members, sample.number)
             except ShardError:
@@ -178,8 +178,8 @@ class _DraftTar:
                 return
             plan_of_sample(meta, self.plan).require_same(self.plan, main)
             self._members = tuple(members)
-            row = row_of(self.plan, members, sample.start, None if picture is None else picture.start)
-            self._add(row, sample.end - sample.start, 0 if picture is None else picture.end - picture.start)
+            row = row_of(self.plan, members, sample.start, sample.views_start)
+            self._add(row, sample.end - sample.start, sample.views_end - (sample.views_start or 0))
 
     def truncate(self, numbers: frozenset[int]) -> None:
         """Remove the samples from the first one on that is not among ``numbers``."""
