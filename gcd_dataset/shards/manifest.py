@@ -24,7 +24,6 @@ from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import decode_json
 
 MANIFEST = "manifest.json"
-META = MEMBERS[0]
 REMEDY = "delete it, then run gcd index"
 DIGITS = 12  # shown digits of a hash, in messages
 MOST = 1 << 31  # samples of a split, and shards
@@ -183,8 +182,8 @@ class SplitRecord:
             raise ShardError(f"{location}: the numbers of its shards do not ascend")
         if (count := record.count) >= MOST:
             raise ShardError(f"{location}: more than {MOST} samples")
-        if count and record.members[:1] != (META,):
-            raise ShardError(f"{location}: its first member is not {META}")
+        if count and record.members[:1] != MEMBERS[:1]:
+            raise ShardError(f"{location}: its first member is not {MEMBERS[0]}")
         if record.index_sha256 and HASH.fullmatch(record.index_sha256) is None:
             raise ShardError(f"{location}: index_sha256 is not 64 hexadecimal digits")
         return record
@@ -245,7 +244,7 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read_manifest`` does."""
     try:
         entry = decode_json(content, limit=LARGEST_MANIFEST)
-        schema = entry.get("schema") if isinstance(entry, Mapping) else None
+        schema: Any = entry.get("schema") if isinstance(entry, Mapping) else None
         if not is_count(schema):
             raise ShardError("schema is missing")
         if schema == SCHEMA:

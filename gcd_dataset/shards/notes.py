@@ -34,11 +34,10 @@ from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture, key_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, MEMBERS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
-    META,
     MOST,
     Manifest,
     Plan,
@@ -64,6 +63,7 @@ SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
 NOTHING = "no shards: give a folder made by gcd generate"
+META = MEMBERS[0]
 FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
 
 

@@ -13,8 +13,8 @@ from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, is_picture, key_of
-from gcd_dataset.shards.manifest import META, ShardRecord
-from gcd_dataset.shards.notes import checked_meta
+from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.notes import META, checked_meta
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, END, samples_in
 

@@ -22,9 +22,10 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, is_picture, key_of, member_name
-from gcd_dataset.shards.manifest import META, Plan, shard_name
 from gcd_dataset.shards.manifest import MOST as MOST_SAMPLES
+from gcd_dataset.shards.manifest import Plan, shard_name
 from gcd_dataset.shards.notes import (
+    META,
     Note,
     Row,
     checked_meta,
