@@ -72,12 +72,12 @@ def make_room(shards: Path, size: int, limit: int | None) -> None:
         _added[shards] += size
         return
     _added[shards] = size
-    entries = [(_last_use(path), path) for path in _entries(shards)]
-    total = size + sum(_bytes_of(path) for _, path in entries)
-    for _, path in sorted(entries):
+    entries = sorted((*_use_of(path), path) for path in _entries(shards))
+    total = size + sum(held for _, held, _ in entries)
+    for _, held, path in entries:
         if total <= limit - slack:
             break
-        total -= _evict(path)
+        total -= held if _evict(path) else 0
 
 
 def _entries(shards: Path) -> list[Path]:
@@ -92,31 +92,24 @@ def _entries(shards: Path) -> list[Path]:
     return found
 
 
-def _last_use(path: Path) -> int:
-    """The time of the last use [ns]; 0 where another process has just evicted it."""
-    with contextlib.suppress(OSError):
-        return path.stat().st_mtime_ns
-    return 0
-
-
-def _bytes_of(path: Path) -> int:
+def _use_of(path: Path) -> tuple[int, int]:
+    """Time of the last use [ns] and bytes of a shard; zeros where another process has just evicted it."""
     with contextlib.suppress(OSError):
         files = list(path.iterdir()) if path.is_dir() else [path]
-        return sum(file.stat().st_size for file in files)
-    return 0
+        return path.stat().st_mtime_ns, sum(file.stat().st_size for file in files)
+    return 0, 0
 
 
-def _evict(path: Path) -> int:
-    """Remove a shard, or a download that no process continues; the bytes that it had."""
-    size = _bytes_of(path)
+def _evict(path: Path) -> bool:
+    """Remove a shard, or a download that no process continues; whether it is gone."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             # Renamed first: another process finds the whole folder, or none.
             path = path.rename(path.with_name(EVICTED + path.name))
             shutil.rmtree(path, ignore_errors=True)
-            return size
+            return True
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
-            return size
-    return 0
+            return True
+    return False

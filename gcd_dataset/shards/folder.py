@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shlex
 import weakref
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.published import is_published
-from gcd_dataset.shards.store import Store, command_of
+from gcd_dataset.shards.store import Store
 
 DOWNLOAD_FILE = "download.json"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
@@ -98,8 +99,22 @@ class FolderStore(Store):
                 got += more
         return data
 
-    def _continuation(self, manifest: Manifest, split: str) -> str:
-        return f"{command_of(self.folder, manifest, split)} goes on"
+    def _continuation(self, split: str) -> str:
+        return f"{self._command(split)} goes on"
+
+    def _command(self, split: str) -> str:
+        """The command that continues the data set; ``the same command`` where the plan lacks some of its options."""
+        plan = self.manifest().splits[split].plan
+        words = ["gcd", "generate", str(self.folder)]
+        if plan.named is not None:
+            return shlex.join([*words, "--recipe", plan.named[0]])
+        if "stage" not in plan.recipe or plan.recipe.get("design"):
+            return "the same command"
+        words += ["--count", str(plan.count), "--seed", str(plan.seed)]
+        for name, value in plan.recipe.items():
+            if name not in ("design", "mesh", "part"):  # not options
+                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        return shlex.join(words)
 
     def _gather(self) -> Gathered:
         if self._gathered is None:
@@ -123,8 +138,9 @@ class FolderStore(Store):
         """The error about a shard of the manifest, or its pictures, that is not in the folder."""
         path = self.folder / shard.name(split, views=views)
         also = f"delete {shard.name(split)} too and make both again" if views else "make it again"
-        command = command_of(self.folder, self.manifest(), split)
-        remedy = f"copy it again, or {also}: {command}" if self.source is None else "run gcd download again"
+        remedy = (
+            f"copy it again, or {also}: {self._command(split)}" if self.source is None else "run gcd download again"
+        )
         return ShardError(f"{path}: no such file, but {MANIFEST} lists it: {remedy}")
 
     def _opened(self, split: str, shard: ShardRecord, views: bool) -> "_OpenFile":

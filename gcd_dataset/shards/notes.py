@@ -186,6 +186,12 @@ def _lines(plan: Plan, number: int, rejects: Sequence[Mapping[str, Any]]) -> Ite
         yield {"seed": plan.seed, "design": design, "attempt": attempt, **line, "figures": figures}
 
 
+def _unique(lines: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Lines of ``rejects.jsonl``, each once, in the order of designs and attempts."""
+    numbered = {(line["design"], line["attempt"]): line for line in lines}
+    return [line for _, line in sorted(numbered.items())]
+
+
 def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
     """``plan`` with the seed, recipe and version that a sample was made with."""
     generator = meta["versions"].get("gcd_dataset", plan.generator)
@@ -226,14 +232,13 @@ class Note:
         skipped: Mapping[int, str],
     ) -> Self:
         """The note of a shard with these samples."""
-        lines = {(line["design"], line["attempt"]): line for row in rows for line in row.rejects}
         return cls(
             split,
             plan,
             record,
             tuple(sorted(members, key=is_picture)),
             [row[:5] for row in rows],
-            [line for _, line in sorted(lines.items())],
+            _unique(line for row in rows for line in row.rejects),
             ranked(Counter(line["rule"] for row in rows for line in row.rejects)),
             ranked(sum((Counter(row.redraws) for row in rows), Counter())),
             sum((row.patterns for row in rows), PatternHash()),
@@ -349,8 +354,6 @@ class Gathered:
     indices: Mapping[str, SplitIndex]
     rejects: bytes
     """Content of ``rejects.jsonl``."""
-    patterns: PatternHash
-    """Of all patterns, for a data set with a published recipe."""
 
     @property
     def is_complete(self) -> bool:
@@ -381,16 +384,15 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):
         splits[split], indices[split] = _gathered_split(place, list(of_split))
-    patterns = sum((note.patterns for note in notes), PatternHash())
     manifest = Manifest(splits, notes[0].plan.generator)
     if (named := notes[0].plan.named) is not None:
+        patterns = sum((note.patterns for note in notes), PatternHash())
         known = "" if any(manifest.missing(split) for split in splits) else published(*named) or patterns.text
         is_whole = patterns.count == sum(manifest.counts.values())
         text = (known if patterns.agrees(known) else patterns.text) if known and is_whole else ""
         manifest = replace(manifest, recipe=RecipeRecord(*named, text))
-    lines = {(line["design"], line["attempt"]): line for note in notes for line in note.rejects}
-    rejects = b"".join(json_bytes(line) + b"\n" for _, line in sorted(lines.items()))
-    return Gathered(manifest, indices, rejects, patterns)
+    lines = _unique(line for note in notes for line in note.rejects)
+    return Gathered(manifest, indices, b"".join(json_bytes(line) + b"\n" for line in lines))
 
 
 def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:
