@@ -66,7 +66,8 @@ class GarmentDataset(Garments):
     - ``dtype``: the type of floating fields, float32 by default; ``None`` for the stored types.
     - ``transform``: called with each item.
     - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
-      everything on opening, ``off`` nothing; remote data is checked in any case.
+      everything on opening, ``off`` nothing; remote data, and shards from which columns are made, are checked in any
+      case.
     - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
       garments over ranks and workers; remote data is not cached.
 
@@ -151,9 +152,9 @@ class GarmentDataset(Garments):
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
-        stored, check = _stored_fields(self.fields, shared), verify != "off"
+        stored = _stored_fields(self.fields, shared)
         self._columns = {
-            name: Columns(store, name, reader.index, stored, limit=limit, single=single, verify=check)
+            name: Columns(store, name, reader.index, stored, limit=limit, single=single)
             for name, reader in readers.items()
         }
         self._is_remote, self._told = isinstance(store, RemoteStore), False

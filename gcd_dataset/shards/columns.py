@@ -55,7 +55,6 @@ class Columns:
 
     ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
     the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
-    ``verify=False`` does not compare the SHA-256 of tars.
     """
 
     def __init__(
@@ -67,10 +66,9 @@ class Columns:
         *,
         limit: int | None = None,
         single: bool = False,
-        verify: bool = True,
     ) -> None:
         self._store, self._split, self._index, self._fields = store, split, index, tuple(fields)
-        self._limit, self._single, self._verify = limit, single, verify
+        self._limit, self._single = limit, single
         self._starts: list[int] = index.first.tolist()
         self._fit: bool | None = None
         self._close()
@@ -173,8 +171,7 @@ class Columns:
                 continue
             path = self._store.path(self._split, shard, views=views)
             content = _mapped(path)
-            if self._verify:
-                _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
             columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
             try:
                 for key, members in _samples(content, numbers):

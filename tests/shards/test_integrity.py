@@ -368,3 +368,14 @@ def test_a_cache_that_cannot_be_written_is_named(mode: int) -> None:
         (place / "cache" / "shards").mkdir(parents=True)
         with forbidden(place / "cache" / "shards", mode), pytest.raises(GcdError, match=r"cache/shards.* \(Permission"):
             dataset[[0]]
+
+
+def test_a_reader_that_checks_nothing_leaves_no_damage_in_the_cache(folder: Path, tmp_path: Path) -> None:
+    options: Any = {"fields": ["design"], "cache_dir": tmp_path / "cache"}
+    path = folder / "train-00000.tar"
+    place = path.read_bytes().index(b"gcd_000000001.design.txt\0") + BLOCK + 2
+    flip(path, place)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: bytes differ from the written ones: copy it again"):
+        GarmentDataset(folder, verify="off", **options)[[1]]
+    flip(path, place)
+    assert GarmentDataset(folder, **options)[[1]][0]["design"] == GarmentDataset(folder)[1]["design"]
