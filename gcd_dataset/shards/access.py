@@ -74,14 +74,14 @@ def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
     """Hold an ``flock`` on the file ``path`` during the block. The file is removed at the end; a kill frees the lock.
 
     ``task``: the work under the lock, for messages. Raises ``OutputError`` where another process holds the lock, unless
-    ``wait``; for a folder that cannot be written; on a file system without locks.
+    ``wait`` (caused by ``BlockingIOError``); for a folder that cannot be written; on a file system without locks.
     """
     file, owner = lock_file(path, wait=wait), os.getpid()
     if file is None:
         raise OutputError(
             f"{path.parent}: another process is {task}, or a writer in this process was not closed: wait for it, or "
             "choose another folder"
-        )
+        ) from BlockingIOError(path)
     try:
         yield
     finally:
