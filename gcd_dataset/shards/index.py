@@ -7,6 +7,7 @@ of its shard begins, the last one 1,024 bytes before the end of the shard.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -60,7 +61,7 @@ class SplitIndex:
         """Whether the drape has settled; false without a drape."""
         return self.outcome == SETTLED
 
-    @property
+    @cached_property
     def first(self) -> Int[np.ndarray, " k1"]:
         """Row of the first sample of each shard, and the number of samples."""
         return np.cumsum([0, *(shard.count for shard in self.record.shards)])
