@@ -14,7 +14,7 @@ import torch
 from gcd_dataset.errors import ConfigError, GcdError, ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.remote import Remote, RemoteStore, open_store
-from gcd_dataset.loaders.available import absent_at_stage, absent_when_empty
+from gcd_dataset.loaders.available import STAGES, absent_at_stage, absent_when_empty
 from gcd_dataset.loaders.base import Garments, Transform, note_items, recipe_from_meta, require_integer
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
 from gcd_dataset.loaders.splits import parse_splits
@@ -27,8 +27,6 @@ from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import MEMBERS, Bytes, fields_of, is_picture, is_view_field, joint_fields, members_of
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
 from gcd_dataset.shards.store import Store
-
-__all__ = ["GarmentDataset"]
 
 META = MEMBERS[0]
 RECIPE = "recipe:"
@@ -68,7 +66,8 @@ class GarmentDataset(Garments):
     - ``dtype``: the type of floating fields, float32 by default; ``None`` for the stored types.
     - ``transform``: called with each item.
     - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
-      everything on opening, ``off`` nothing; remote data is checked in any case.
+      everything on opening, ``off`` nothing; remote data, and shards from which columns are made, are checked in any
+      case.
     - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
       garments over ranks and workers; remote data is not cached.
 
@@ -146,16 +145,16 @@ class GarmentDataset(Garments):
             fields,
             transform,
             available=fields_of(shared),
-            absent=_absent(self._parts, is_remote=isinstance(store, RemoteStore)),
+            absent=_absent(self._parts, fields, is_remote=isinstance(store, RemoteStore)),
             dtype=dtype,
         )
         self.source = store.source
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
-        stored, check = _stored_fields(self.fields, shared), verify != "off"
+        stored = _stored_fields(self.fields, shared)
         self._columns = {
-            name: Columns(store, name, reader.index, stored, limit=limit, single=single, verify=check)
+            name: Columns(store, name, reader.index, stored, limit=limit, single=single)
             for name, reader in readers.items()
         }
         self._is_remote, self._told = isinstance(store, RemoteStore), False
@@ -181,7 +180,11 @@ class GarmentDataset(Garments):
 
     def shard_lengths(self) -> list[int]:
         """Number of garments in each shard, in order: they are read together."""
-        return [length for part in self._parts for length in part.shard_lengths()]
+        lengths: list[int] = []
+        for reader, positions in self._parts:
+            shards = np.searchsorted(reader.index.first, reader.rows(positions), "right")
+            lengths += np.diff(np.flatnonzero(np.diff(shards, prepend=-1, append=-1))).tolist()
+        return lengths
 
     def _window(self, window: int | None, limit: int | None) -> int | None:
         """The window in shards: the given one, else ``WINDOW`` for a server or a set larger than the cache."""
@@ -209,25 +212,21 @@ class GarmentDataset(Garments):
         part, end = self._parts[number], self._ends[number]
         columns = self._columns[part.reader.split]
         if max(positions) >= end or not self._fit(columns):
-            return self._items_one_by_one(indices, positions)
+            return [self._alone(index, position) for index, position in zip(indices, positions, strict=True)]
         first = end - len(part.positions) - part.positions.start  # index of the reader's first garment
         items = self._stored(columns, part.reader.rows(np.array(positions) - first))
         if self.transform is None:
             return items
         return [self._transformed(item, position) for item, position in zip(items, positions, strict=True)]
 
-    def _items_one_by_one(self, indices: Sequence[int], positions: Sequence[int]) -> list[Any]:
-        """The items of a batch out of several splits, or of a set whose columns do not fit into the cache."""
-        items = []
-        for index, position in zip(indices, positions, strict=True):
-            with note_items(self, index):
-                part, row = self._locate(position)
-                columns, rows = self._columns[part.reader.split], part.reader.rows([row])
-                fits = self._fit(columns)
-                items.append(
-                    self._transformed(self._stored(columns, rows)[0], position) if fits else self._load(position)
-                )
-        return items
+    def _alone(self, index: int, position: int) -> Any:
+        """An item of a batch out of several splits, or of a set whose columns do not fit into the cache."""
+        with note_items(self, index):
+            part, row = self._locate(position)
+            columns = self._columns[part.reader.split]
+            if not self._fit(columns):
+                return self._load(position)
+            return self._transformed(self._stored(columns, part.reader.rows([row]))[0], position)
 
     def _fit(self, columns: Columns) -> bool:
         """Whether columns serve: in windows always, else if those of the whole split fit into the cache."""
@@ -280,9 +279,9 @@ class GarmentDataset(Garments):
         if number is None:
             return None
         found: dict[str, int] = {}
-        for part, end in zip(self._parts, self._ends, strict=True):
-            if (row := part.row_of_number(number)) is not None:
-                found.setdefault(part.reader.split, end - len(part.positions) + row)
+        for (reader, positions), end in zip(self._parts, self._ends, strict=True):
+            for row in np.flatnonzero(reader.index.number[reader.rows(positions)] == number).tolist():
+                found.setdefault(reader.split, end - len(positions) + row)
         if len(found) > 1:
             raise UnknownKeyError(f"garment {key} is in {' and in '.join(found)}: open one split, or give its index")
         return next(iter(found.values()), None)
@@ -312,17 +311,6 @@ class _Part(NamedTuple):
     reader: ShardReader
     positions: range
 
-    def row_of_number(self, number: int) -> int | None:
-        """Row, within this part, of the sample with a number; ``None`` if there is none."""
-        numbers = self.reader.index.number[self.reader.rows(self.positions)]
-        return next(iter(np.flatnonzero(numbers == number).tolist()), None)
-
-    def shard_lengths(self) -> list[int]:
-        """Numbers of samples of this part in each shard, in order."""
-        rows = self.reader.rows(self.positions)
-        shards = np.searchsorted(self.reader.index.first, rows, "right")
-        return np.diff(np.flatnonzero(np.diff(shards, prepend=-1, append=-1))).tolist()
-
 
 def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, ...]:
     """The fields to read from columns; fields that join views are joined from those of each view."""
@@ -331,23 +319,29 @@ def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, 
     return tuple(dict.fromkeys(single for field in fields for single in singles[field]))
 
 
-def _absent(parts: Sequence[_Part], *, is_remote: bool) -> dict[str, str]:
-    """Field to the reason why no garment has it: by the first garment, and of a server by the recipe."""
-    plans, views = [part.reader.record.plan for part in parts], any(part.reader.index.has_views for part in parts)
-    if is_remote and all("stage" in plan.recipe for plan in plans):
-        recipes = [plan.recipe for plan in plans]
-        stage = max((str(recipe["stage"]) for recipe in recipes), key=("pattern", "mesh", "drape").index)
+def _absent(parts: Sequence[_Part], fields: Sequence[str] | None, *, is_remote: bool) -> dict[str, str]:
+    """Field to the reason why no garment has it: by the first garment, and of a server by the recipe.
+
+    ``fields``: of these pictures alone are looked at, since their tars may be missing.
+    """
+    views = any(part.reader.index.has_views for part in parts)
+    recipes = [part.reader.record.plan.recipe for part in parts]
+    if is_remote and all(recipe.get("stage") in STAGES for recipe in recipes):
+        stage = max((recipe["stage"] for recipe in recipes), key=STAGES.index)
         empty = [] if any(recipe.get("points", 1) for recipe in recipes) else ["points"]
         return absent_at_stage(stage, empty if views else [*empty, "front", "back"])
     part = next((part for part in parts if len(part.positions)), None)
     if part is None:
         return {}
-    members = part.reader.read(part.positions[0], part.reader.layout.members)
-    stored = {field: member for field, member in fields_of(members).items() if not is_view_field(field)}
-    pictures = [field for field, member in stored.items() if is_picture(member)]
+    held = {
+        field: member for field, member in fields_of(part.reader.layout.members).items() if not is_view_field(field)
+    }
+    pictures = [field for field in held if is_picture(held[field])]
+    stored = {field: held[field] for field in held if field not in pictures or fields is None or field in fields}
+    members = part.reader.read(part.positions[0], stored.values())
     found = decode_fields(members, [field for field in stored if field not in pictures])
     missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
-    missing |= {field for field in pictures if len(members[stored[field]]) <= len(NO_PICTURE)}
+    missing |= {field for field in pictures if field in stored and len(members[stored[field]]) <= len(NO_PICTURE)}
     if any(part.reader.index.outcome.any() for part in parts):  # the first garment may be one without a drape
         missing.discard("verts")
     return absent_when_empty(missing.__contains__, stored)

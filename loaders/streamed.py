@@ -2,8 +2,7 @@
 
 import sys
 import tarfile
-import zlib
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from types import FrameType
@@ -22,7 +21,7 @@ from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.layout import MEMBERS, is_picture, key_of
 from gcd_dataset.shards.manifest import ShardRecord
-from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import checked_meta
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import CheckedTar
@@ -171,8 +170,10 @@ class StreamedGarments(GarmentDataset, IterableDataset):
             if missing := sorted(names - members.keys()):
                 raise ShardError(f"{_label(tar.name, number)} has no {missing[0]}: {tar.remedy}")
             if self._checks:
-                with naming_sample(partial(_label, tar.name, number)):
-                    _check(members, number, tar.remedy)
+                try:
+                    checked_meta(members, number)
+                except ShardError as error:
+                    raise ShardError(f"{_label(tar.name, number)}, {error}: {tar.remedy}") from error
             yield members
 
 
@@ -204,16 +205,3 @@ def _requested_batch() -> int:
 
 def _label(tar: str, number: int) -> str:
     return f"{tar}: sample {key_of(number)}"
-
-
-def _check(members: Mapping[str, bytes], number: int, remedy: str) -> None:
-    """Raise ``ShardError`` unless members and key match the sample's ``meta.json``."""
-    try:
-        meta = read_meta(members[META])
-    except ShardError as error:
-        raise ShardError(f"member {META}: {error}: {remedy}") from error
-    if meta["index"] != number:
-        raise ShardError(f"member {META}: holds the number of {key_of(meta['index'])}: {remedy}")
-    for member in members.keys() - {META}:
-        if zlib.crc32(members[member]) != meta["crc32"].get(member):
-            raise ShardError(f"member {member}: bytes differ from those written: {remedy}")

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from gcd_dataset.shards.layout import (
     Bytes,
     Layout,
     fields_of,
+    is_picture,
     is_view_field,
     joint_fields,
     key_of,
@@ -47,7 +48,7 @@ BAR = 30  # characters
 
 
 def info_lines(store: Store) -> Iterator[str]:
-    """Counts, shares and text plots of a data set. Raises ``ShardError``."""
+    """Counts, shares and text plots of a data set. Raises ``ShardError``, at the end where its pictures are lost."""
     manifest = store.manifest()
     source = "" if store.source in (None, store.location()) else f", from {store.source}"
     yield f"{store.location()}{source}, made by gcd_dataset {manifest.generator}, schema {manifest.schema}"
@@ -58,6 +59,7 @@ def info_lines(store: Store) -> Iterator[str]:
         if (fault := store.unfinished(split)) is not None:
             yield f"  unfinished: {fault}"
             break
+    lost: ShardError | None = None
     for split, record in manifest.splits.items():
         yield ""
         if not record.count:
@@ -68,9 +70,13 @@ def info_lines(store: Store) -> Iterator[str]:
         yield from _recipe_lines(record)
         yield from _reject_lines(store, record)
         if isinstance(store, FolderStore):
-            yield from _bars("bytes by field", _bytes_by_member(reader))
+            lost = lost or store.missing_pictures(split)
+            members = [member for member in reader.layout.members if lost is None or not is_picture(member)]
+            yield from _bars("bytes by field", _bytes_by_member(reader, members))
             if reader.layout.kind == GARMENTS.kind:
-                yield from _content_lines(reader)
+                yield from _content_lines(reader, members)
+    if lost is not None:
+        raise lost
 
 
 def _layout_of(record: SplitRecord) -> Layout:
@@ -108,9 +114,9 @@ def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
         yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
 
 
-def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
+def _bytes_by_member(reader: ShardReader, members: Sequence[str]) -> dict[str, int]:
     amounts: Counter[str] = Counter()
-    for content in reader.read_many(_chosen(reader, WEIGHED), reader.layout.members):
+    for content in reader.read_many(_chosen(reader, WEIGHED), members):
         for member, data in content.items():
             amounts[_stem(member)] += len(data)
     return dict(amounts)
@@ -127,9 +133,9 @@ def _stem(member: str) -> str:
     return "views" if is_view_field(stem) else stem
 
 
-def _content_lines(reader: ShardReader) -> Iterator[str]:
-    """Outcomes, wearers and types of garments, from samples at evenly spaced positions."""
-    member_of = fields_of(reader.layout.members)
+def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]:
+    """Outcomes, wearers and types of garments, from the ``present`` members at evenly spaced positions."""
+    member_of = fields_of(present)
     members = [member_of[field] for field in ("meta", "design", "caption") if field in member_of]
     chosen = _chosen(reader, SAMPLED)
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
@@ -152,7 +158,7 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
             yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
     if tags:
         yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
-    if views := joint_fields(reader.layout.members).get("views"):
+    if views := joint_fields(present).get("views"):
         yield f"  views: {len(views)} of each garment, {_view_size(reader, views[0])}"
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"

@@ -32,7 +32,7 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import POSITION_STEP, BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, read_limited
+from gcd_dataset.shards.access import REMEDY, read_file
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
@@ -175,7 +175,7 @@ def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
     """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or where its hash is not ``sha256``."""
     path = folder / mesh_name(split)
     try:
-        sections = unpack(read_limited(path, LARGEST_SAMPLE))
+        sections = unpack(read_file(path, LARGEST_SAMPLE))
         _require_forms(sections, {"faces": ("i4", (3,)), "parts": ("u1", ())})
         mesh = BodyMesh(sections["faces"], sections["parts"] if len(sections["parts"]) else None)
     except (ShardError, ValueError) as error:

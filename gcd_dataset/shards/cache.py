@@ -11,12 +11,11 @@ import fcntl
 import os
 import re
 import shutil
+from decimal import Decimal
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.files import user_path
-
-__all__ = ["SIZE", "default_cache", "make_room", "size_in_bytes", "touch"]
+from gcd_dataset.files import user_path, writing_to
 
 SIZE = "50 GB"
 """The limit of the cache by default."""
@@ -46,10 +45,10 @@ def size_in_bytes(size: int | str | None) -> int | None:
     """
     if size is None or (isinstance(size, int) and size >= 0):
         return size
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?I?B?)", str(size).strip().upper())
+    match = re.fullmatch(r"(\d{1,18}(?:\.\d{1,18})?)\s*([KMGT]?I?B?)", str(size).strip().upper())
     if match is None or match[2] not in UNITS:
         raise ConfigError(f"max_cache_size={size!r}: give bytes, or a size such as '20GB' or '500MiB'")
-    return int(float(match[1]) * UNITS[match[2]])
+    return int(Decimal(match[1]) * UNITS[match[2]])
 
 
 def touch(shard: Path) -> None:
@@ -73,43 +72,44 @@ def make_room(shards: Path, size: int, limit: int | None) -> None:
         _added[shards] += size
         return
     _added[shards] = size
-    entries = [(path.stat().st_mtime_ns, path) for path in _entries(shards)]
-    total = size + sum(map(_bytes_of, (path for _, path in entries)))
-    for _, path in sorted(entries):
+    entries = sorted((*_use_of(path), path) for path in _entries(shards))
+    total = size + sum(held for _, held, _ in entries)
+    for _, held, path in entries:
         if total <= limit - slack:
             break
-        total -= _evict(path)
+        total -= held if _evict(path) else 0
 
 
 def _entries(shards: Path) -> list[Path]:
     """Folders of shards and stopped downloads; removes what a killed eviction has left."""
     found = []
-    for path in shards.iterdir() if shards.is_dir() else ():
-        if path.name.startswith(EVICTED):
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.is_dir() or path.suffix == ".part":
-            found.append(path)
+    with writing_to(shards):
+        for path in shards.iterdir() if shards.is_dir() else ():
+            if path.name.startswith(EVICTED):
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.is_dir() or path.suffix == ".part":
+                found.append(path)
     return found
 
 
-def _bytes_of(path: Path) -> int:
+def _use_of(path: Path) -> tuple[int, int]:
+    """Time of the last use [ns] and bytes of a shard; zeros where another process has just evicted it."""
     with contextlib.suppress(OSError):
         files = list(path.iterdir()) if path.is_dir() else [path]
-        return sum(file.stat().st_size for file in files)
-    return 0
+        return path.stat().st_mtime_ns, sum(file.stat().st_size for file in files)
+    return 0, 0
 
 
-def _evict(path: Path) -> int:
-    """Remove a shard, or a download that no process continues; the bytes that it had."""
-    size = _bytes_of(path)
+def _evict(path: Path) -> bool:
+    """Remove a shard, or a download that no process continues; whether it is gone."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             # Renamed first: another process finds the whole folder, or none.
             path = path.rename(path.with_name(EVICTED + path.name))
             shutil.rmtree(path, ignore_errors=True)
-            return size
+            return True
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
-            return size
-    return 0
+            return True
+    return False

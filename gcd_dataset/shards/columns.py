@@ -8,7 +8,6 @@ decoded. Reading a column checks nothing; it costs no more than a memory map. Co
 that are mapped stay readable, others are made again. Two processes that make one column write the same bytes.
 """
 
-import contextlib
 import hashlib
 import mmap
 import struct
@@ -23,16 +22,16 @@ import numpy as np
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.records import MEASURES
+from gcd_dataset.shards.access import mapped as _mapped
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.cache import make_room, touch
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
 from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.sections import TYPES
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import samples_in
-
-__all__ = ["Columns", "value_of"]
 
 HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
 MAGIC = b"gcdcol1\0"
@@ -56,7 +55,6 @@ class Columns:
 
     ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
     the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
-    ``verify=False`` does not compare the SHA-256 of tars.
     """
 
     def __init__(
@@ -68,21 +66,24 @@ class Columns:
         *,
         limit: int | None = None,
         single: bool = False,
-        verify: bool = True,
     ) -> None:
         self._store, self._split, self._index, self._fields = store, split, index, tuple(fields)
-        self._limit, self._single, self._verify = limit, single, verify
+        self._limit, self._single = limit, single
         self._starts: list[int] = index.first.tolist()
         self._fit: bool | None = None
+        self._close()
+
+    def _close(self) -> None:
+        """Forget the open columns."""
         self._opened_shards: set[int] = set()
         self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": None, "_opened_shards": set()}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_open", "_opened_shards")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
+        self._close()
 
     def views(self, rows: Iterable[int]) -> dict[str, list[np.ndarray]]:
         """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
@@ -151,8 +152,8 @@ class Columns:
         path = folder / self._file(field)
         try:
             column = _open_column(path)
-        except (OSError, ValueError, struct.error):
-            missing = [name for name in self._fields if not _is_column(folder / self._file(name))]
+        except (OSError, ValueError):
+            missing = [name for name in self._fields if name == field or not (folder / self._file(name)).exists()]
             self._make(number, missing)
             with reading(path):
                 column = _open_column(path)
@@ -170,8 +171,7 @@ class Columns:
                 continue
             path = self._store.path(self._split, shard, views=views)
             content = _mapped(path)
-            if self._verify:
-                _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
             columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
             try:
                 for key, members in _samples(content, numbers):
@@ -216,29 +216,22 @@ def _open_column(path: Path) -> Column:
     """A column. Raises ``ValueError`` for a file that is none, or cut off."""
     with path.open("rb") as file:
         memory = mmap.mmap(file.fileno(), 0, flags=mmap.MAP_PRIVATE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
+    if len(memory) < HEAD.size:
+        raise ValueError(f"{path}: cut off")
     magic, kind, columns, _, samples, count = HEAD.unpack_from(memory)
-    if magic != MAGIC:
-        raise ValueError(f"{path}: not a column")
+    begin = _aligned(HEAD.size + 8 * (samples + 1))
+    if magic != MAGIC or kind not in TYPES or len(memory) != begin + count * max(columns, 1) * int(kind[1:]):
+        raise ValueError(f"{path}: not a column, or cut off")
     starts = np.frombuffer(memory, np.int64, samples + 1, HEAD.size).tolist()
-    begin = HEAD.size + 8 * (samples + 1)
     shape = (count, columns) if columns else (count,)
-    return Column(np.ndarray(shape, f"<{kind.decode()}", memory, begin + -begin % ALIGNED), starts)
+    return Column(np.ndarray(shape, f"<{kind.decode()}", memory, begin), starts)
 
 
-def _is_column(path: Path) -> bool:
-    with contextlib.suppress(OSError, ValueError, struct.error):
-        _open_column(path)
-        return True
-    return False
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNED) * ALIGNED
 
 
 # -------------------------------------------------------------------------------------------------------------- making
-
-
-def _mapped(path: Path) -> memoryview:
-    """The content of a file, mapped. Raises ``ShardError``."""
-    with reading(path), path.open("rb") as file:
-        return memoryview(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
 
 
 def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> None:
@@ -292,7 +285,7 @@ def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
     columns = first.shape[1] if first.ndim > 1 else 0
     head = HEAD.pack(MAGIC, first.dtype.str[1:].encode(), columns, 0, len(rows), int(starts[-1])) + starts.tobytes()
     with open_whole(path) as file:
-        file.write(head + bytes(-len(head) % ALIGNED))
+        file.write(head.ljust(_aligned(len(head)), b"\0"))
         for value in rows:
             if value.size:
                 file.write(np.ascontiguousarray(value).data)

@@ -1,6 +1,8 @@
 """A data set in a local folder."""
 
+import hashlib
 import os
+import shlex
 import weakref
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,7 @@ from typing import Any
 from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
-from gcd_dataset.shards.access import read_limited, reading
+from gcd_dataset.shards.access import read_file, reading
 from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
@@ -18,9 +20,7 @@ from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_ma
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.shards.store import Store, command_of
-
-__all__ = ["FolderStore", "is_set", "splits_in"]
+from gcd_dataset.shards.store import Store
 
 DOWNLOAD_FILE = "download.json"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
@@ -39,6 +39,7 @@ class FolderStore(Store):
             self.remedy = "delete it, and run gcd download again"
         self._manifest: Manifest | None = None
         self._gathered: Gathered | None = None
+        self._place = FolderPlace(self.folder)
         self._files: dict[str, _OpenFile] = {}
 
     def location(self, name: str = "") -> str:
@@ -63,27 +64,34 @@ class FolderStore(Store):
         record, path = manifest.splits[split], self.folder / index_name(split)
         if not record.count:
             raise ShardError(f"{self.folder}: no samples of split {split}: none is finished")
-        self._require_listed(split, manifest)
-        with reading(path):
-            is_stored = self._gathered is None and path.exists()
-        if is_stored:
-            return SplitIndex.from_bytes(read_limited(path, LARGEST_FILE), record, str(path))
+        names = self._place.names()
+        for shard in record.shards:
+            if shard.name(split) not in names:
+                raise self._missing(split, shard, False)
+        if self._gathered is None and path.name in names:
+            content = read_file(path, LARGEST_FILE)
+            if record.index_sha256 not in ("", hashlib.sha256(content).hexdigest()):
+                raise ShardError(f"{path}: not the index of these shards ({MANIFEST} has another hash): run gcd index")
+            return SplitIndex.from_bytes(content, record, str(path))
         index = self._gather().indices.get(split)
         if index is None or index.record.shards != record.shards:
             raise ShardError(f"{path}: no such file, and the shards differ from {MANIFEST}: run gcd index")
         return index
 
     def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
-        return self.folder / shard.name(split, views=views)
+        path = self.folder / shard.name(split, views=views)
+        with reading(path):
+            if not path.exists():
+                raise self._missing(split, shard, views)
+        return path
 
     def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> Bytes:
-        name = shard.name(split, views=views)
-        path = self.folder / name
+        path = self.folder / (name := shard.name(split, views=views))
         with reading(path):
             # This reference keeps the descriptor open while another thread evicts it.
-            file = self._files.get(name) or self._opened(name, shard.views_size if views else shard.size)
+            file = self._files.get(name) or self._opened(split, shard, views)
             data = read_buffer(end - start).data
-            got = os.preadv(file.fd, [data], start)
+            got = 0
             while got < len(data):  # one call reads at most 2 GiB, less on network file systems
                 more = os.preadv(file.fd, [data[got:]], start + got)
                 if not more:
@@ -91,40 +99,59 @@ class FolderStore(Store):
                 got += more
         return data
 
-    def _continuation(self, manifest: Manifest, split: str) -> str:
-        return f"{command_of(self.folder, manifest, split)} goes on"
+    def _continuation(self, split: str) -> str:
+        return f"{self._command(split)} goes on"
+
+    def _command(self, split: str) -> str:
+        """The command that continues the data set; ``the same command`` where the plan lacks some of its options."""
+        plan = self.manifest().splits[split].plan
+        words = ["gcd", "generate", str(self.folder)]
+        if plan.named is not None:
+            return shlex.join([*words, "--recipe", plan.named[0]])
+        if "stage" not in plan.recipe or plan.recipe.get("design"):
+            return "the same command"
+        words += ["--count", str(plan.count), "--seed", str(plan.seed)]
+        for name, value in plan.recipe.items():
+            if name not in ("design", "mesh", "part"):  # not options
+                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        return shlex.join(words)
 
     def _gather(self) -> Gathered:
         if self._gathered is None:
-            place = FolderPlace(self.folder)
             if self.source is not None:
                 raise ShardError(f"{self.folder}: the download of {self.source} is incomplete: run gcd download again")
-            if is_published(self.folder) and not shards_named(place.names()):
+            if is_published(self.folder) and not shards_named(self._place.names()):
                 raise ShardError(
                     f"{self.folder}: no shards: this is GarmentCodeData as published: read it with "
                     "PublishedGarmentCodeData, or make shards of it with gcd convert"
                 )
-            self._gathered = gather(place)
+            self._gathered = gather(self._place)
         return self._gathered
 
-    def _require_listed(self, split: str, manifest: Manifest) -> None:
-        """Raise ``ShardError`` for a shard of the manifest that is not in the folder."""
-        names = FolderPlace(self.folder).names()
-        for shard in manifest.splits[split].shards:
-            if shard.name(split) not in names:
-                raise ShardError(
-                    f"{self.folder / shard.name(split)}: no such file, but {MANIFEST} lists it: copy it again, or make "
-                    f"it again: {command_of(self.folder, manifest, split)}"
-                )
+    def missing_pictures(self, split: str) -> ShardError | None:
+        """The error about the first tar of pictures that the manifest lists and the folder lacks."""
+        names = self._place.names()
+        lacking = (s for s in self.manifest().splits[split].shards if s.views_size and s.views_name(split) not in names)
+        return next((self._missing(split, shard, True) for shard in lacking), None)
 
-    def _opened(self, name: str, size: int) -> "_OpenFile":
-        """A shard, opened. Raises ``ShardError`` for one of another size."""
-        file = _OpenFile(os.open(self.folder / name, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
+    def _missing(self, split: str, shard: ShardRecord, views: bool) -> ShardError:
+        """The error about a shard of the manifest, or its pictures, that is not in the folder."""
+        path = self.folder / shard.name(split, views=views)
+        also = f"delete {shard.name(split)} too and make both again" if views else "make it again"
+        remedy = (
+            f"copy it again, or {also}: {self._command(split)}" if self.source is None else "run gcd download again"
+        )
+        return ShardError(f"{path}: no such file, but {MANIFEST} lists it: {remedy}")
+
+    def _opened(self, split: str, shard: ShardRecord, views: bool) -> "_OpenFile":
+        """A shard, opened. Raises ``ShardError`` for one that is missing or of another size."""
+        path, size = self.path(split, shard, views=views), shard.views_size if views else shard.size
+        file = _OpenFile(os.open(path, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
         if (found := os.fstat(file.fd).st_size) != size:
-            raise ShardError(f"{self.folder / name}: {found} bytes, but {size} in {MANIFEST}: {self.remedy}")
+            raise ShardError(f"{path}: {found} bytes, but {size} in {MANIFEST}: {self.remedy}")
         if len(self._files) >= OPEN_FILES:
             self._files.pop(next(iter(list(self._files))), None)
-        self._files[name] = file
+        self._files[shard.name(split, views=views)] = file
         return file
 
     def __getstate__(self) -> dict[str, Any]:
@@ -161,6 +188,6 @@ def downloaded_from(folder: Path) -> str | None:
         if not path.exists():
             return None
     try:
-        return str(decode_json(read_limited(path, LARGEST_JSON))["source"])
+        return str(decode_json(read_file(path, LARGEST_JSON))["source"])
     except (ShardError, ValueError, KeyError, TypeError) as error:
         raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error

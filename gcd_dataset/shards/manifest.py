@@ -5,37 +5,36 @@ file is one line of JSON with sorted keys; ``digest`` is the SHA-256 of the file
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from types import UnionType
+from typing import Any, Self, get_args, get_origin
 
 import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.jsonfile import found
 from gcd_dataset.names import require_name
-from gcd_dataset.shards.access import read_limited, reading
-from gcd_dataset.shards.layout import SCHEMA, recipe_hash
+from gcd_dataset.shards.access import read_file, reading
+from gcd_dataset.shards.layout import MEMBERS, SCHEMA, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
-from gcd_dataset.shards.meta import decode_json, json_bytes
-
-__all__ = [
-    "MANIFEST",
-    "Manifest",
-    "Plan",
-    "RecipeRecord",
-    "ShardRecord",
-    "SplitRecord",
-    "parse_manifest",
-    "read_manifest",
-]
+from gcd_dataset.shards.meta import decode_json
 
 MANIFEST = "manifest.json"
 REMEDY = "delete it, then run gcd index"
 DIGITS = 12  # shown digits of a hash, in messages
 MOST = 1 << 31  # samples of a split, and shards
 LONGEST = 1 << 40  # bytes of a shard
+HASH = re.compile("[0-9a-f]{64}")
+DIGEST = re.compile(rb'\{"digest":"([0-9a-f]{64})",')
+
+
+def shard_name(split: str, number: int, *, views: bool = False) -> str:
+    """The path of a shard's tar, or of that of its pictures, in the data set's folder."""
+    return f"{'views/' if views else ''}{split}-{number:05d}.tar"
 
 
 @dataclass(frozen=True)
@@ -66,19 +65,13 @@ class Plan:
                 f"{location}: made by gcd_dataset {self.generator}, but this is {asked.generator}: choose another "
                 f"folder, or install {self.generator} to continue this one"
             )
-        for name, before, now in self._differences(asked):
-            raise ConfigError(
-                f"{location}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
-            )
-
-    def _differences(self, asked: "Plan") -> list[tuple[str, Any, Any]]:
         mine, theirs = self._options(), asked._options()
-        names = [*mine, *sorted(theirs.keys() - mine.keys())]
-        return [
-            (name, mine.get(name), theirs.get(name))
-            for name in names
-            if recipe_hash({"": mine.get(name)}) != recipe_hash({"": theirs.get(name)})
-        ]
+        for name in [*mine, *sorted(theirs.keys() - mine.keys())]:
+            before, now = mine.get(name), theirs.get(name)
+            if recipe_hash({"": before}) != recipe_hash({"": now}):
+                raise ConfigError(
+                    f"{location}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
+                )
 
     def _options(self) -> dict[str, Any]:
         named = None if self.named is None else f"{self.named[0]} ({self.named[1][:DIGITS]})"
@@ -86,16 +79,18 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """The plan as a JSON object."""
-        return {**self.__dict__, "recipe": dict(self.recipe), "named": self.named and list(self.named)}
+        return {**self.__dict__, "recipe": dict(self.recipe)}
 
     @classmethod
     def from_json(cls, entry: Any, location: str) -> Self:
         """The plan in a JSON object. Raises ``ShardError``."""
-        values = checked(entry, location, PLAN_TYPES)
-        return cls(**{**values, "named": values["named"] and tuple(values["named"])})
+        plan = cls(**checked(cls, entry, location))
+        if not plan.shard_size:
+            raise ShardError(f"{location}: shard_size is 0")
+        return plan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ShardRecord:
     """One finished shard."""
 
@@ -115,11 +110,11 @@ class ShardRecord:
         >>> ShardRecord(12, 32, 1024, "").name("train"), ShardRecord(12, 32, 1024, "").views_name("train")
         ('train-00012.tar', 'views/train-00012.tar')
         """
-        return f"{'views/' if views else ''}{split}-{self.number:05d}.tar"
+        return shard_name(split, self.number, views=views)
 
     def views_name(self, split: str) -> str:
         """The path of the tar of its pictures in the data set's folder."""
-        return self.name(split, views=True)
+        return shard_name(split, self.number, views=True)
 
     def to_json(self) -> list[Any]:
         """The record as a list: number, count, size, SHA-256; with pictures also their size and SHA-256."""
@@ -129,14 +124,19 @@ class ShardRecord:
     @classmethod
     def from_json(cls, entry: Any, location: str) -> Self:
         """The record in such a list. Raises ``ShardError``."""
+        # Not ``checked``: a manifest lists thousands.
         if not isinstance(entry, list) or len(entry) not in (4, 6):
             raise ShardError(f"{location}: {found(entry)}, expected 4 or 6 values")
         record = cls(*entry)
-        limits = (MOST, MOST, LONGEST, LONGEST)
-        if not all(map(_is_count, (*entry[:3], record.views_size), limits)):
+        number, count, size, views = record.number, record.count, record.size, record.views_size
+        are_whole = type(number) is type(count) is type(size) is type(views) is int
+        if not (
+            are_whole and 0 <= number < MOST and 0 <= count < MOST and 0 <= size < LONGEST and 0 <= views < LONGEST
+        ):
             raise ShardError(f"{location}: {found(entry)}: a number is out of range")
-        if not _is_hash(record.sha256) or (record.views_size and not _is_hash(record.views_sha256)):
-            raise ShardError(f"{location}: {found(entry)}: a hash is not 64 hexadecimal digits")
+        for sha256 in entry[3::2]:
+            if type(sha256) is not str or HASH.fullmatch(sha256) is None:
+                raise ShardError(f"{location}: {found(entry)}: a hash is not 64 hexadecimal digits")
         return record
 
 
@@ -165,29 +165,28 @@ class SplitRecord:
 
     def to_json(self) -> dict[str, Any]:
         """The record as a JSON object."""
-        return {
-            **self.__dict__,
-            "plan": self.plan.to_json(),
-            "shards": [shard.to_json() for shard in self.shards],
-            "members": list(self.members),
-            "rejects": dict(self.rejects),
-            "redraws": dict(self.redraws),
-        }
+        return {**self.__dict__, "plan": self.plan.to_json(), "shards": [shard.to_json() for shard in self.shards]}
 
     @classmethod
     def from_json(cls, name: str, entry: Any) -> Self:
         """Split ``name`` from its JSON object. Raises ``ShardError``."""
         location = f"split {require_name(name, 'split')}"
-        values = checked(entry, location, SPLIT_TYPES)
+        values = checked(cls, entry, location)
         shards = tuple(ShardRecord.from_json(shard, f"{location}, a shard") for shard in values["shards"])
-        if any(a.number >= b.number for a, b in pairwise(shards)):
-            raise ShardError(f"{location}: the numbers of its shards do not ascend")
-        if sum(shard.count for shard in shards) >= MOST:
-            raise ShardError(f"{location}: more than {MOST} samples")
         counts = {name: ranked(values[name]) for name in ("rejects", "redraws")}
         plan = Plan.from_json(values["plan"], f"{location}, plan")
-        members = tuple(require_name(member, f"{location}, member") for member in values["members"])
-        return cls(**{**values, **counts, "plan": plan, "shards": shards, "members": members})
+        record = cls(**{**values, **counts, "plan": plan, "shards": shards})
+        for member in record.members:
+            require_name(member, f"{location}, member")
+        if any(a.number >= b.number for a, b in pairwise(shards)):
+            raise ShardError(f"{location}: the numbers of its shards do not ascend")
+        if (count := record.count) >= MOST:
+            raise ShardError(f"{location}: more than {MOST} samples")
+        if count and record.members[:1] != MEMBERS[:1]:
+            raise ShardError(f"{location}: its first member is not {MEMBERS[0]}")
+        if record.index_sha256 and HASH.fullmatch(record.index_sha256) is None:
+            raise ShardError(f"{location}: index_sha256 is not 64 hexadecimal digits")
+        return record
 
 
 @dataclass(frozen=True)
@@ -225,10 +224,9 @@ class Manifest:
 
     def to_bytes(self) -> bytes:
         """The content of ``manifest.json``."""
-        recipe = None if self.recipe is None else dict(self.recipe.__dict__)
         splits = {name: split.to_json() for name, split in self.splits.items()}
-        entry = {"generator": self.generator, "recipe": recipe, "schema": self.schema, "splits": splits}
-        return _sorted_bytes({**entry, "digest": hashlib.sha256(_sorted_bytes(entry)).hexdigest()}) + b"\n"
+        body = sorted_json({**self.__dict__, "recipe": self.recipe and self.recipe.__dict__, "splits": splits})
+        return b'{"digest":"%b",%b\n' % (hashlib.sha256(body).hexdigest().encode(), body[1:])
 
 
 def read_manifest(folder: Path) -> Manifest | None:
@@ -239,29 +237,34 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     with reading(path):
         exists = path.exists()
-    return parse_manifest(read_limited(path, LARGEST_MANIFEST), str(path)) if exists else None
+    return parse_manifest(read_file(path, LARGEST_MANIFEST), str(path)) if exists else None
 
 
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read_manifest`` does."""
     try:
         entry = decode_json(content, limit=LARGEST_MANIFEST)
-        schema = entry.get("schema") if isinstance(entry, Mapping) else None
-        if not isinstance(schema, int) or not _is_count(schema):
+        schema: Any = entry.get("schema") if isinstance(entry, Mapping) else None
+        if not is_count(schema):
             raise ShardError("schema is missing")
-        if schema != SCHEMA:
-            raise ShardError(other_schema(path, schema, entry.get("generator")))
-        values = checked(entry, "the file", FILE_TYPES)
-        rest = {name: value for name, value in entry.items() if name != "digest"}
-        if hashlib.sha256(_sorted_bytes(rest)).hexdigest() != values["digest"]:
-            raise ShardError("its digest does not match its content")
-        splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
-        recipe = values["recipe"] and RecipeRecord(**checked(values["recipe"], "recipe", RECIPE_TYPES))
-        return Manifest(splits, values["generator"], schema, recipe)
+        if schema == SCHEMA:
+            return _parsed(content, entry)
     except ShardError as error:
-        if str(error).startswith(path):
-            raise
         raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
+    raise ShardError(other_schema(path, schema, entry.get("generator")))
+
+
+def _parsed(content: bytes, entry: Mapping[str, Any]) -> Manifest:
+    values, digest = checked(Manifest, entry, "the file"), DIGEST.match(content)
+    if digest is None:
+        raise ShardError("it does not begin with its digest")
+    if hashlib.sha256(b"{" + content[digest.end() :].removesuffix(b"\n")).hexdigest().encode() != digest[1]:
+        raise ShardError("its digest does not match its content")
+    splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
+    recipe = values["recipe"]
+    if recipe is not None:
+        recipe = RecipeRecord(**checked(RecipeRecord, recipe, "recipe"))
+    return Manifest(**{**values, "splits": splits, "recipe": recipe})
 
 
 def other_schema(path: object, schema: int, generator: object) -> str:
@@ -278,75 +281,44 @@ def ranked(counts: Mapping[str, int]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
 
 
-def _sorted_bytes(entry: Mapping[str, Any]) -> bytes:
-    return json_bytes(_sorted(entry))
+# ---------------------------------------------------------------------------------------------------------------- JSON
 
 
-def _sorted(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _sorted(value[name]) for name in sorted(value)}
-    return value
+def sorted_json(entry: Mapping[str, Any]) -> bytes:
+    """Compact JSON with sorted keys."""
+    options: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False, "ensure_ascii": False}
+    return json.dumps(entry, sort_keys=True, default=dict, **options).encode()
 
 
-def checked(entry: Any, location: str, types: Mapping[str, Callable[[Any], bool]]) -> dict[str, Any]:
-    """The entries named in ``types``. Raises ``ShardError`` for a missing or invalid one."""
+def checked(kind: type, entry: Any, location: str) -> dict[str, Any]:
+    """The fields of a dataclass from a JSON object, lists as tuples. Raises ``ShardError`` with ``location``."""
     if not isinstance(entry, Mapping):
         raise ShardError(f"{location} is {found(entry)}, expected an object")
-    for name, is_valid in types.items():
-        if name not in entry:
-            raise ShardError(f"{location}: {name} is missing")
-        if not is_valid(entry[name]):
-            raise ShardError(f"{location}: {name} is {found(entry[name])}")
-    return {name: entry[name] for name in types}
+    for one in fields(kind):
+        if one.name not in entry:
+            raise ShardError(f"{location}: {one.name} is missing")
+        if not _fits(entry[one.name], one.type):
+            raise ShardError(f"{location}: {one.name} is {found(entry[one.name])}")
+    values = ((one.name, entry[one.name]) for one in fields(kind))
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values}
 
 
-def _is_count(value: Any, most: int = 1 << 62) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < most
+def is_count(value: Any) -> bool:
+    """Whether a value is a number from 0 on."""
+    return type(value) is int and 0 <= value < 1 << 62
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_hash(value: Any) -> bool:
-    return isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
-
-
-def _is_object(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _are_counts(value: Any) -> bool:
-    return isinstance(value, Mapping) and all(map(_is_count, value.values()))
-
-
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
-
-
-Types = Mapping[str, Callable[[Any], bool]]
-FILE_TYPES: Types = {
-    "generator": _is_text,
-    "splits": _is_object,
-    "digest": _is_text,
-    "recipe": lambda value: value is None or _is_object(value),
-}
-RECIPE_TYPES: Types = {"name": _is_text, "sha256": _is_text, "patterns": _is_text}
-PLAN_TYPES: Types = {
-    "kind": _is_text,
-    "seed": _is_count,
-    "recipe": _is_object,
-    "count": _is_count,
-    "shard_size": lambda value: _is_count(value) and value > 0,
-    "generator": _is_text,
-    "named": lambda value: value is None or (_are_texts(value) and len(value) == 2),
-}
-SPLIT_TYPES: Types = {
-    "plan": _is_object,
-    "shards": lambda value: isinstance(value, list),
-    "members": _are_texts,
-    "rejects": _are_counts,
-    "redraws": _are_counts,
-    "index_sha256": lambda value: value == "" or _is_hash(value),
-    "skipped": _is_count,
-}
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a JSON value is of the type of a field; a record in it checks itself."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return any(_fits(value, one) for one in inner)
+    if origin is Mapping:
+        return isinstance(value, Mapping) and all(_fits(one, inner[1]) for one in value.values())
+    if origin is tuple and inner[-1] is not ...:
+        return isinstance(value, list) and len(value) == len(inner) and all(map(_fits, value, inner))
+    if origin in (tuple, Sequence):
+        return isinstance(value, list) and all(_fits(one, inner[0]) for one in value)
+    if is_dataclass(kind):
+        return isinstance(value, list | Mapping)
+    return is_count(value) if kind is int else kind is Any or isinstance(value, kind)

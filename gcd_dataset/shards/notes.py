@@ -17,9 +17,8 @@ plan and the samples: a lost note is made again from the tar.
 """
 
 import hashlib
-import mmap
-import os
 import re
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,43 +30,31 @@ import numpy as np
 
 from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import open_regular
+from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
-from gcd_dataset.shards.access import REMEDY, read_file, reading
+from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, is_picture, key_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, MEMBERS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import (
     MANIFEST,
+    MOST,
     Manifest,
     Plan,
     RecipeRecord,
     ShardRecord,
     SplitRecord,
+    checked,
+    is_count,
     other_schema,
     parse_manifest,
     ranked,
+    shard_name,
 )
 from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects
 from gcd_dataset.shards.pattern_arrays import stored_pattern
 from gcd_dataset.shards.place import Place
-from gcd_dataset.shards.tar import BLOCK, padded, samples_in
-
-__all__ = [
-    "EARLIER",
-    "REJECTS",
-    "Gathered",
-    "Note",
-    "Row",
-    "StoredSample",
-    "gather",
-    "note_name",
-    "note_of",
-    "plan_of_sample",
-    "read_note",
-    "row_of",
-    "shards_named",
-    "stored_samples",
-]
+from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 
 REJECTS = "rejects.jsonl"
 EARLIER = ".earlier"
@@ -76,8 +63,8 @@ SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
 NOTHING = "no shards: give a folder made by gcd generate"
+META = MEMBERS[0]
 FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
-META = "meta.json"
 
 
 def note_name(split: str, number: int) -> str:
@@ -102,29 +89,60 @@ class StoredSample(NamedTuple):
     """First byte, of the head of its first member."""
     end: int
     members: dict[str, memoryview]
+    views_start: int | None = None
+    """First byte of its pictures in their tar."""
+    views_end: int = 0
 
 
-def stored_samples(path: Path, *, damaged: bool = False) -> Iterator[StoredSample]:
-    """The samples of a shard, in order. Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``."""
-    position = 0
+def stored_samples(path: Path, views: Path | None = None, *, damaged: bool = False) -> Iterator[StoredSample]:
+    """The samples of a shard, in order, with their pictures in the tar ``views`` if it is given.
+
+    Raises ``ShardError`` for a damaged tar, or ends there if it is ``damaged``.
+    """
+    pictures = None if views is None else _samples_of(views, damaged)
+    for sample in _samples_of(path, damaged):
+        if pictures is not None:
+            picture = next(pictures, None)
+            if picture is None or picture.number != sample.number:
+                if damaged:
+                    return
+                raise ShardError(f"{views}: its samples differ from those of {path.name}: {REMEDY}")
+            members = sample.members | picture.members
+            sample = sample._replace(members=members, views_start=picture.start, views_end=picture.end)
+        yield sample
+
+
+def _samples_of(path: Path, damaged: bool) -> Iterator[StoredSample]:
+    # A draft is not mapped: its owner may truncate it.
+    content, position = memoryview(read_file(path)) if damaged else mapped(path), 0
     try:
-        for key, members in samples_in(memoryview(read_file(path)) if damaged else _mapped(path)):
+        for key, members in samples_in(content):
             if KEY.fullmatch(key) is None:
                 raise ShardError(f"{shown(key)} is not a sample of this package: move it elsewhere")
             end = position + sum(BLOCK + padded(len(data)) for data in members.values())
             yield StoredSample(int(key[4:]), position, end, members)
             position = end
+        if not damaged and (len(content) != position + END or any(content[position:])):
+            raise ShardError(f"cut off, or written on, at byte {position}")
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def _mapped(path: Path) -> memoryview:
-    """The content of a finished shard. A draft is not mapped: its owner may truncate it."""
-    with reading(path), open_regular(path) as file:
-        if not os.fstat(file.fileno()).st_size:
-            return memoryview(b"")
-        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+def checked_meta(members: Mapping[str, Bytes], number: int) -> dict[str, Any]:
+    """The ``meta`` of sample ``number``. Raises ``ShardError`` unless these of its members match its checksums."""
+    try:
+        meta = read_meta(members.get(META, b""))
+        if not isinstance(meta.get("crc32"), Mapping):
+            raise ShardError(f"crc32 is {found(meta.get('crc32'))}, expected an object")
+        if meta["index"] != number:
+            raise ShardError(f"is of {key_of(meta['index'])}")
+    except ShardError as error:
+        raise ShardError(f"member {META}: {error}") from error
+    for member, data in members.items():
+        if member != META and zlib.crc32(data) != meta["crc32"].get(member):
+            raise ShardError(f"member {member}: bytes differ from the written ones")
+    return meta
 
 
 class Row(NamedTuple):
@@ -147,28 +165,31 @@ class Row(NamedTuple):
 def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: int | None) -> Row:
     """What the note says of a sample that begins at ``start`` and ``views_start`` [bytes]. Raises ``ShardError``."""
     meta = read_meta(members[META])
-    number, drape = meta["index"], meta.get("drape")
-    patterns = PatternHash()
-    if plan.named is not None and plan.kind == GARMENTS.kind:
-        patterns = hash_pattern(number, stored_pattern(members))
-    return Row(
-        number,
-        start // BLOCK,
-        -1 if views_start is None else views_start // BLOCK,
-        meta.get("grade") or "",
-        drape["outcome"] if drape else "",
-        [] if plan.kind == BODIES.kind else [*_lines(plan, number, read_rejects(members[META]))],
-        meta.get("redraws") or {},
-        patterns,
-    )
+    number, grade, outcome = meta["index"], meta.get("grade") or "", (meta.get("drape") or {}).get("outcome", "")
+    if number >= MOST or grade not in GRADES or outcome not in OUTCOMES:
+        raise ShardError(f"index {number}, grade {found(grade)}, outcome {found(outcome)}: one is out of range")
+    rejects = [] if plan.kind == BODIES.kind else list(_lines(plan, number, read_rejects(members[META])))
+    is_hashed = plan.named is not None and plan.kind == GARMENTS.kind
+    patterns = hash_pattern(number, stored_pattern(members)) if is_hashed else PatternHash()
+    blocks = start // BLOCK, -1 if views_start is None else views_start // BLOCK
+    return Row(number, *blocks, grade, outcome, rejects, meta.get("redraws") or {}, patterns)
 
 
 def _lines(plan: Plan, number: int, rejects: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    design = number // (plan.recipe.get("bodies_each", 1) + (plan.recipe.get("bodies") == "both"))
+    each = plan.recipe.get("bodies_each", 1)
+    if not is_count(each) or not each:
+        raise ShardError(f"bodies_each is {found(each)}")
+    design = number // (each + (plan.recipe.get("bodies") == "both"))
     for attempt, reject in enumerate(rejects):
         line = {name: reject[name] for name in ("index", "rule", "reason")}
         figures = decode_json(reject["figures"].encode())
         yield {"seed": plan.seed, "design": design, "attempt": attempt, **line, "figures": figures}
+
+
+def _unique(lines: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Lines of ``rejects.jsonl``, each once, in the order of designs and attempts."""
+    numbered = {(line["design"], line["attempt"]): line for line in lines}
+    return [line for _, line in sorted(numbered.items())]
 
 
 def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
@@ -208,25 +229,20 @@ class Note:
         record: ShardRecord,
         members: Iterable[str],
         rows: Sequence[Row],
-        skipped: Mapping[int, str] | None = None,
+        skipped: Mapping[int, str],
     ) -> Self:
         """The note of a shard with these samples."""
-        lines = {(line["design"], line["attempt"]): line for row in rows for line in row.rejects}
-        rejected = Counter(line["rule"] for row in rows for line in row.rejects)
-        redraws: Counter[str] = Counter()
-        for row in rows:
-            redraws.update(row.redraws)
         return cls(
             split,
             plan,
             record,
             tuple(sorted(members, key=is_picture)),
             [row[:5] for row in rows],
-            [line for _, line in sorted(lines.items())],
-            ranked(rejected),
-            ranked(redraws),
+            _unique(line for row in rows for line in row.rejects),
+            ranked(Counter(line["rule"] for row in rows for line in row.rejects)),
+            ranked(sum((Counter(row.redraws) for row in rows), Counter())),
             sum((row.patterns for row in rows), PatternHash()),
-            {str(number): fault for number, fault in sorted((skipped or {}).items())},
+            {str(number): fault for number, fault in sorted(skipped.items())},
         )
 
     @property
@@ -242,22 +258,38 @@ class Note:
 
     @classmethod
     def from_bytes(cls, content: bytes, path: str) -> Self:
-        """The note in a file. Raises ``ShardError``."""
+        """The note in a file. Raises ``ShardError``, also for the note of a shard of another name."""
         try:
             entry = decode_json(content, limit=LARGEST_MANIFEST)
-            value, ties, count = entry["patterns"]
+            values = checked(cls, entry, "the file")
+            value, ties, count = values["patterns"]
             own = {
                 "plan": Plan.from_json(entry["plan"], "plan"),
                 "record": ShardRecord.from_json(entry["record"], "record"),
-                "members": tuple(entry["members"]),
                 "patterns": PatternHash(int(value, 16), tuple(int(tie, 16) for tie in ties), count),
             }
-            note = cls(**{**entry, **own})
+            note = cls(**{**values, **own})
+            if not (all(map(_is_row, note.rows)) and all(map(_is_line, note.rejects)) and is_count(count)):
+                raise ShardError("a row is out of range")
+            if not all(map(str.isdecimal, note.skipped)):
+                raise ShardError(f"skipped is {found(note.skipped)}")
             if len(note.rows) != note.record.count:
                 raise ShardError(f"{len(note.rows)} rows for {note.record.count} samples")
+            if path.rpartition("/")[2] != (name := note_name(note.split, note.record.number)):
+                raise ShardError(f"it is {shown(name)}")
             return note
-        except (ShardError, KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ShardError(f"{path}: not the note of a shard ({error}): delete it, then run gcd index") from error
+        except (ShardError, TypeError, ValueError) as error:
+            raise ShardError(f"{path}: not the note of this shard ({error}): delete it, then run gcd index") from error
+
+
+def _is_row(row: Any) -> bool:
+    if not isinstance(row, list) or len(row) != 5 or {*map(type, row[:3])} != {int}:
+        return False
+    return 0 <= row[0] < MOST and 0 <= row[1] < MOST and -1 <= row[2] < MOST and row[3] in GRADES and row[4] in OUTCOMES
+
+
+def _is_line(line: Any) -> bool:
+    return isinstance(line, Mapping) and is_count(line.get("design")) and is_count(line.get("attempt"))
 
 
 def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan | None) -> Note:
@@ -265,27 +297,24 @@ def note_of(path: Path, views: Path | None, split: str, number: int, plan: Plan 
 
     ``plan``: by default that of the first sample, as far as its ``meta.json`` tells.
     """
-    pictures = {} if views is None else {sample.number: sample for sample in stored_samples(views)}
     rows, members = [], tuple[str, ...]()
-    for sample in stored_samples(path):
-        picture = pictures.get(sample.number)
-        content = sample.members | ({} if picture is None else picture.members)
+    for sample in stored_samples(path, views):
+        content = sample.members
+        members = members or tuple(content)
         try:
-            members = members or tuple(content)
-            if META not in content or tuple(content) != members:
-                other = sorted(set(content) ^ {META, *members}) or [META]
+            if tuple(content) != members:
+                other = sorted({*content} ^ {*members}) or ["their order"]
                 raise ShardError(f"its members differ from those of the first sample in {other[0]}")
+            meta = checked_meta(content, sample.number)
             if plan is None:
-                kind = BODIES.kind if set(BODIES.members) == set(content) else GARMENTS.kind
-                plan = plan_of_sample(read_meta(content[META]), Plan(kind, 0, {}, 0, 1))
-            rows.append(row_of(plan, content, sample.start, None if picture is None else picture.start))
-            if rows[-1].number != sample.number:
-                raise ShardError(f"its {META} is of {key_of(rows[-1].number)}")
+                kind = BODIES.kind if {*BODIES.members} == {*content} else GARMENTS.kind
+                plan = plan_of_sample(meta, Plan(kind, 0, {}, 0, 1))
+            rows.append(row_of(plan, content, sample.start, sample.views_start))
         except ShardError as error:
             raise ShardError(f"{path}: sample {key_of(sample.number)}: {error}: {REMEDY}") from error
     if plan is None:
         raise ShardError(f"{path}: no samples, and its note is lost: run gcd generate again")
-    return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows)
+    return Note.of(split, plan, record_of(number, len(rows), path, views), members, rows, {})
 
 
 def record_of(number: int, count: int, path: Path, views: Path | None) -> ShardRecord:
@@ -306,14 +335,11 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     name = note_name(split, number)
     if place.exists(name):
         return Note.from_bytes(next(place.read([name])), place.location(name))
-    record = ShardRecord(number, 0, 0, "")
-    path = place.fetch(record.name(split))
-    views = place.fetch(record.views_name(split)) if place.exists(record.views_name(split)) else None
-    if plan is None:
-        with reading(path), open_regular(path) as file:
-            head = file.read(BLOCK)
-        if any(head) and KEY.match(head.decode("latin-1")) is None:
-            raise ShardError(f"{place.location()}: {FOREIGN}")
+    path, pictures = place.fetch(shard_name(split, number)), shard_name(split, number, views=True)
+    views = place.fetch(pictures) if place.exists(pictures) else None
+    head = bytes(mapped(path)[:BLOCK])
+    if plan is None and any(head) and KEY.match(head.decode("latin-1")) is None:
+        raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
 
 
@@ -328,8 +354,6 @@ class Gathered:
     indices: Mapping[str, SplitIndex]
     rejects: bytes
     """Content of ``rejects.jsonl``."""
-    patterns: PatternHash
-    """Of all patterns, for a data set with a published recipe."""
 
     @property
     def is_complete(self) -> bool:
@@ -360,16 +384,15 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):
         splits[split], indices[split] = _gathered_split(place, list(of_split))
-    patterns = sum((note.patterns for note in notes), PatternHash())
     manifest = Manifest(splits, notes[0].plan.generator)
     if (named := notes[0].plan.named) is not None:
+        patterns = sum((note.patterns for note in notes), PatternHash())
         known = "" if any(manifest.missing(split) for split in splits) else published(*named) or patterns.text
         is_whole = patterns.count == sum(manifest.counts.values())
         text = (known if patterns.agrees(known) else patterns.text) if known and is_whole else ""
         manifest = replace(manifest, recipe=RecipeRecord(*named, text))
-    lines = {(line["design"], line["attempt"]): line for note in notes for line in note.rejects}
-    rejects = b"".join(json_bytes(line) + b"\n" for _, line in sorted(lines.items()))
-    return Gathered(manifest, indices, rejects, patterns)
+    lines = _unique(line for note in notes for line in note.rejects)
+    return Gathered(manifest, indices, b"".join(json_bytes(line) + b"\n" for line in lines))
 
 
 def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:
@@ -412,32 +435,30 @@ def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, Split
         if note.members != filled[0].members:
             path = place.location(note.record.name(note.split))
             raise ShardError(f"{path}: its samples have other members than the first shard: delete it, make it again")
-    rejected, redraws = Counter[str](), Counter[str]()
-    for note in notes:
-        rejected.update(note.rejected)
-        redraws.update(note.redraws)
     record = SplitRecord(
         replace(notes[0].plan, count=max(note.plan.count for note in notes)),
         tuple(note.record for note in notes),
         filled[0].members if filled else (),
-        ranked(rejected),
-        ranked(redraws),
+        ranked(sum((Counter(note.rejected) for note in notes), Counter())),
+        ranked(sum((Counter(note.redraws) for note in notes), Counter())),
         skipped=sum(len(note.skipped) for note in notes),
     )
     rows = [row for note in notes for row in note.rows]
+    numbers, starts, views_starts, grades, outcomes = zip(*rows, strict=True) if rows else ((),) * 5
     index = SplitIndex(
         record,
-        np.array([row[0] for row in rows], np.int32),
-        np.array([row[1] for row in rows], np.int32),
-        np.array([row[2] for row in rows if row[2] >= 0], np.int32),
-        np.array([GRADES.index(row[3]) for row in rows], np.uint8),
-        np.array([OUTCOMES.index(row[4]) for row in rows], np.uint8),
+        np.array(numbers, np.int32),
+        np.array(starts, np.int32),
+        np.array([start for start in views_starts if start >= 0], np.int32),
+        np.array([*map(GRADES.index, grades)], np.uint8),
+        np.array([*map(OUTCOMES.index, outcomes)], np.uint8),
     )
     try:
         index.require_consistent()
     except ShardError as error:
         raise ShardError(
-            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}"
+            f"{place.location()}: shards of split {notes[0].split} contradict each other: {error}: move those of "
+            "another data set elsewhere, or delete all their notes, and run gcd index"
         ) from error
     record = replace(record, index_sha256=hashlib.sha256(index.to_bytes()).hexdigest())
     return record, replace(index, record=record)

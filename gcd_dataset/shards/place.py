@@ -8,8 +8,6 @@ from pathlib import Path
 from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.shards.access import read_file, reading, writing
 
-__all__ = ["VIEWS", "FolderPlace", "Place", "sync_folder"]
-
 VIEWS = "views"
 
 
@@ -86,20 +84,15 @@ class FolderPlace(Place):
             make_folder(path.parent)
         with writing(path):
             draft.replace(path)
-            sync_folder(path.parent)
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)  # writes its entries to the disk
+            finally:
+                os.close(folder)
 
     def remove(self, name: str) -> None:
         with writing(self.folder / name):
             (self.folder / name).unlink(missing_ok=True)
-
-
-def sync_folder(folder: Path) -> None:
-    """Write the entries of a folder to the disk. Raises ``OSError``."""
-    file = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
 
 
 def _listed(folder: Path) -> list[str]:

@@ -1,6 +1,5 @@
 """Reads samples of a split by position, and checks them when they are first read."""
 
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -15,12 +14,9 @@ from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, is_picture, key_of
 from gcd_dataset.shards.manifest import ShardRecord
-from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.notes import META
+from gcd_dataset.shards.notes import META, checked_meta
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, END, samples_in
-
-__all__ = ["Quality", "ShardReader", "Verify", "naming_sample"]
 
 MAIN, VIEWS = 1, 2  # bits of the tars of a sample that were checked
 Verify = Literal["lazy", "full", "off"]
@@ -101,7 +97,7 @@ class ShardReader:
         """The name of the sample at a position."""
         return key_of(self.number(position))
 
-    def naming(self, position: int) -> "naming_sample":
+    def naming(self, position: int) -> naming_sample:
         """A context in which errors about a member also name shard and sample."""
         return naming_sample(lambda: self._named(int(self._row[position])))
 
@@ -136,7 +132,9 @@ class ShardReader:
             if check and mask & ~self._checked[row]:
                 self._check(row, found)
                 self._checked[row] |= mask
-            yield {member: self._member(row, found, member) for member in wanted}
+            if lost := [member for member in wanted if member not in found]:
+                raise self._fault(row, f": no member {lost[0]}")
+            yield {member: found[member] for member in wanted}
 
     def sample(self, position: int) -> Sample:
         """A garment with all its members.
@@ -185,6 +183,9 @@ class ShardReader:
         shard, _, _ = self._span(row, False)
         return f"{self.store.location(shard.name(self.split))}: sample {key_of(int(self.index.number[row]))}"
 
+    def _fault(self, row: int, fault: str) -> ShardError:
+        return ShardError(f"{self._named(row)}{fault}: {self.store.remedy}")
+
     def _span(self, row: int, views: bool) -> tuple[ShardRecord, int, int]:
         """The shard of a sample, and its first and last byte in the tar, or in that of the pictures."""
         number = int(np.searchsorted(self._first, row, side="right")) - 1
@@ -199,35 +200,22 @@ class ShardReader:
         try:
             [(key, members)] = samples_in(view)
         except (ShardError, ValueError) as error:
-            raise ShardError(f"{self._named(row)}: damaged ({error}): {self.store.remedy}") from error
+            raise self._fault(row, f": damaged ({error})") from error
         if key != key_of(int(self.index.number[row])):
-            raise ShardError(
-                f"{self._named(row)}: {key} lies there: the data set has changed since it was opened, or this shard is "
-                f"damaged: {self.store.remedy}"
-            )
+            fault = f": {key} lies there: the data set has changed since it was opened, or this shard is damaged"
+            raise self._fault(row, fault)
         return members
 
     def _check(self, row: int, found: dict[str, memoryview]) -> None:
         """Compare the members with the checksums in ``meta.json``. Raises ``ShardError``."""
         if META not in found:  # the pictures alone were requested
             shard, start, end = self._span(row, False)
-            found = {**found, META: self._members(row, self.store.part(self.split, shard, start, end))[META]}
+            main = self._members(row, self.store.part(self.split, shard, start, end))
+            found = {**found, META: main.get(META, memoryview(b""))}
         try:
-            meta = read_meta(found[META])
+            checked_meta(found, int(self.index.number[row]))
         except ShardError as error:
-            raise ShardError(f"{self._named(row)}, member {META}: {error}: {self.store.remedy}") from error
-        if meta["index"] != self.index.number[row]:
-            raise ShardError(f"{self._named(row)}: its {META} is of {key_of(meta['index'])}: {self.store.remedy}")
-        for member, data in found.items():
-            if member != META and zlib.crc32(data) != meta["crc32"].get(member):
-                raise ShardError(
-                    f"{self._named(row)}, member {member}: bytes differ from the written ones: {self.store.remedy}"
-                )
-
-    def _member(self, row: int, found: dict[str, memoryview], member: str) -> memoryview:
-        if member not in found:
-            raise ShardError(f"{self._named(row)}: no member {member}: {self.store.remedy}")
-        return found[member]
+            raise self._fault(row, f", {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_checked": None, "_row": None}

@@ -1,7 +1,6 @@
 """The interface between ``ShardReader`` and the files of a data set: a folder, or a server."""
 
 import logging
-import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,8 +9,6 @@ from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import Manifest, ShardRecord
-
-__all__ = ["Store", "command_of"]
 
 
 class Store(ABC):
@@ -61,9 +58,9 @@ class Store(ABC):
         manifest = self.manifest()
         if split not in manifest.splits or (missing := manifest.missing(split)) is None:
             return None
-        return f"{missing[0]} of {missing[1]} samples are made: {self._continuation(manifest, split)}"
+        return f"{missing[0]} of {missing[1]} samples are made: {self._continuation(split)}"
 
-    def _continuation(self, manifest: Manifest, split: str) -> str:
+    def _continuation(self, split: str) -> str:
         return "ask its publisher to finish it"
 
     def warn_unfinished(self, splits: Iterable[str]) -> None:
@@ -73,19 +70,3 @@ class Store(ABC):
                 message = "%s: the data set is unfinished: %s; partial=True opens it without this warning"
                 logging.getLogger("gcd_dataset").warning(message, self.location(), fault)
                 return
-
-
-def command_of(folder: Path, manifest: Manifest, split: str) -> str:
-    """The command that continues a data set; ``the same command`` where the plan does not hold all its options."""
-    plan = manifest.splits[split].plan
-    words = ["gcd", "generate", str(folder)]
-    if plan.named is not None:
-        words += ["--recipe", plan.named[0]]
-    elif "stage" in plan.recipe and not plan.recipe.get("design"):
-        words += ["--count", str(plan.count), "--seed", str(plan.seed)]
-        for name, value in plan.recipe.items():
-            if name not in ("design", "mesh", "part"):  # not options
-                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    else:
-        return "the same command"
-    return shlex.join(words)

@@ -7,11 +7,8 @@ A finished draft gets its names in this order: pictures, note, and last the tar.
 The draft of the split's own shard is locked (``flock``) by the process that fills it.
 """
 
-import contextlib
-import fcntl
 import os
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,15 +19,16 @@ from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.names import require_name
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.access import reading, writing
+from gcd_dataset.shards.access import lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, is_picture, key_of, member_name
-from gcd_dataset.shards.manifest import Plan, ShardRecord
-from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.manifest import MOST as MOST_SAMPLES
+from gcd_dataset.shards.manifest import Plan, shard_name
 from gcd_dataset.shards.notes import (
     META,
     Note,
     Row,
+    checked_meta,
     gather,
     note_name,
     plan_of_sample,
@@ -41,8 +39,6 @@ from gcd_dataset.shards.notes import (
 )
 from gcd_dataset.shards.place import FolderPlace, Place
 from gcd_dataset.shards.tar import END, tar_entry
-
-__all__ = ["DRAFT", "Draft", "ShardWriter", "draft_name", "remove_drafts", "shard_size_of"]
 
 LARGE, SHARDS, MOST = 8192, 20, 32
 LARGEST = 128  # samples of a shard, in a split of more than ``LARGE``
@@ -74,31 +70,32 @@ class Draft:
     """
 
     def __init__(self, place: Place, plan: Plan, split: str, number: int, indices: Sequence[int], lock: int) -> None:
-        self._place, self._plan, self._split, self._number, self._lock = place, plan, split, number, lock
-        self._indices = indices
-        self._tars = {name: _DraftTar(place, plan, name, number) for name in dict.fromkeys((split, FAILED))}
-        self._skipped: dict[int, str] = {}
-        self._keep()
+        # The split's own tar is named last: it marks the task as done.
+        self._tars = {name: _DraftTar(place, plan, name, number) for name in dict.fromkeys((FAILED, split))}
+        self._split, self._lock, self._skipped = split, lock, dict[int, str]()
+        for tar in self._tars.values():
+            tar.restore()
+        done = self.done  # samples lie in order: keep those before the first one that is missing or damaged
+        kept = next((k for k, index in enumerate(indices) if index not in done), len(indices))
+        for tar in self._tars.values():
+            tar.truncate(frozenset(indices[:kept]))
 
     @classmethod
     def open(
         cls, place: Place, plan: Plan, split: str, number: int, indices: Sequence[int], *, wait: bool = False
     ) -> Self | None:
         """The draft of a shard; ``None`` if the shard exists, or if another process fills it, unless ``wait``."""
-        path = make_folder(place.work) / draft_name(split, number)
-        while not place.exists(ShardRecord(number, 0, 0, "").name(split)):
-            lock = _locked(path, wait=wait)
-            if lock is None:
-                return None
-            try:
-                if _is_at(lock, path) and not place.exists(ShardRecord(number, 0, 0, "").name(split)):
-                    return cls(place, plan, split, number, indices, lock)
-                if _is_at(lock, path):  # made for a shard that another process has finished meanwhile
-                    path.unlink()
-            except BaseException:
-                os.close(lock)
-                raise
-            os.close(lock)
+        path, name = make_folder(place.work) / draft_name(split, number), shard_name(split, number)
+        if place.exists(name) or (lock := lock_file(path, wait=wait)) is None:
+            return None
+        try:
+            if not place.exists(name):
+                return cls(place, plan, split, number, indices, lock)
+            path.unlink()  # made for a shard that another process has finished meanwhile
+        except BaseException:
+            unlock(lock)
+            raise
+        unlock(lock)
         return None
 
     @property
@@ -116,13 +113,10 @@ class Draft:
 
     def finish(self) -> None:
         """Give the shard, and that of its failed drapes, its name. Raises ``OutputError``."""
-        tars = [
-            self._tars[name] for name in reversed(self._tars)
-        ]  # the split's own tar last: it marks the task as done
-        for tar in tars:
-            if tar.rows or tar.split == self._split:
-                tar.finish(self._skipped if tar.split == self._split else {})
-        for tar in tars:
+        for name, tar in self._tars.items():
+            if tar.rows or name == self._split:
+                tar.finish(self._skipped if name == self._split else {})
+        for tar in self._tars.values():
             tar.remove()
         self.close()
 
@@ -131,8 +125,7 @@ class Draft:
         if self._lock >= 0:
             for tar in self._tars.values():
                 tar.close()
-            fcntl.flock(self._lock, fcntl.LOCK_UN)  # a child forked meanwhile has the file open too
-            os.close(self._lock)
+            unlock(self._lock)
             self._lock = -1
 
     def __enter__(self) -> Self:
@@ -141,33 +134,23 @@ class Draft:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _keep(self) -> None:
-        """Truncate the tars before the first sample that is missing or damaged: samples lie in order."""
-        done = self.done
-        kept = next((k for k, index in enumerate(self._indices) if index not in done), len(self._indices))
-        for tar in self._tars.values():
-            tar.truncate(frozenset(self._indices[:kept]))
-
 
 class _DraftTar:
-    """The draft of one tar, and that of its pictures."""
+    """The draft of one tar, and that of its pictures; empty unless ``restore`` is called."""
 
     def __init__(self, place: Place, plan: Plan, split: str, number: int) -> None:
-        self.split, self.rows = split, list[Row]()
-        self._place, self.plan, self._number = place, plan, number
+        self.split, self.number, self.plan, self.rows = split, number, plan, list[Row]()
+        self._place = place
+        self._names = tuple(shard_name(split, number, views=views) for views in (False, True))
         self._paths = tuple(place.work / draft_name(split, number, views=views) for views in (False, True))
         self._files: dict[Path, int] = {}
         self._ends = [[0], [0]]  # ends of the samples in both tars
-        self._members: dict[str, None] = {}
-        self._restore()
-        self._read()
+        self._members: tuple[str, ...] = ()
 
     def append(self, index: int, members: Mapping[str, Bytes]) -> None:
         self._require_same(members)
-        blocks = [
-            b"".join(tar_entry(member_name(index, member), members[member]) for member in self._members if kind(member))
-            for kind in (lambda member: not is_picture(member), is_picture)
-        ]
+        entries = [(is_picture(name), tar_entry(member_name(index, name), members[name])) for name in self._members]
+        blocks = [b"".join(entry for is_view, entry in entries if is_view is views) for views in (False, True)]
         row = row_of(self.plan, members, self._ends[0][-1], self._ends[1][-1] if blocks[1] else None)
         if row.number != index:
             raise ShardError(f"sample {index} cannot be stored: its {META} says {row.number}")
@@ -175,6 +158,29 @@ class _DraftTar:
             if blocks[tar] or not tar:
                 self._write(tar, blocks[tar])
         self._add(row, len(blocks[0]), len(blocks[1]))
+
+    def restore(self) -> None:
+        """Keep the whole samples of a killed process, up to the first damaged one."""
+        for path, name in zip(self._paths, self._names, strict=True):
+            # Undo the naming of files before the task's own shard had its name.
+            if not path.exists() and isinstance(self._place, FolderPlace) and self._place.exists(name):
+                with writing(path):
+                    (self._place.folder / name).replace(path)
+        main, views = self._paths
+        if not main.exists():
+            return
+        for sample in stored_samples(main, views if views.exists() else None, damaged=True):
+            members = sample.members
+            try:
+                meta = checked_meta(members, sample.number)
+            except ShardError:
+                return
+            if meta["crc32"].keys() != members.keys() - {META}:
+                return
+            plan_of_sample(meta, self.plan).require_same(self.plan, main)
+            self._members = tuple(members)
+            row = row_of(self.plan, members, sample.start, sample.views_start)
+            self._add(row, sample.end - sample.start, sample.views_end - (sample.views_start or 0))
 
     def truncate(self, numbers: frozenset[int]) -> None:
         """Remove the samples from the first one on that is not among ``numbers``."""
@@ -195,18 +201,20 @@ class _DraftTar:
                     os.ftruncate(file, ends[-1])  # cut off a failed write
                     os.ftruncate(file, ends[-1] + END)  # zeros are a hole, which needs no room on a full disk
                     os.fsync(file)
-        record = record_of(self._number, len(self.rows), self._paths[0], views)
+        record = record_of(self.number, len(self.rows), self._paths[0], views)
         note = Note.of(self.split, self.plan, record, self._members if self.rows else (), self.rows, skipped)
         if views is not None:
-            self._place.put(views, record.views_name(self.split))
-        self._place.write(note_name(self.split, self._number), note.to_bytes())
-        self._place.put(self._paths[0], record.name(self.split))
+            self._place.put(views, self._names[1])
+        self._place.write(note_name(self.split, self.number), note.to_bytes())
+        self._place.put(self._paths[0], self._names[0])
 
-    def remove(self) -> None:
-        """Remove the files that are left."""
+    def remove(self, *, named: bool = False) -> None:
+        """Remove the files that are left, with ``named`` also those that ``finish`` has given their names."""
         for path in self._paths:
             with writing(path):
                 path.unlink(missing_ok=True)
+        for name in (*self._names, note_name(self.split, self.number)) if named else ():
+            self._place.remove(name)
 
     def close(self) -> None:
         for file in self._files.values():
@@ -217,9 +225,9 @@ class _DraftTar:
         """Raise ``ConfigError`` for other members than those of the first sample."""
         names = tuple(sorted(members, key=is_picture))
         if not self.rows:
-            self._members = dict.fromkeys(names)
-        elif names != tuple(self._members):
-            other = sorted(set(names) ^ self._members.keys()) or ["their order"]
+            self._members = names
+        elif names != self._members:
+            other = sorted({*names} ^ {*self._members}) or ["their order"]
             raise ConfigError(f"{self._paths[0]}: its samples differ in {other[0]}: give the same members to all")
 
     def _add(self, row: Row, size: int, views_size: int) -> None:
@@ -243,40 +251,8 @@ class _DraftTar:
     def _file(self, path: Path) -> int:
         if path not in self._files:
             with writing(path):
-                self._files[path] = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+                self._files[path] = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         return self._files[path]
-
-    def _restore(self) -> None:
-        """Undo the naming of files by a process that was killed before the task's own shard had its name."""
-        record = ShardRecord(self._number, 0, 0, "")
-        for path, name in zip(self._paths, (record.name(self.split), record.views_name(self.split)), strict=True):
-            if not path.exists() and isinstance(self._place, FolderPlace) and self._place.exists(name):
-                with writing(path):
-                    (self._place.folder / name).replace(path)
-
-    def _read(self) -> None:
-        """Keep the whole samples of a draft up to the first damaged one."""
-        main, views = self._paths
-        if not main.exists():
-            return
-        pictures = iter(stored_samples(views, damaged=True)) if views.exists() else iter(())
-        for sample in stored_samples(main, damaged=True):
-            try:
-                meta = read_meta(sample.members.get(META, b""))
-                wanted = meta["crc32"]
-                members, of_views = dict(sample.members), any(map(is_picture, wanted))
-                picture = next(pictures, None) if of_views else None
-                if picture is not None and picture.number == sample.number:
-                    members |= picture.members
-                whole = {m: zlib.crc32(data) for m, data in members.items() if m != META} == dict(wanted)
-            except ShardError:
-                return
-            if not whole:
-                return
-            plan_of_sample(meta, self.plan).require_same(self.plan, main)
-            self._members = dict.fromkeys(members)
-            row = row_of(self.plan, members, sample.start, None if picture is None else picture.start)
-            self._add(row, sample.end - sample.start, 0 if picture is None else picture.end - picture.start)
 
 
 class ShardWriter:
@@ -298,12 +274,16 @@ class ShardWriter:
         shard_size: int | None = None,
         layout: Layout = GARMENTS,
     ) -> None:
-        self._place, self._split, self._count = FolderPlace(folder), require_name(split, "split"), count
+        self._place, self._count = FolderPlace(folder), count
+        size = (MOST if count is None else shard_size_of(count)) if shard_size is None else shard_size
+        plan = Plan(layout.kind, seed, dict(recipe), 0 if count is None else count, size)
+        try:
+            self._plan, self._split = Plan.from_json(plan.to_json(), "the plan"), require_name(split, "split")
+        except ShardError as error:
+            raise ConfigError(f"{self._place.location()}: {error}: no data set can be written with it") from error
         make_folder(self._place.folder)
         if any(name == split for name, _ in shards_named(self._place.names())):
             raise ConfigError(f"{self._place.location()}: holds split {split} already: choose another folder")
-        size = shard_size or (MOST if count is None else shard_size_of(count))
-        self._plan = Plan(layout.kind, seed, dict(recipe), count or 0, size)
         self._tars: list[_DraftTar] = []
         self._last = -1
         self._closed = False
@@ -319,8 +299,9 @@ class ShardWriter:
         """
         if self._closed:
             raise OutputError(f"{self._place.location()}: this writer is closed: open another one")
-        if index <= self._last:
-            raise ConfigError(f"{key_of(index)} after {key_of(self._last)}: write samples in ascending order")
+        if not self._last < index < MOST_SAMPLES:
+            after = f"after {key_of(self._last)}" if self._last >= 0 else "as the first"
+            raise ConfigError(f"{key_of(index)} {after}: write samples in ascending order, numbers from 0 to 2**31 - 1")
         if not self._tars or len(self._tars[-1].rows) == self._plan.shard_size:
             self._begin()
         self._tars[-1].append(index, members)
@@ -330,15 +311,19 @@ class ShardWriter:
         """Finish the shards, and write manifest and index. Raises ``OutputError``."""
         if self._closed:
             return
-        self._closed = True
         if not self._tars:
             self._begin()
         plan = replace(self._plan, count=self._count or max(sum(len(tar.rows) for tar in self._tars), 1))
-        for tar in self._tars:
-            tar.plan = plan
-            tar.finish({})
-            tar.close()
-        gather(self._place).write(self._place)
+        try:
+            for tar in self._tars:
+                tar.plan = plan
+                tar.finish({})
+                tar.close()
+            gather(self._place).write(self._place)
+        except BaseException:
+            self._discard()
+            raise
+        self._closed = True
 
     def __enter__(self) -> Self:
         return self
@@ -348,18 +333,20 @@ class ShardWriter:
     ) -> None:
         if kind is None:
             self.close()
-            return
+        elif not self._closed:
+            self._discard()
+
+    def _discard(self) -> None:
         self._closed = True
         for tar in self._tars:
             tar.close()
-            tar.remove()
+            tar.remove(named=True)
 
     def _begin(self) -> None:
         if self._tars:
             self._tars[-1].close()
-        for views in (False, True):  # of a killed writer
-            (self._place.work / draft_name(self._split, len(self._tars), views=views)).unlink(missing_ok=True)
         self._tars.append(_DraftTar(self._place, self._plan, self._split, len(self._tars)))
+        self._tars[-1].remove()  # the drafts of a killed writer
 
 
 def remove_drafts(place: Place) -> None:
@@ -369,31 +356,3 @@ def remove_drafts(place: Place) -> None:
     for path in drafts:
         with writing(path):
             path.unlink(missing_ok=True)
-
-
-def _locked(path: Path, *, wait: bool) -> int | None:
-    """The descriptor of a locked file, created if missing; ``None`` if another process has locked it."""
-    with writing(path):
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(file)
-        return None
-    except OSError as error:
-        os.close(file)
-        raise OutputError(
-            f"{path}: cannot be locked ({error.strerror}): mount this file system with locks (Lustre: -o flock), or "
-            "write to a local disk and copy the folder"
-        ) from error
-    except BaseException:  # Ctrl-C while waiting
-        os.close(file)
-        raise
-    return file
-
-
-def _is_at(file: int, path: Path) -> bool:
-    """Whether a path still names an open file: its last holder may have renamed or removed it."""
-    with contextlib.suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(file), path.stat())
-    return False

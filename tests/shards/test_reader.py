@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import pickle
+import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,10 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcd_dataset.cli.inspect import info_lines
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards import folder as folders
+from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import key_of
 from tests.shards.folders import fill, forbidden, public_folder
@@ -62,28 +66,21 @@ def test_short_reads_are_continued(folder: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("member", ["meta.json", "verts.z", "back.jpg"])
 def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
-    flip(folder, 5, member)
+    """Damage after the first read is found by a check."""
     message = f"train-00001.tar: sample gcd_000000005, member {member}"
-    lazy = ShardReader(folder)
+    early, lazy, blind = ShardReader(folder), ShardReader(folder), ShardReader(folder, verify="off")
+    early.read(5, MEMBERS)
+    flip(folder, 5, member)
     lazy.read(4, MEMBERS)
     for _ in range(2):
         with pytest.raises(ShardError, match=message):
             lazy.read(5, [member])
     with pytest.raises(ShardError, match=message):
         ShardReader(folder, verify="full")
-    blind = ShardReader(folder, verify="off")
-    blind.read(5, MEMBERS)
-    with pytest.raises(ShardError, match=message):
-        blind.check(5)
-
-
-def test_damage_after_the_first_read_is_found_by_a_check(folder: Path) -> None:
-    reader = ShardReader(folder)
-    reader.read(5, MEMBERS)
-    flip(folder, 5, "verts.z")
-    reader.read(5, MEMBERS)
-    with pytest.raises(ShardError, match=r"gcd_000000005, member verts\.z"):
-        reader.check(5)
+    for reader in (early, blind):
+        reader.read(5, MEMBERS)
+        with pytest.raises(ShardError, match=message):
+            reader.check(5)
 
 
 def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
@@ -93,8 +90,24 @@ def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
     with pytest.raises(ShardError, match=rf"train-00001\.tar: 5000 bytes, but {size} in manifest\.json"):
         ShardReader(folder).read(5, MEMBERS)
     path.unlink()
-    with pytest.raises(ShardError, match=r"train-00001\.tar: no such file, but manifest\.json lists it"):
+    with pytest.raises(ShardError, match=r"train-00001\.tar: no such file, but manifest\.json lists it: copy it again"):
         ShardReader(folder)
+
+
+def test_other_members_are_read_where_pictures_are_missing(folder: Path) -> None:
+    shutil.rmtree(folder / "views")
+    message = (
+        r"views/train-00000\.tar: no such file, but manifest\.json lists it: copy it again, or delete train-00000\.t"
+    )
+    assert len(GarmentDataset(folder, fields=["verts"])[[0, 1]]) == 2
+    for read in (lambda: ShardReader(folder).read(0, ["front.jpg"]), lambda: GarmentDataset(folder, fields=["front"])):
+        with pytest.raises(ShardError, match=message):
+            read()
+    lines = set()
+    with pytest.raises(ShardError, match=message):
+        for line in info_lines(FolderStore(folder)):
+            lines.add(line.partition(":")[0])
+    assert {"  bytes by field", "  panels"} <= lines
 
 
 @pytest.mark.parametrize(
@@ -110,13 +123,6 @@ def test_shards_are_read_without_index_manifest_and_notes(folder: Path, lost: tu
     assert sorted(folder.iterdir()) == before  # nothing is written
 
 
-@pytest.mark.parametrize("name", ["train.index", "manifest.json"])
-def test_a_broken_index_or_manifest_is_named(folder: Path, name: str) -> None:
-    (folder / name).write_bytes(b"PK nonsense")
-    with pytest.raises(ShardError, match=rf"{name}: .*run gcd index"):
-        ShardReader(folder)
-
-
 def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         ShardReader(folder, "test")
@@ -126,19 +132,14 @@ def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("mode", [0o000, 0o444])
-def test_an_unreadable_folder_is_named(mode: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "mode"), [("", 0), ("", 0o444), ("manifest.json", 0), ("train.index", 0), ("train-00000.tar", 0)]
+)
+def test_an_unreadable_file_or_folder_is_named(name: str, mode: int) -> None:
+    message = rf"data.*{name}.*: cannot be read \(Permission denied\)"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
-        with forbidden(folder, mode), pytest.raises(ShardError, match=r"data.*cannot be read \(Permission denied\)"):
-            ShardReader(folder)
-
-
-@pytest.mark.parametrize("name", ["manifest.json", "train.index", "train-00000.tar"])
-def test_an_unreadable_file_is_named(name: str) -> None:
-    with public_folder() as place:
-        folder = fill(place / "data", range(3))
-        with forbidden(folder / name, 0o000), pytest.raises(ShardError, match=rf"{name}: cannot be read \(Permission"):
+        with forbidden(folder / name, mode), pytest.raises(ShardError, match=message):
             ShardReader(folder).read(0, MEMBERS)
 
 
@@ -177,15 +178,6 @@ def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, mon
 
 def shards_length(shards: ShardReader) -> tuple[int, int]:
     return len(shards), len(shards.read(3, ["verts.z"])["verts.z"])
-
-
-def test_grades_and_outcomes_select_samples(folder: Path) -> None:
-    whole = ShardReader(folder)
-    assert len(ShardReader(folder, settled_only=True)) == int(whole.index.settled.sum())
-    with pytest.raises(ConfigError, match="quality='good': choose from clean, paper"):
-        ShardReader(folder, quality="good")  # type: ignore[arg-type]
-    with pytest.raises(ShardError, match="none of the 10 samples of split train has the grade clean"):
-        ShardReader(folder, quality="clean")
 
 
 def test_an_index_pickles_as_its_file(folder: Path) -> None:

@@ -1,12 +1,14 @@
 """The small writer: new splits in ascending order, all or nothing."""
 
+import contextlib
 import hashlib
 import json
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,10 +48,6 @@ def test_a_set_without_pictures_has_no_folder_of_views(tmp_path: Path) -> None:
     assert ShardReader(tmp_path).read(0, members) == members
 
 
-def test_equal_samples_give_equal_files(whole: Path, tmp_path: Path) -> None:
-    assert contents(whole) == contents(fill(tmp_path / "again", range(10)))
-
-
 def test_the_manifest_lists_each_file_with_its_hash(whole: Path) -> None:
     split = (read_manifest(whole) or pytest.fail("no manifest")).splits["train"]
     assert split.plan == Plan("garments", 0, RECIPE, 10, SHARD_SIZE)
@@ -69,6 +67,9 @@ def test_samples_ascend_and_splits_are_new(whole: Path, tmp_path: Path) -> None:
             writer.write(fake_sample(0, 3))
     with pytest.raises(OutputError, match="this writer is closed"):
         writer.write(fake_sample(0, 4))
+    for number in (-5, 2**31):
+        with open_writer(tmp_path / str(number)) as writer, pytest.raises(ConfigError, match="numbers from 0 to 2"):
+            writer.add(number, encode_sample(fake_sample(0, 3)))
     before = contents(whole)
     with pytest.raises(ConfigError, match="holds split train already: choose another folder"):
         open_writer(whole)
@@ -76,6 +77,13 @@ def test_samples_ascend_and_splits_are_new(whole: Path, tmp_path: Path) -> None:
         writer.write(fake_sample(0, 0))
     assert (len(ShardReader(whole)), len(ShardReader(whole, "test"))) == (10, 1)
     assert before.items() <= {**contents(whole), "manifest.json": before["manifest.json"]}.items()
+
+
+@pytest.mark.parametrize("options", [{"seed": -1}, {"count": -1}, {"shard_size": 0}])
+def test_what_no_manifest_can_say_is_refused_at_once(tmp_path: Path, options: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=rf"{tmp_path}: .* no data set can be written with it"):
+        ShardWriter(tmp_path, **{"seed": 0, "recipe": RECIPE, **options})
+    assert not contents(tmp_path)
 
 
 def test_samples_have_the_same_members(tmp_path: Path) -> None:
@@ -87,12 +95,33 @@ def test_samples_have_the_same_members(tmp_path: Path) -> None:
             writer.add(7, encode_sample(fake_sample(0, 1)))
 
 
-def test_an_error_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), open_writer(tmp_path) as writer:
+def test_an_error_leaves_nothing(tmp_path: Path, whole: Path) -> None:
+    """Neither between two samples, nor before the second of three shards gets its name: then equal bytes."""
+    folder = tmp_path / "new"
+    with pytest.raises(KeyboardInterrupt), open_writer(folder) as writer:
         for index in range(6):
             writer.write(fake_sample(0, index))
         raise KeyboardInterrupt
-    assert not contents(tmp_path)
+    assert not contents(folder)
+    with no_name(1), pytest.raises(KeyboardInterrupt):
+        fill(folder, range(10))
+    assert not contents(folder)
+    assert contents(fill(folder, range(10))) == contents(whole)
+
+
+@contextlib.contextmanager
+def no_name(number: int) -> Iterator[None]:
+    """Stop the process before a shard gets its name."""
+    put = FolderPlace.put
+
+    def refused(place: FolderPlace, path: Path, name: str) -> None:
+        if name == f"train-{number:05d}.tar":
+            raise KeyboardInterrupt
+        put(place, path, name)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(FolderPlace, "put", refused)
+        yield
 
 
 def test_a_killed_writer_is_no_hindrance(tmp_path: Path, whole: Path) -> None:
@@ -164,20 +193,20 @@ def draft(folder: Path, *, wait: bool = False) -> Draft | None:
     return Draft.open(FolderPlace(folder), PLAN, "train", 0, INDICES, wait=wait)
 
 
+def own_draft(folder: Path) -> Draft:
+    return draft(folder) or pytest.fail("locked, or finished")
+
+
 def begun(folder: Path, count: int) -> Path:
     """The folder with a draft of ``count`` samples."""
-    held = draft(folder)
-    assert held is not None
-    with held as opened:
+    with own_draft(folder) as opened:
         for index in INDICES[:count]:
             opened.add(index, encode_sample(fake_sample(0, index)))
     return folder
 
 
 def finished(folder: Path) -> dict[str, str]:
-    held = draft(folder)
-    assert held is not None
-    with held as opened:
+    with own_draft(folder) as opened:
         for index in INDICES:
             if index not in opened.done:
                 opened.add(index, encode_sample(fake_sample(0, index)))
@@ -200,18 +229,14 @@ def zeroed(path: Path) -> None:
 def test_whole_samples_of_a_damaged_draft_are_kept(damage: Callable[[Path], None], views: bool, tmp_path: Path) -> None:
     folder = begun(tmp_path / "damaged", 3)
     damage(folder / draft_name("train", 0, views=views))
-    held = draft(folder)
-    assert held is not None
-    with held as opened:
+    with own_draft(folder) as opened:
         assert opened.done < {0, 1, 2}
         assert opened.done == set(range(len(opened.done)))
     assert finished(folder) == finished(tmp_path / "whole")
 
 
 def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
-    held = draft(tmp_path)
-    assert held is not None
-    with held:
+    with own_draft(tmp_path):
         assert draft(tmp_path) is None
         assert (tmp_path / ".train-00000.part").exists()
     finished(tmp_path)
@@ -219,29 +244,19 @@ def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_kill_between_the_names_of_a_shard_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kill_between_the_names_of_a_shard_is_no_loss(tmp_path: Path) -> None:
     """Pictures and note have their names, the tar has not."""
-    put = FolderPlace.put
-
-    def refused(place: FolderPlace, path: Path, name: str) -> None:
-        if name == "train-00000.tar":
-            raise KeyboardInterrupt
-        put(place, path, name)
-
     folder = begun(tmp_path / "killed", 4)
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(FolderPlace, "put", refused)
+    with no_name(0), pytest.raises(KeyboardInterrupt):
         finished(folder)
     assert (folder / "views" / "train-00000.tar").exists()
-    held = draft(folder)
-    assert held is not None
-    with held as opened:
+    with own_draft(folder) as opened:
         assert opened.done == set(INDICES)
     assert finished(folder) == finished(tmp_path / "whole")
 
 
 def test_skipped_samples_are_noted(tmp_path: Path) -> None:
-    with draft(tmp_path) or pytest.fail("locked") as opened:
+    with own_draft(tmp_path) as opened:
         opened.add(0, encode_sample(fake_sample(0, 0)))
         for index in (1, 2, 3):
             opened.skip(index, "unreadable")
