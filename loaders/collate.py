@@ -120,11 +120,11 @@ def _concatenated(
     if kind is None:  # such as bfloat16, which NumPy lacks
         return torch.cat([torch.from_numpy(value).to(dtype) for value in values])
     shape = (sum(counts), *first.shape[1:])
-    out = read_buffer(math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
+    out = np.ndarray(shape, kind, read_buffer(math.prod(shape) * kind.itemsize))
     pointing = POINTS_TO.get(field, ())
     if pointing and pointing[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
-        begin = 0
-        for value, count, offset in zip(values, counts, starts_of(starts, field, pointing[0][1]).tolist(), strict=False):
+        begin, offsets = 0, starts_of(starts, field, pointing[0][1]).tolist()
+        for value, count, offset in zip(values, counts, offsets, strict=False):
             np.add(value, offset, out=out[begin : begin + count], casting="unsafe")
             begin += count
         return torch.from_numpy(out)
