@@ -289,10 +289,6 @@ FIGURES = (
         "loaders", _loading("geometry"), _other_loaders("geometry"), short=True,
     ),
     Figure(
-        "share of the time that a training on points waits for its batches, two cores, from the disk", "loaders",
-        lambda r: f"{r.value('loaders.wait_percent'):.1f} %",
-    ),
-    Figure(
         "first pass in random order over geometry in S3, empty cache", "remote",
         lambda r: _remote_pass(r, "ours"),
         lambda r: "; ".join(f"{name}: {_remote_pass(r, name)}" for name in ("litdata", "mosaicml streaming")),
