@@ -1,6 +1,10 @@
-"""Batches of the same garments by their indices: ours, memory maps, and libraries that store arrays of any length."""
+"""Batches of the same garments by their indices: ours, memory maps, and libraries that store arrays of any length.
+
+Copies for other libraries hold the fields to be read alone, which is their best case. They lie in ``FOLDER/copies``.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,35 +17,26 @@ from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, col
 from gcd_dataset.loaders.batches import POINTS_TO, WHOLE
 from gcd_dataset.shards.layout import members_of
 
-__all__ = ["BATCH", "LOADERS", "Batches", "Loader", "pack"]
-
 BATCH = 16
 Batches = Callable[[Sequence[int]], Any]
 """Indices of garments to their batch."""
-Loader = Callable[[Path, Sequence[str]], Batches | None]
-"""``(folder of shards, fields)`` to the batches; ``None`` if the library is not installed. Copies are made once."""
 Rows = Mapping[str, Sequence[np.ndarray]]
+
+
+def opened(folder: Path, fields: Sequence[str]) -> GarmentDataset:
+    """The garments, with their cache in the folder."""
+    return GarmentDataset(folder, fields=fields, cache_dir=folder / "cache")
 
 
 def ours(folder: Path, fields: Sequence[str]) -> Batches:
     """``GarmentDataset`` and ``collate_packed``, as a ``DataLoader`` calls them."""
-    dataset = GarmentDataset(folder, fields=fields)
+    dataset = opened(folder, fields)
     return lambda indices: collate_packed(dataset.__getitems__(indices))
 
 
 def by_garment_loader(folder: Path, fields: Sequence[str]) -> Batches:
     """``GarmentLoader``, its thread included, in an order of its own."""
-    loader = GarmentLoader(GarmentDataset(folder, fields=fields), BATCH)
-    batches: Iterator[Any] = iter(())
-
-    def following(indices: Sequence[int]) -> Any:
-        nonlocal batches
-        if (batch := next(batches, None)) is None:
-            batches = iter(loader)
-            batch = next(batches)
-        return batch
-
-    return following
+    return following(_epochs(GarmentLoader(opened(folder, fields), BATCH)))
 
 
 def by_memmap(folder: Path, fields: Sequence[str], *, plain: bool = False) -> Batches:
@@ -63,10 +58,6 @@ def by_memmap(folder: Path, fields: Sequence[str], *, plain: bool = False) -> Ba
     return batch
 
 
-def by_plain_memmap(folder: Path, fields: Sequence[str]) -> Batches:
-    return by_memmap(folder, fields, plain=True)
-
-
 def by_hdf5(folder: Path, fields: Sequence[str]) -> Batches:
     """``Hdf5Garments``: concatenated arrays in one file."""
     from gcd_dataset.verbs import export
@@ -78,7 +69,7 @@ def by_hdf5(folder: Path, fields: Sequence[str]) -> Batches:
     return lambda indices: collate_packed(dataset.__getitems__(indices))
 
 
-def by_webdataset(folder: Path, fields: Sequence[str]) -> Batches | None:
+def by_webdataset(folder: Path, fields: Sequence[str]) -> Batches:
     """``webdataset`` over the same tars, one after the other, with our decoder; other members are skipped."""
     import webdataset
 
@@ -88,27 +79,20 @@ def by_webdataset(folder: Path, fields: Sequence[str]) -> Batches | None:
     stream = webdataset.WebDataset(
         shards, shardshuffle=False, select_files=lambda name: name.partition(".")[2] in members, empty_check=False
     )
-    samples: Iterator[Any] = iter(())
-
-    def following(indices: Sequence[int]) -> Any:
-        nonlocal samples
-        found: list[Any] = []
-        while len(found) < len(indices):
-            if (sample := next(samples, None)) is None:
-                samples = iter(stream)
-                continue
-            fields_of = decode(sample)
-            found.append({field: fields_of[field] for field in fields})
-        return pack({field: [item[field] for item in found] for field in fields})
-
-    return following
+    samples = ({field: decoded[field] for field in fields} for decoded in map(decode, _epochs(stream)))
+    return lambda indices: packed_items([next(samples) for _ in indices])
 
 
-def by_litdata(folder: Path, fields: Sequence[str]) -> Batches | None:
-    """``litdata`` over chunks of these fields alone, its best case."""
-    if find_spec("litdata") is None:
-        return None
+def by_litdata(folder: Path, fields: Sequence[str]) -> Batches:
+    """``litdata`` over chunks of these fields alone."""
     from litdata import StreamingDataset
+
+    dataset = StreamingDataset(str(write_litdata(folder, fields)))
+    return lambda indices: packed_items([arrays_of(dataset[i]) for i in indices])
+
+
+def write_litdata(folder: Path, fields: Sequence[str]) -> Path:
+    """The garments as chunks of ``litdata``."""
     from litdata.streaming.writer import BinaryWriter
 
     copy = _copy(folder, "litdata", fields)
@@ -118,29 +102,35 @@ def by_litdata(folder: Path, fields: Sequence[str]) -> Batches | None:
             writer.add_item(number, {field: torch.from_numpy(value) for field, value in item.items()})
         writer.done()
         writer.merge()
-    dataset = StreamingDataset(str(copy))
-    return lambda indices: _packed_items([{f: v.numpy() for f, v in dataset[i].items()} for i in indices])
+    return copy
 
 
-def by_streaming(folder: Path, fields: Sequence[str]) -> Batches | None:
+def arrays_of(item: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    return {field: value.numpy() for field, value in item.items()}
+
+
+def by_streaming(folder: Path, fields: Sequence[str]) -> Batches:
     """``mosaicml-streaming`` over uncompressed shards of these fields alone."""
-    if find_spec("streaming") is None:
-        return None
-    from streaming import LocalDataset, MDSWriter
+    from streaming import LocalDataset
+
+    dataset = LocalDataset(str(write_streaming(folder, fields)))
+    return lambda indices: packed_items([dataset[i] for i in indices])
+
+
+def write_streaming(folder: Path, fields: Sequence[str]) -> Path:
+    """The garments as shards of ``mosaicml-streaming``."""
+    from streaming import MDSWriter
 
     copy = _copy(folder, "streaming", fields)
     if not (copy / "index.json").exists():
         with MDSWriter(out=str(copy), columns=dict.fromkeys(fields, "ndarray"), exist_ok=True) as writer:
             for item in _items(folder, fields):
                 writer.write(item)
-    dataset = LocalDataset(str(copy))
-    return lambda indices: _packed_items([dataset[i] for i in indices])
+    return copy
 
 
-def by_ninja(folder: Path, fields: Sequence[str]) -> Batches | None:
+def by_ninja(folder: Path, fields: Sequence[str]) -> Batches:
     """``mmap_ninja``: a ``RaggedMmap`` a field."""
-    if find_spec("mmap_ninja") is None:
-        return None
     from mmap_ninja import RaggedMmap
 
     copy = _copy(folder, "ninja", fields)
@@ -151,10 +141,8 @@ def by_ninja(folder: Path, fields: Sequence[str]) -> Batches | None:
     return lambda indices: pack({field: [maps[field][i] for i in indices] for field in fields})
 
 
-def by_lance(folder: Path, fields: Sequence[str]) -> Batches | None:
+def by_lance(folder: Path, fields: Sequence[str]) -> Batches:
     """``lance``: a row a garment, a list of numbers a field; ``take`` of the rows."""
-    if find_spec("lance") is None:
-        return None
     import lance
 
     copy = _copy(folder, "lance", fields) / "set.lance"
@@ -164,10 +152,8 @@ def by_lance(folder: Path, fields: Sequence[str]) -> Batches | None:
     return lambda indices: pack(_of_table(dataset.take(list(indices)), shapes))
 
 
-def by_arrow(folder: Path, fields: Sequence[str]) -> Batches | None:
+def by_arrow(folder: Path, fields: Sequence[str]) -> Batches:
     """Arrow's IPC file, mapped; ``take`` of the rows."""
-    if find_spec("pyarrow") is None:
-        return None
     import pyarrow as pa
 
     copy = _copy(folder, "arrow", fields) / "set.arrow"
@@ -179,11 +165,30 @@ def by_arrow(folder: Path, fields: Sequence[str]) -> Batches | None:
     return lambda indices: pack(_of_table(table.take(list(indices)), shapes))
 
 
-LOADERS: dict[str, Loader] = {
-    "ours": ours, "GarmentLoader": by_garment_loader, "memmap": by_memmap, "memmap as ndarray": by_plain_memmap,
-    "mmap_ninja": by_ninja, "hdf5": by_hdf5, "arrow": by_arrow, "lance": by_lance, "litdata": by_litdata,
-    "mosaicml-streaming": by_streaming, "webdataset": by_webdataset,
-}  # fmt: skip
+LOADERS: Mapping[str, tuple[str, Callable[[Path, Sequence[str]], Batches]]] = {
+    "ours": ("torch", ours),
+    "GarmentLoader": ("torch", by_garment_loader),
+    "memmap": ("numpy", by_memmap),
+    "memmap as ndarray": ("numpy", partial(by_memmap, plain=True)),
+    "mmap_ninja": ("mmap_ninja", by_ninja),
+    "HDF5": ("h5py", by_hdf5),
+    "Arrow": ("pyarrow", by_arrow),
+    "Lance": ("lance", by_lance),
+    "litdata": ("litdata", by_litdata),
+    "mosaicml streaming": ("streaming", by_streaming),
+    "webdataset": ("webdataset", by_webdataset),
+}
+"""Name to the module that must be installed, and ``(folder of shards, fields)`` to the batches."""
+
+
+def installed_loaders(folder: Path, fields: Sequence[str]) -> dict[str, Batches]:
+    """The loaders whose library is installed; makes their copies of the garments."""
+    return {name: load(folder, fields) for name, (module, load) in LOADERS.items() if find_spec(module) is not None}
+
+
+def following(batches: Iterator[Any]) -> Batches:
+    """The next batch, whatever the indices."""
+    return lambda indices: next(batches)
 
 
 def pack(rows: Rows) -> dict[str, Tensor]:
@@ -193,7 +198,8 @@ def pack(rows: Rows) -> dict[str, Tensor]:
     for field, values in rows.items():
         kind = np.float32 if values[0].dtype.kind == "f" else values[0].dtype
         out = np.empty((starts[field][-1], *values[0].shape[1:]), kind)
-        columns = [(column, starts["verts" if target == "vertices" else target]) for column, target in _targets(field)]
+        pointing = POINTS_TO.get(field, ())
+        columns = [(column, starts["verts" if target == "vertices" else target]) for column, target in pointing]
         if columns and columns[0][0] == WHOLE:
             for number, value in enumerate(values):
                 begin, end = starts[field][number : number + 2]
@@ -202,21 +208,24 @@ def pack(rows: Rows) -> dict[str, Tensor]:
             np.concatenate(values, out=out, casting="unsafe")
             for column, offsets in columns:
                 of_rows = np.repeat(offsets[:-1], np.diff(starts[field])).astype(kind)
-                out[:, column] += of_rows if isinstance(column, int) else of_rows[:, None]
+                for entries in out.T[column]:  # one by one: broadcasting over short rows takes ten times as long
+                    entries += of_rows
         batch[field] = torch.from_numpy(out)
     return batch
 
 
-def _targets(field: str) -> Sequence[tuple[slice | int, str]]:
-    return POINTS_TO.get(field, ())
-
-
-def _packed_items(items: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Tensor]:
+def packed_items(items: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Tensor]:
     return pack({field: [item[field] for item in items] for field in items[0]})
 
 
+def _epochs(items: Any) -> Iterator[Any]:
+    """The items of one epoch after the other."""
+    while True:
+        yield from items
+
+
 def _items(folder: Path, fields: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-    dataset: Any = GarmentDataset(folder, fields=fields)
+    dataset: Any = opened(folder, fields)
     return ({field: item[field].numpy() for field in fields} for item in (dataset[i] for i in range(len(dataset))))
 
 

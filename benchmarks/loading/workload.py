@@ -9,13 +9,11 @@ import numpy as np
 
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Sample, Seam
-from gcd_dataset.shards import ShardWriter, encode_sample, read_manifest
+from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
 from gcd_dataset.shards.layout import MEMBERS, is_picture, member_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord, SplitRecord
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
-
-__all__ = ["CONFIGS", "large_sample", "write_large_index", "write_shards"]
 
 CONFIGS: Mapping[str, tuple[str, ...]] = {
     "geometry": ("panels", "faces", "uv", "panel_id", "verts"),
@@ -59,12 +57,10 @@ def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
 
 
 def write_shards(folder: Path, count: int) -> Path:
-    """Write the first ``count`` garments as shards, unless the folder holds as many. Returns the folder."""
-    manifest = read_manifest(folder) if folder.is_dir() else None
-    if manifest is None or manifest.counts != {"train": count}:
-        with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
-            for index in range(count):
-                writer.write(large_sample(index))
+    """Write the first ``count`` garments as shards. Returns the folder."""
+    with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
+        for index in range(count):
+            writer.write(large_sample(index))
     return folder
 
 
