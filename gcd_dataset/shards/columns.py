@@ -90,21 +90,18 @@ class Columns:
 
         ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
-        begins, shards, numbers = self._starts, [], []
-        for row in rows:
-            shard = bisect_right(begins, row) - 1
-            shards.append(shard)
-            numbers.append(row - begins[shard])
-        if not self._opened_shards.issuperset(shards):
-            self._fetch(set(shards) - self._opened_shards)
-            self._opened_shards.update(shards)
-        return {
-            field: [
-                stored[starts[number] : starts[number + 1]]
-                for (stored, starts), number in zip(map(opened.__getitem__, shards), numbers, strict=True)
-            ]
-            for field, opened in self._open.items()
-        }
+        begins = self._starts
+        places = [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
+        if unopened := {shard for shard, _ in places} - self._opened_shards:
+            self._fetch(unopened)
+            self._opened_shards |= unopened
+        views: dict[str, list[np.ndarray]] = {}
+        for field, opened in self._open.items():
+            views[field] = values = []
+            for shard, number in places:
+                stored, starts = opened[shard]
+                values.append(stored[starts[number] : starts[number + 1]])
+        return views
 
     def fetch(self, rows: Iterable[int]) -> None:
         """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
@@ -284,8 +281,6 @@ def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
     starts = np.cumsum([0, *map(len, rows)], dtype=np.int64)
     columns = first.shape[1] if first.ndim > 1 else 0
     head = HEAD.pack(MAGIC, first.dtype.str[1:].encode(), columns, 0, len(rows), int(starts[-1])) + starts.tobytes()
+    content = b"".join([head.ljust(_aligned(len(head)), b"\0"), *(value.tobytes() for value in rows)])
     with open_whole(path) as file:
-        file.write(head.ljust(_aligned(len(head)), b"\0"))
-        for value in rows:
-            if value.size:
-                file.write(np.ascontiguousarray(value).data)
+        file.write(content)  # in one call: the page cache then holds it in large pages, which read faster
