@@ -64,8 +64,9 @@ def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        is_link = error.errno == errno.ELOOP
-        remedy = "remove this link" if is_link else "make room there and start again to continue"
+        locked_out = error.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+        remedy = "make it writable" if locked_out else "make room there"
+        remedy = "remove this link" if error.errno == errno.ELOOP else f"{remedy} and start again to continue"
         raise OutputError(f"{path}: cannot be written ({error.strerror}){note}: {remedy}") from error
 
 

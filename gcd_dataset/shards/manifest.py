@@ -318,7 +318,8 @@ def _fits(value: Any, kind: Any) -> bool:
     if origin is tuple and inner[-1] is not ...:
         return isinstance(value, list) and len(value) == len(inner) and all(map(_fits, value, inner))
     if origin in (tuple, Sequence):
-        return isinstance(value, list) and all(_fits(one, inner[0]) for one in value)
+        # A manifest lists thousands of records.
+        return isinstance(value, list) and (is_dataclass(inner[0]) or all(_fits(one, inner[0]) for one in value))
     if is_dataclass(kind):
         return isinstance(value, list | Mapping)
     return is_count(value) if kind is int else kind is Any or isinstance(value, kind)

@@ -125,8 +125,8 @@ class Draft:
         if self._lock >= 0:
             for tar in self._tars.values():
                 tar.close()
-            unlock(self._lock)
-            self._lock = -1
+            lock, self._lock = self._lock, -1  # before a signal can end this function, and close it again
+            unlock(lock)
 
     def __enter__(self) -> Self:
         return self
