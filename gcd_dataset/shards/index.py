@@ -27,7 +27,7 @@ OUTCOMES = ("", *Outcome.__members__)
 """Outcomes by their number in the index; the first for samples without a drape."""
 SETTLED = OUTCOMES.index(Outcome.SETTLED.name)
 REMEDY = "run gcd index"
-BYTES = 14  # of a sample, decoded
+BYTES = 15  # of a sample, unpacked: 14, and padding
 HEADS = 1 << 10  # bytes of the heads of all sections
 SECTIONS = {"number": "i4", "start": "i4", "views_start": "i4", "grade": "u1", "outcome": "u1"}
 """Section of the file to its type."""

@@ -23,6 +23,7 @@ the integer itself, int32, if ``step`` is 127; other steps are -64 to 64.
 [[0.5, 2.0], [0.75, 2.0]]
 """
 
+import hashlib
 import struct
 import threading
 from collections.abc import Container, Iterator, Mapping
@@ -46,6 +47,7 @@ WHOLE = 127  # step of integers
 LARGEST_STEP = 64  # of others, either way: no number exceeds float32
 LARGEST_NUMBER = (1 << 30) - 1  # its differences of differences fit into int32
 EXPANSION, ALWAYS = 64, 1 << 20  # a frame may unpack to 64 times its size, and to 1 MB in any case
+PADDING = "padding"  # section of incompressible bytes that keeps the frame of a very regular mesh within these limits
 
 _own = threading.local()  # contexts of Zstandard must not be used by two threads at a time
 
@@ -71,6 +73,9 @@ def pack(sections: Mapping[str, np.ndarray], codings: Mapping[str, Coding] = {})
     if not hasattr(_own, "compressor"):
         _own.compressor = zstandard.ZstdCompressor(compression_params=ZSTANDARD)
     packed: bytes = _own.compressor.compress(data)
+    if len(data) > max(EXPANSION * len(packed), ALWAYS):
+        noise = np.frombuffer(hashlib.shake_128().digest(-(-len(data) // (EXPANSION - 1))), np.uint8)
+        packed = _own.compressor.compress(data + b"".join(_section(PADDING, noise, RAW)))
     return packed
 
 

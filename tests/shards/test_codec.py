@@ -33,7 +33,7 @@ from gcd_dataset.records import (
 from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.codec import MESH_CODINGS, NO_PICTURE, spread
 from gcd_dataset.shards.layout import garments_layout, is_picture
-from gcd_dataset.shards.sections import HEAD, pack, unpack
+from gcd_dataset.shards.sections import HEAD, Coding, pack, unpack
 from tests.shards import stranger
 from tests.shards.real import patterns
 from tests.shards.tars import write_shard
@@ -309,6 +309,15 @@ def frame(content: bytes) -> bytes:
 def declared(size: int) -> bytes:
     """A frame that declares a size, followed by little."""
     return b"\x28\xb5\x2f\xfd" + b"\xe0" + size.to_bytes(8, "little") + b"\x01\x00\x00"
+
+
+def test_a_very_regular_mesh_is_read_again() -> None:
+    """It compresses more than readers accept."""
+    corners = np.arange(3, dtype=np.int32) + np.arange(500_000, dtype=np.int32)[:, None]
+    packed = pack({"corners": corners, "labels": corners[:9]}, {"corners": Coding(3)})
+    assert len(packed) < corners.nbytes / 100
+    assert np.array_equal(unpack(packed, ["corners"])["corners"], corners)
+    assert np.array_equal(unpack(packed, ["labels"])["labels"], corners[:9])
 
 
 VERTS = section("verts", 2, 3, b"i4", 2, 1, bytes(6))

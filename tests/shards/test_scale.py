@@ -49,6 +49,16 @@ def test_the_manifest_of_the_largest_data_set_is_read() -> None:
     assert parse_manifest(manifest.to_bytes(), "manifest.json") == manifest
 
 
+def test_the_index_of_equally_large_samples_is_read_again() -> None:
+    """It compresses more than any other."""
+    count = 1_280_000
+    record = replace(record_of(SIZE), shards=tuple(replace(one, views_size=0) for one in record_of(count).shards))
+    blocks = np.tile(np.arange(SIZE, dtype=np.int32) * SAMPLE, count // SIZE)
+    none, number = np.zeros(count, np.uint8), np.arange(count, dtype=np.int32)
+    index = SplitIndex(record, number, blocks, blocks[:0], none, none)
+    assert np.array_equal(SplitIndex.from_bytes(index.to_bytes(), record, "train.index").start, index.start)
+
+
 def test_an_index_takes_a_few_bytes_a_sample() -> None:
     """On disk, in memory and pickled."""
     count = 128_000
