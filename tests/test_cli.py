@@ -482,7 +482,7 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
         assert page.read_text("utf-8").count("data-panel=") >= 2
     capsys.readouterr()
     assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
-    assert "sample 5 of 1" in one_line(capsys.readouterr().err)
+    assert "garment 5 of 1" in one_line(capsys.readouterr().err)
     assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
     assert "end the name in .png" in one_line(capsys.readouterr().err)
 

@@ -184,7 +184,11 @@ def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
             raise KeyboardInterrupt from None
 
     monkeypatch.setattr("logging.basicConfig", interrupted)
-    assert main(["info", "nowhere"]) == code
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process inherits that it is ignored
+    try:
+        assert main(["info", "nowhere"]) == code
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "gcd: stopped: finished files are kept: run it again\n"
 
 
