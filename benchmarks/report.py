@@ -17,7 +17,10 @@ from benchmarks.cases.figures import Measured
 __all__ = ["report_text"]
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("gcd-dataset", "newton", "numpy", "scipy", "shapely", "torch", "warp-lang", "webdataset", "litdata", "h5py")
+PACKAGES = (
+    "gcd-dataset", "newton", "numpy", "scipy", "shapely", "torch", "warp-lang", "webdataset", "litdata", "h5py",
+    "mmap_ninja", "mosaicml-streaming", "pylance", "pyarrow",
+)  # fmt: skip
 
 
 def report_text(case: str, about: str, measured: Measured, arguments: Sequence[str]) -> str:

@@ -1,7 +1,8 @@
 """Made-to-measure garments with their sewing patterns, for PyTorch.
 
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
-line. The records are imported on first use, with NumPy alone; torch and Warp are imported by the modules that use them.
+line; ``decode`` decodes tars that other libraries read. The names are imported on first use, with NumPy alone; torch
+and Warp are imported by the modules that use them.
 """
 
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         Sample,
         Seam,
     )
+    from gcd_dataset.shards.codec import decode
 
 __all__ = [
     "Body",
@@ -42,8 +44,11 @@ __all__ = [
     "Sample",
     "Seam",
     "__version__",
+    "decode",
 ]
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__ = lazy_names(__name__, {"records": [name for name in __all__ if name != "__version__"]})
+_RECORDS = [name for name in __all__ if name not in ("__version__", "decode")]
+
+__getattr__, __dir__ = lazy_names(__name__, {"records": _RECORDS, "shards.codec": ("decode",)})

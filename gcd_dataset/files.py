@@ -118,9 +118,11 @@ def drafted(path: Path | str) -> Iterator[Path]:
             with draft.open("rb+") as file:
                 os.fsync(file.fileno())
             draft.replace(path)
-        finally:
+        except BaseException:
             with contextlib.suppress(OSError):
                 draft.unlink(missing_ok=True)
+            raise
+        finally:
             os.close(descriptor)
 
 

@@ -297,11 +297,23 @@ class Pattern(Record):
 # ---------------------------------------------------------------------------------------------------------------- mesh
 
 
+POSITION_STEP = 2.0**-9
+"""Draped positions are multiples of this [cm], so that what is judged is what shards store."""
+UV_STEP = 2.0**-10
+"""Shards store positions in panels as multiples of this [cm]."""
+
+
+def as_stored(positions: Float[np.ndarray, "*n"], step: float) -> Float[np.ndarray, "*n"]:
+    """Positions as shards store them: rounded to multiples of ``POSITION_STEP`` or ``UV_STEP``."""
+    return np.rint(np.asarray(positions, float) / step) * step
+
+
 @dataclass(frozen=True, eq=False)
 class BoxMesh(Record):
     """A pattern as a triangle mesh: flat panels placed round the body, seams welded; the start of the drape.
 
-    Vertices of seams come first, in the order of the seams, then the rest panel by panel. The rest shape is flat:
+    Vertices of seams come first, in the order of the seams, then the rest panel by panel. Faces begin with their least
+    corner and are sorted by corners, so panel by panel; published meshes keep their order. The rest shape is flat:
     ``uv[corners]`` holds every face's corners in the plane of its panel.
     """
 

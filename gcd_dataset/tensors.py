@@ -25,7 +25,18 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points, curve_tangents, from_frame, to_frame
+from gcd_dataset.curves import (
+    LINE,
+    Arc,
+    Cubic,
+    Curve,
+    Point,
+    Quadratic,
+    curve_points,
+    curve_tangents,
+    from_frame,
+    to_frame,
+)
 from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Record, Seam, role_of
 
@@ -163,9 +174,9 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
     edge_labels = _table(EDGE_LABELS, (edge.label for panel in pattern.panels for edge in panel.edges))
     panels = np.zeros((len(pattern.panels), len(PanelColumn)))
     loops = []
-    for row, panel in enumerate(pattern.panels):
+    for panel in pattern.panels:
         require_closed(panel)
-        centroid = area_centroid(panel)
+    for row, (panel, centroid) in enumerate(zip(pattern.panels, _area_centroids(pattern.panels), strict=True)):
         panels[row, POSITION] = panel.placement.apply(centroid)
         panels[row, QUATERNION] = _quaternion(panel.placement.rotation)
         panels[row, ANGLES] = panel.placement.rotation
@@ -202,22 +213,48 @@ def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
 
     By Green's theorem: A = ∮ x dy, A x̄ = ∮ x²/2 dy, A ȳ = -∮ y²/2 dx, by quadrature edge by edge.
     """
-    starts, ends = (panel.vertices[[getattr(edge, end) for edge in panel.edges]] for end in ("start", "end"))
-    middle = starts.mean(axis=0)
+    return _area_centroids([panel])[0]
+
+
+def _area_centroids(panels: Sequence[Panel]) -> list[Float[np.ndarray, "2"]]:
+    """``area_centroid`` of each panel: the edges of all panels at once, since each call of NumPy takes its time."""
+    loops = [_straight_first(panel) for panel in panels]
+    points, tangents = _at_nodes([edge for loop in loops for edge in loop])
+    weights = np.tile(0.5 * WEIGHTS, max(map(len, loops), default=0))
+    centroids, end = [], 0
+    for panel, loop in zip(panels, loops, strict=True):
+        rows = slice(end, end := end + len(loop))
+        corners = panel.vertices[[edge.start for edge in panel.edges]]
+        middle = corners.mean(axis=0)
+        x, y = (points[rows].reshape(-1, 2) - middle).T
+        dx, dy = weights[: len(x)] * tangents[rows].reshape(-1, 2).T
+        area, moment = x @ dy, 0.5 * np.array([(x * x) @ dy, -(y * y) @ dx])
+        flat = abs(area) <= NO_AREA * np.ptp(corners, axis=0).max() ** 2
+        centroids.append(middle if flat else middle + moment / area)
+    return centroids
+
+
+def _straight_first(panel: Panel) -> list[tuple[Point, Point, Curve]]:
+    """Start, end and curve of each edge, straight ones first."""
+    edges = [(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
+    return sorted(edges, key=_is_curved)
+
+
+def _is_curved(edge: tuple[Point, Point, Curve]) -> bool:
+    return edge[2] != LINE
+
+
+def _at_nodes(edges: Sequence[tuple[Point, Point, Curve]]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and tangents of edges at the nodes of the quadrature [cm], each [e, nodes, 2]."""
     nodes = 0.5 * (NODES + 1)
-    straight = np.array([edge.curve == LINE for edge in panel.edges])
-    chords = (ends - starts)[straight, None]
-    points = [(starts[straight, None] + nodes[:, None] * chords).reshape(-1, 2)]
-    tangents = [np.repeat(chords, len(nodes), axis=1).reshape(-1, 2)]
-    for index in np.flatnonzero(~straight).tolist():
-        ends_of, curve = panel.edge_ends(index), panel.edges[index].curve
-        points.append(curve_points(*ends_of, curve, nodes))
-        tangents.append(curve_tangents(*ends_of, curve, nodes))
-    x, y = (np.concatenate(points) - middle).T
-    dx, dy = np.tile(0.5 * WEIGHTS, len(panel.edges)) * np.concatenate(tangents).T
-    area, moment = x @ dy, 0.5 * np.array([(x * x) @ dy, -(y * y) @ dx])
-    flat = abs(area) <= NO_AREA * np.ptp(starts, axis=0).max() ** 2
-    return middle if flat else middle + moment / area
+    starts, ends = (np.array([edge[end] for edge in edges], float).reshape(-1, 1, 2) for end in (0, 1))
+    tangents = np.repeat(ends - starts, len(nodes), axis=1)
+    points = starts + nodes[:, None] * tangents
+    for row, (start, end, curve) in enumerate(edges):
+        if curve != LINE:
+            points[row] = curve_points(start, end, curve, nodes)
+            tangents[row] = curve_tangents(start, end, curve, nodes)
+    return points, tangents
 
 
 def require_closed(panel: Panel) -> None:
@@ -244,15 +281,16 @@ def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
 
 
 def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, ...]) -> Float[np.ndarray, "e 13"]:
-    used = sorted({edge.start for edge in panel.edges})
+    starts = [edge.start for edge in panel.edges]
+    used = {vertex: number for number, vertex in enumerate(sorted(set(starts)))}
     rows = np.zeros((len(panel.edges), len(EdgeColumn)))
-    for index, edge in enumerate(panel.edges):
-        start, end = panel.edge_ends(index)
-        rows[index, EdgeColumn.PANEL] = row
-        rows[index, EdgeColumn.VERTEX] = used.index(edge.start)
-        rows[index, START] = start - centroid
-        rows[index, EdgeColumn.LABEL] = labels.index(edge.label)
-        match edge.curve:
+    rows[:, EdgeColumn.PANEL] = row
+    rows[:, EdgeColumn.VERTEX] = [used[vertex] for vertex in starts]
+    rows[:, START] = panel.vertices[starts] - centroid
+    rows[:, EdgeColumn.LABEL] = [labels.index(edge.label) for edge in panel.edges]
+    for index in [index for index, edge in enumerate(panel.edges) if edge.curve != LINE]:
+        (start, end), curve = panel.edge_ends(index), panel.edges[index].curve
+        match curve:
             case Quadratic(control):
                 rows[index, EdgeColumn.KIND] = CurveKind.QUADRATIC
                 rows[index, CONTROL0] = from_frame(start, end, control) - centroid
@@ -262,10 +300,8 @@ def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, 
                 rows[index, CONTROL1] = from_frame(start, end, control1) - centroid
             case Arc(radius, large, right):
                 rows[index, EdgeColumn.KIND] = CurveKind.ARC
-                rows[index, CONTROL0] = curve_points(start, end, edge.curve, np.array([0.5]))[0] - centroid
+                rows[index, CONTROL0] = curve_points(start, end, curve, np.array([0.5]))[0] - centroid
                 rows[index, EdgeColumn.RADIUS : EdgeColumn.RIGHT + 1] = radius, large, right
-            case _:
-                assert edge.curve == LINE
     return rows
 
 

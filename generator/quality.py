@@ -1,9 +1,11 @@
 """The quality of a drape: principal stretches of its cloth, and a grade for users of the data."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.records import BoxMesh, Drape, Grade, Outcome, Strain
+from gcd_dataset.records import UV_STEP, BoxMesh, Drape, Grade, Outcome, Strain, as_stored
 
 __all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
 
@@ -37,10 +39,14 @@ def principal_stretches(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Fl
 
 
 def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | None:
-    """The principal stretches of a garment and of each panel, without outliers; ``None`` for positions not finite."""
+    """The principal stretches of a garment and of each panel, without outliers; ``None`` for positions not finite.
+
+    They are those of the mesh as shards store it, in steps of ``UV_STEP``.
+    """
     if not len(mesh.faces) or not np.isfinite(vertices).all():
         return None
-    stretches = principal_stretches(mesh, vertices)
+    stored = replace(mesh, uv=as_stored(mesh.uv, UV_STEP))
+    stretches = principal_stretches(stored, vertices)
     panels = (stretches[mesh.panel_id == panel] for panel in range(len(mesh.panel_names)))
     return Strain(_ends(stretches, OUTLIERS), tuple(_ends(own, PANEL_OUTLIERS) for own in panels))
 

@@ -180,7 +180,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 
 def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
-    return garments_layout(caption=config.captions, views=config.views)
+    sides = config.stage == "drape" and config.picture > 0
+    return garments_layout(caption=config.captions, views=config.views, sides=sides)
 
 
 def device_kind(config: MakeConfig) -> str:

@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of
-from gcd_dataset.records import Body, BodyShape, BoxMesh, Pattern
+from gcd_dataset.records import POSITION_STEP, UV_STEP, Body, BodyShape, BoxMesh, Pattern, as_stored
 from gcd_dataset.records import View as StoredView
 from gcd_dataset.shards.layout import recipe_hash
 
@@ -93,8 +93,9 @@ def stored_scene(
     pattern: Pattern | None = None,
     hair: HairStyle = HairStyle.NONE,
 ) -> Scene:
-    """The scene of a garment, as ``scene_of``, with positions and ``uv`` rounded to float32."""
-    return scene_of(replace(mesh, uv=_rounded(mesh.uv)), _rounded(vertices), body, pattern=pattern, hair=hair)
+    """The scene of a garment, as ``scene_of``, with positions and ``uv`` as shards store them."""
+    mesh, vertices = replace(mesh, uv=as_stored(mesh.uv, UV_STEP)), as_stored(vertices, POSITION_STEP)
+    return scene_of(mesh, vertices, body, pattern=pattern, hair=hair)
 
 
 def views_of(

@@ -26,8 +26,9 @@ from gcd_dataset.loaders.indexing import (
 from gcd_dataset.loaders.items import GarmentFields
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import decode_field, decode_sample, read_meta
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, key_of, members_of
+from gcd_dataset.shards.codec import decode_fields, decode_sample
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, is_picture, key_of, members_of
+from gcd_dataset.shards.meta import read_meta
 
 __all__ = [
     "DerivedGarments",
@@ -92,6 +93,8 @@ class Garments(Dataset[GarmentFields], ABC):
     """Whether items are read from storage, not generated: a thread then loads them as fast as worker processes."""
     endless = False
     """Whether indices beyond ``len()`` are valid: the following epochs, each in its own order."""
+    window: int | None = None
+    """Number of shards among which a random order moves freely (``shard_lengths``); ``None``: all."""
     garments_per_design = 1
     """Number of consecutive garments that share a design; fastest if one process makes them all."""
 
@@ -124,7 +127,7 @@ class Garments(Dataset[GarmentFields], ABC):
         Raises as ``ds[i]`` does, and ``ConfigError`` where members are missing, as in a download of some fields.
         """
         members = self._members(self._position(index), tuple(self._member_of.values()))
-        if missing := [member for member in MEMBERS if member not in members]:
+        if missing := [member for member in MEMBERS if member not in members and not is_picture(member)]:
             raise ConfigError(f"sample {index}: the data set holds no {missing[0]}: give one with all members")
         return decode_sample(members)
 
@@ -453,8 +456,7 @@ def require_float_dtype(dtype: Any) -> torch.dtype | None:
 def decode_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dtype | None = None) -> GarmentItem:
     """Decode members: arrays to tensors (floating ones as ``dtype``), JSON to values, pictures to uint8 tensors."""
     item = GarmentItem()
-    for field in fields:
-        value = decode_field(field, members)
+    for field, value in decode_fields(members, fields).items():
         try:
             item[field] = tensor_of(value, dtype) if isinstance(value, np.ndarray) else value
         except ShardError as error:

@@ -23,14 +23,14 @@ RAGGED = (
 """Fields with a different number of rows in each garment."""
 
 WHOLE = slice(None)
-POINTS_TO: Mapping[str, tuple[tuple[slice | int, str], ...]] = {
+POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
     "faces": ((WHOLE, "vertices"),),
     "uv_vertex": ((WHOLE, "vertices"),),
-    "labels": ((0, "vertices"),),
-    "seams": ((0, "vertices"), (1, "stitches")),
+    "labels": ((slice(0, 1), "vertices"),),
+    "seams": ((slice(0, 1), "vertices"), (slice(1, 2), "stitches")),
     "corners": ((WHOLE, "uv"),),
     "panel_id": ((WHOLE, "panels"),),
-    "edges": ((EdgeColumn.PANEL, "panels"),),
+    "edges": ((slice(EdgeColumn.PANEL, EdgeColumn.PANEL + 1), "panels"),),
     "stitches": ((slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges"),),
 }
 """Field to its columns of row numbers, each with the field that the numbers index."""
@@ -230,10 +230,11 @@ class PaddedBatch(_Batch):
     verts_mask: Bool[Tensor, "b v"] = _entry()
 
 
-def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Int[Tensor, " b+1"]:
-    """For the row numbers in ``field``: start of each garment's rows in ``target``, and the end of the last.
+def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Any:
+    """For the row numbers in ``field``: start of each garment's rows in ``target``, and the end of the last, [b+1].
 
-    Raises ``ConfigError`` if the target is not in the batch, and for draped and undraped garments in one batch.
+    A tensor, or an array where the batch holds arrays. Raises ``ConfigError`` if the target is not in the batch, and
+    for draped and undraped garments in one batch.
     """
     if target != "vertices":
         if f"{target}_ptr" not in batch:
@@ -242,10 +243,10 @@ def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Int[Tensor, 
     pointers = batch[f"{field}_ptr"]
     found = [starts for name in ("verts", "box") if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
     if not found and not pointers[-1]:
-        return torch.zeros_like(pointers)
+        return 0 * pointers
     if not found:
         raise ConfigError(f"{field} holds rows of verts and box: load the field verts or box too")
-    if not all(torch.equal(starts, found[0]) for starts in found):
+    if not all((starts == found[0]).all() for starts in found[1:]):
         raise ConfigError("draped and undraped garments in one batch: load verts or box, not both")
     return found[0]
 

@@ -14,6 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, concatenate, fill
+from gcd_dataset.loaders.stored import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
 
@@ -47,6 +48,8 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     >>> batch["faces"].tolist(), batch["verts_ptr"].tolist()
     ([[0, 1, 2], [3, 4, 5]], [0, 3, 6])
     """
+    if isinstance(items, StoredItems):
+        return unwrap(sent(_pack_stored(items)))
     _require_same_fields(items)
     batch = PackedBatch(batch_size=len(items))
     rows = {field: [item[field].shape[0] for item in items] for field in RAGGED if field in items[0]}
@@ -83,6 +86,61 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
         else:
             batch[field] = _stacked(values, field)
     return unwrap(sent(batch))
+
+
+def _pack_stored(items: StoredItems) -> PackedBatch:
+    """The same batch from stored rows: each is copied once."""
+    # Arrays until the end: a call of torch takes several times as long as one of NumPy.
+    columns = {field: items.column(field) for field in items.fields}
+    counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
+    starts = {f"{field}_ptr": np.array([0, *accumulate(lengths)]) for field, lengths in counts.items()}
+    batch = PackedBatch(batch_size=len(items))
+    batch |= {name: torch.from_numpy(pointers) for name, pointers in starts.items()}
+    for field, values in columns.items():
+        if field in counts:
+            batch[field] = _concatenated(values, counts[field], items.dtype, starts, field)
+        elif isinstance(values[0], np.ndarray) and len(set(map(len, values))) == 1:
+            rows = _concatenated(values, list(map(len, values)), items.dtype, starts, field)
+            batch[field] = rows.view(len(values), *values[0].shape)
+        else:
+            batch[field] = _stacked(values, field)
+    return batch
+
+
+def _concatenated(
+    values: Sequence[np.ndarray],
+    counts: Sequence[int],
+    dtype: torch.dtype | None,
+    starts: Mapping[str, np.ndarray],
+    field: str,
+) -> Tensor:
+    """Stored rows as one tensor; row numbers in them are offset by each garment's start."""
+    first = values[0]
+    kind = first.dtype if first.dtype.kind != "f" or dtype is None else NUMPY_TYPES.get(dtype)
+    if kind is None:  # such as bfloat16, which NumPy lacks
+        return torch.cat([torch.from_numpy(value).to(dtype) for value in values])
+    shape = (sum(counts), *first.shape[1:])
+    out = np.ndarray(shape, kind, read_buffer(math.prod(shape) * kind.itemsize))
+    pointing = POINTS_TO.get(field, ())
+    if pointing and pointing[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
+        begin, offsets = 0, starts_of(starts, field, pointing[0][1]).tolist()
+        for value, count, offset in zip(values, counts, offsets, strict=False):
+            np.add(value, offset, out=out[begin : begin + count], casting="unsafe")
+            begin += count
+        return torch.from_numpy(out)
+    np.concatenate(values, out=out, casting="unsafe")
+    for columns, target in pointing:
+        offsets = starts_of(starts, field, target)[:-1].astype(kind).repeat(counts)
+        for column in out.T[columns]:  # one by one: broadcasting over short rows takes ten times as long
+            column += offsets
+    return torch.from_numpy(out)
+
+
+NUMPY_TYPES: Mapping[torch.dtype, np.dtype[Any]] = {
+    torch.float16: np.dtype("f2"),
+    torch.float32: np.dtype("f4"),
+    torch.float64: np.dtype("f8"),
+}
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:

@@ -1,7 +1,9 @@
 """``GeneratedGarments``: garments made on demand, with the indices, fields and bytes of a generated data set."""
 
+import contextlib
 import logging
 import os
+import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,7 +17,7 @@ from torch.utils.data import get_worker_info
 from gcd_dataset import __version__
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import user_path
+from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.estimates import core_seconds
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
@@ -28,23 +30,29 @@ from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
+from gcd_dataset.shards.access import read_file
 from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import (
     SCHEMA,
     Bytes,
     fields_of,
+    garments_layout,
     is_view_field,
     key_of,
+    member_name,
     members_of,
     recipe_hash,
 )
-from gcd_dataset.shards.sample_cache import SampleCache
+from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import META
+from gcd_dataset.shards.tar import END, samples_in, tar_entry
 
 __all__ = ["GeneratedGarments", "Stage"]
 
 logger = logging.getLogger("gcd_dataset")
 
 LOGGED_FROM = 2.0  # s for each garment
+EACH = 1000  # cached samples of a folder
 
 
 class GeneratedGarments(Garments):
@@ -73,10 +81,9 @@ class GeneratedGarments(Garments):
     - ``dtype``: the type of floating fields, float32 by default; ``None`` for the type stored in shards.
     - ``transform``: called with each item.
 
-    ``cache_dir`` stores every garment made, and later reads are from there. It has one folder per seed, recipe and
-    version of this package; the attribute ``cache`` is the folder of this data set, which ``GarmentDataset``, ``gcd
-    verify`` and ``gcd publish`` can read. Any number of workers and processes may share it; a damaged garment is made
-    again.
+    ``cache_dir`` stores every garment made, one file each, and later reads are from there. It has one folder per seed,
+    recipe and version of this package, the attribute ``cache``. Any number of workers and processes may share it; a
+    damaged garment is made again. ``gcd generate`` makes a data set that can be copied and published.
 
     **Processes.** On GPUs, workers of a ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and two
     draping processes per GPU drape for them. Without workers this process drapes each batch at once on the first GPU,
@@ -109,7 +116,8 @@ class GeneratedGarments(Garments):
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
-        available, absent = fields_of(self._layout.members), absent_at_stage(self.config.stage, empty)
+        full = garments_layout(caption=self.config.captions, views=self.config.views)
+        available, absent = fields_of(full.members), absent_at_stage(self.config.stage, empty)
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers
         self._recipe = recipe_of(self.config)
@@ -118,11 +126,7 @@ class GeneratedGarments(Garments):
         self._addresses = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
-        self._sample_cache = (
-            None
-            if self.cache is None
-            else SampleCache(self.cache, self._n, seed=self._seed, recipe=self._recipe, layout=self._layout)
-        )
+        self._sample_cache = None if self.cache is None else SampleCache(self.cache)
         self._last = LastDesign()
         self._process = os.getpid()
         self._wait_is_logged = False
@@ -138,25 +142,16 @@ class GeneratedGarments(Garments):
     def verify(self, index: int) -> None:
         """Make garment ``index`` again; raise ``ShardError`` unless it equals the cached one, or a second new one."""
         position = self._position(index)
-        before = None if self._sample_cache is None else self._sample_cache.read(position)
-        before, after = before or self._made(position), self._made(position)
+        cached = None if self._sample_cache is None else self._sample_cache.read(position)
+        before, after = cached or self._made(position), self._made(position)
         for member, data in after.items():
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
     def sample(self, index: int | str) -> Sample:
-        known = partial(self._cached, fields=self._member_of)
+        known = partial(self._cached, fields=fields_of(self._layout.members))
         options = {"finished": self._encoded, "known": known, "pictured": True}
         return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
-
-    def pack(self) -> None:
-        """Write the cached garments of incomplete shards into shards.
-
-        Not needed once every garment is made. Before that, ``cache`` is a data set of its complete shards only.
-        """
-        if self._sample_cache is None:
-            raise ConfigError("no cache to pack: give cache_dir")
-        self._sample_cache.pack()
 
     def tell_wait(self) -> None:
         """Log once how long a garment takes to make, unless a cache exists."""
@@ -279,6 +274,46 @@ class GeneratedGarments(Garments):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled in a spawned process, where CUDA works
+
+
+class SampleCache:
+    """A cache of the samples of one seed, recipe and version, which any number of processes may fill and read.
+
+    00012/gcd_000012345.tar     all members of sample 12345, pictures included
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def keep(self, index: int, members: Mapping[str, Bytes]) -> None:
+        """Store the members of a sample, unless it is there. Raises ``OutputError``."""
+        path = self._path(index)
+        if not path.exists():
+            entries = [tar_entry(member_name(index, member), data) for member, data in members.items()]
+            write_whole(make_folder(path.parent) / path.name, b"".join([*entries, bytes(END)]))
+
+    def read(self, index: int, members: Iterable[str] | None = None) -> dict[str, memoryview] | None:
+        """The members of a sample, by default all, checked; ``None`` if it is not there.
+
+        A damaged sample is removed; then raises ``ShardError``.
+        """
+        path = self._path(index)
+        if not path.exists():
+            return None
+        try:
+            [(_, found)] = samples_in(memoryview(bytearray(read_file(path))))
+            crc = read_meta(found[META])["crc32"]
+            wanted = list(found if members is None else members)
+            if any(zlib.crc32(found[member]) != crc[member] for member in wanted if member != META):
+                raise ShardError("bytes differ from the written ones")
+            return {member: found[member] for member in wanted}
+        except (ShardError, ValueError, KeyError) as error:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise ShardError(f"{path}: damaged ({error})") from error
+
+    def _path(self, index: int) -> Path:
+        return self.folder / f"{index // EACH:05d}" / f"{key_of(index)}.tar"
 
 
 def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:

@@ -1,22 +1,37 @@
 """``Hdf5Garments``: garments from one HDF5 file."""
 
-from bisect import bisect_left
-from collections.abc import Iterable, Mapping
+import contextlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import h5py
+import numpy as np
 import torch
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import user_path
+from gcd_dataset.files import open_regular, user_path
 from gcd_dataset.loaders.available import absent_when_empty
-from gcd_dataset.loaders.base import Garments, Transform, recipe_from_meta
+from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, decode_item, recipe_from_meta, tensor_of
 from gcd_dataset.loaders.indexing import index_from_key
-from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.codec import NO_PICTURE, read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of, garments_layout, is_view_field, key_of, select_fields
+from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS
+from gcd_dataset.shards.hdf5 import FORMAT, crc_of, form_of
+from gcd_dataset.shards.layout import (
+    ARRAYS,
+    FIELDS,
+    MOST_VIEWS,
+    SCHEMA,
+    Bytes,
+    fields_of,
+    garments_layout,
+    key_of,
+    members_of,
+)
+from gcd_dataset.shards.sections import pack
 
-__all__ = ["Hdf5Garments"]
+REMEDY = "copy it again, or make it again with gcd export"
+MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
 
 
 class Hdf5Garments(Garments):
@@ -26,9 +41,10 @@ class Hdf5Garments(Garments):
     >>> ds[0]["verts"].shape  # doctest: +SKIP
     torch.Size([14475, 3])
 
-    Each process of a ``DataLoader``, forked or spawned, opens the file itself. Shards are several times as fast: train
-    from shards. ``fields`` and ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged,
-    foreign or newer file, ``ConfigError`` for a field that no garment of the file holds.
+    On opening, types, shapes, places in the file and pointers are checked; links and data in other files are not
+    followed. Each process of a ``DataLoader`` opens the file itself. Shards are several times as fast. ``fields`` and
+    ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged or foreign file, or one of another
+    schema, ``ConfigError`` for a field that no garment of the file holds.
     """
 
     reads_only = True
@@ -41,65 +57,109 @@ class Hdf5Garments(Garments):
         transform: Transform | None = None,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        from gcd_dataset.shards.hdf5 import Hdf5Reader  # imports h5py
-
-        requested = fields if fields is None else {fields} if isinstance(fields, str) else set(fields)
-        of_garment = requested and [field for field in requested if not is_view_field(field)]
-        select_fields(of_garment, fields_of(garments_layout(caption=True).members))
-        _require_file(user_path(source))
-        self._reader = Hdf5Reader(source)
-        available, absent = fields_of(self._reader.members), absent_when_empty(self._is_empty, FIELDS)
-        super().__init__(requested, transform, available=available, absent=absent, dtype=dtype)
-
-    @property
-    def split(self) -> str:
-        """The split in the file."""
-        return self._reader.split
+        self.path, self._opened = user_path(source), (0, None)
+        try:
+            with open_regular(self.path) as file:  # opening a pipe would wait for its writer
+                self._size = os.fstat(file.fileno()).st_size
+        except OSError as error:
+            raise ShardError(f"{self.path}: cannot be read ({error.strerror}): give a file by gcd export") from error
+        with self._reading() as file:
+            self._ends = self._checked(file)
+            self._numbers = self._column(file, "index", np.dtype("<i8"), (self._count,))[:]
+            self.split = bytes(file.attrs["split"]).decode()
+        available = {field: MEMBER_OF[field] for field in self._ends}
+        absent = absent_when_empty(self._is_empty, [field for field in FIELDS if field in available])
+        super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
 
     def __len__(self) -> int:
-        return len(self._reader)
+        return self._count
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        return recipe_from_meta(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
+        return recipe_from_meta(self._values(self._position(index), ["meta"])["meta"].tobytes())
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` with file and member if the bytes of garment ``index`` are not those written."""
-        self._reader.check(self._position(index))
+        """Raise ``ShardError`` if the rows and texts of garment ``index`` are not those written."""
+        position = self._position(index)
+        with self._reading() as file:
+            stored = int(file["crc32"][position])
+        if crc_of(self._values(position, self._ends).values()) != stored:
+            raise ShardError(f"{self.path}: sample {position}: bytes differ from the written ones: {REMEDY}")
+
+    def _load(self, position: int) -> Any:
+        arrays = self._values(position, [field for field in self.fields if field in WIDTHS])
+        others = [field for field in self.fields if field not in WIDTHS]
+        item = decode_item(self._members(position, members_of(others, self._member_of)), others, self.dtype)
+        item |= {field: tensor_of(rows, self.dtype) for field, rows in arrays.items()}
+        return self._transformed(GarmentItem((field, item[field]) for field in self.fields), position)
+
+    def _values(self, position: int, fields: Iterable[str]) -> dict[str, np.ndarray]:
+        """Field to rows. Raises ``ShardError``."""
+        with self._reading() as file:
+            return {field: file[field][slice(*self._ends[field][position : position + 2])] for field in fields}
+
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        values = {member: self._values(position, fields_of([member])) for member in members}
+        return {m: pack(rows) if m in ARRAYS else next(iter(rows.values())).tobytes() for m, rows in values.items()}
 
     def _is_empty(self, field: str) -> bool:
         """Whether a field is empty in all garments of the file."""
-        return self._reader.largest(field) <= (len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0)
+        least = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0
+        return int(np.diff(self._ends[field]).max(initial=0)) <= least
 
     def _description(self) -> list[str]:
-        return [f"{self.split} of {self._reader.path}"]
+        return [f"{self.split} of {self.path}"]
 
     def _find_key(self, key: str) -> int | None:
-        number = index_from_key(key)
-        if number is None:
-            return None
-        # Garments are sorted by number.
-        position = bisect_left(range(len(self)), number, key=self._number)
-        return position if position < len(self) and self._number(position) == number else None
-
-    def _number(self, position: int) -> int:
-        return int(read_meta(self._reader.read(position, ["meta.json"])["meta.json"])["index"])
+        return next(iter(np.flatnonzero(self._numbers == index_from_key(key)).tolist()), None)
 
     def _key(self, position: int) -> str:
-        return key_of(self._number(position))
+        return key_of(int(self._numbers[position]))
 
-    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        # meta.json holds scale and centre of the points.
-        return self._reader.read(position, dict.fromkeys((*members, FIELDS["meta"])))
+    # ---------------------------------------------------------------------------------------------------------- file
 
+    def _checked(self, file: h5py.File) -> dict[str, np.ndarray]:
+        """The fields of the file, and their pointers. Raises ``ShardError``."""
+        form, schema, count = (file.attrs.get(name) for name in ("format", "schema", "count"))
+        if not isinstance(form, bytes) or form != FORMAT.encode():
+            raise ShardError(f"{self.path}: not written by gcd export --hdf5: give another file")
+        if not np.array_equal(schema, SCHEMA):
+            raise ShardError(f"{self.path}: of schema {schema!s:.40}, but this reader knows {SCHEMA}: export it again")
+        if not isinstance(count, np.integer) or count < 0:
+            raise self._broken(f"its count is {count!s:.40}")
+        self._count, found = int(count), dict[str, np.ndarray]()
+        self._column(file, "crc32", np.dtype("<u4"), (self._count,))
+        for field in [field for field in MEMBER_OF if field in file]:
+            found[field] = ends = self._column(file, f"{field}_ptr", np.dtype("<i8"), (self._count + 1,))[:]
+            if ends[0] != 0 or (np.diff(ends) < 0).any():
+                raise self._broken(f"{field}_ptr does not rise from 0")
+            dtype, row = form_of(field)
+            self._column(file, field, dtype, (int(ends[-1]), *row))
+        return found
 
-def _require_file(path: Path) -> None:
-    """Raise ``ShardError`` for a folder or a missing file."""
-    with reading(path):
-        is_folder, exists = path.is_dir(), path.exists()
-    if is_folder:
-        raise ShardError(
-            f"{path}: a folder: give a file from gcd export --hdf5; GarmentDataset reads folders of shards"
-        )
-    if not exists:
-        raise ShardError(f"{path}: no such file: give one that gcd export --hdf5 has made")
+    def _column(self, file: h5py.File, name: str, dtype: np.dtype, shape: tuple[int, ...]) -> h5py.Dataset:
+        """An array in this file. Raises ``ShardError`` for another type, shape or place."""
+        column = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+        if not isinstance(column, h5py.Dataset) or column.external or column.is_virtual or column.chunks:
+            raise self._broken(f"{name} is no contiguous array of this file")
+        if column.shape != shape or column.dtype != dtype:
+            raise self._broken(f"{name} is {column.dtype} of shape {column.shape}, expected {dtype} of shape {shape}")
+        if column.size and (end := (column.id.get_offset() or self._size) + column.nbytes) > self._size:
+            raise self._broken(f"{name} ends at byte {end} of {self._size}")
+        return column
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[h5py.File]:
+        """The file, opened by each process once."""
+        try:
+            if self._opened[0] != os.getpid():
+                self._opened = os.getpid(), h5py.File(self.path, "r", locking=False)
+            yield self._opened[1]
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            raise self._broken(" ".join(str(error).split())) from error
+
+    def _broken(self, fault: str) -> ShardError:
+        return ShardError(f"{self.path}: not HDF5, or damaged ({fault}): {REMEDY}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_opened": (0, None)}

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike
+from threading import Thread
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,7 +22,15 @@ from gcd_dataset.loaders.base import Garments, require_integer
 from gcd_dataset.loaders.ranks import current_rank, require_rank, sharding_library
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 
-__all__ = ["ElasticSampler", "Pad", "Permutation", "RankShare", "SampleOrder", "cached_permutation"]
+__all__ = [
+    "ElasticSampler",
+    "Pad",
+    "Permutation",
+    "RankShare",
+    "SampleOrder",
+    "WindowedPermutation",
+    "cached_permutation",
+]
 
 Pad = Literal["none", "repeat"]
 
@@ -77,6 +86,50 @@ class Permutation:
 cached_permutation = lru_cache(maxsize=64)(Permutation)
 
 
+class WindowedPermutation:
+    """A permutation that shuffles the shards, then the garments within each window of ``window`` shards.
+
+    A reader that goes through it needs the shards of one window at a time, each once. ``lengths``: garments of each
+    shard.
+
+    >>> WindowedPermutation([2, 2, 2], 2, 7).many(range(6))
+    [5, 4, 0, 1, 3, 2]
+    """
+
+    def __init__(self, lengths: Sequence[int], window: int, *key: int) -> None:
+        self._key, counts = key, np.asarray(lengths, np.int64)
+        shards = np.array(Permutation(len(counts), *key, SHARDS).many(range(len(counts))), np.int64)
+        self._first = (np.cumsum(counts) - counts)[shards]  # index of each shard's first garment, in their new order
+        self._begin = np.cumsum([0, *counts[shards]])  # where each of them begins in that order
+        self._windows = np.append(self._begin[:-1:window], self._begin[-1])
+
+    def __call__(self, number: int) -> int:
+        return self.many([number])[0]
+
+    def window_of(self, number: int) -> int:
+        """The window of a number."""
+        return int(np.searchsorted(self._windows, number, "right")) - 1
+
+    def first_of_shards(self, window: int) -> list[int]:
+        """The first garment of each shard of a window; none for a window after the last."""
+        edges = np.searchsorted(self._begin, self._windows[window : window + 2])
+        return self._first[edges[0] : edges[1]].tolist() if len(edges) == 2 else []
+
+    def many(self, numbers: Sequence[int]) -> list[int]:
+        """The garment at each number."""
+        places = np.asarray(numbers, np.int64)
+        windows = np.searchsorted(self._windows, places, "right") - 1
+        for window in np.unique(windows).tolist():
+            begin, end, inside = self._windows[window], self._windows[window + 1], windows == window
+            shuffled = cached_permutation(int(end - begin), *self._key, window)
+            places[inside] = begin + shuffled.many((places[inside] - begin).tolist())
+        shards = np.searchsorted(self._begin, places, "right") - 1
+        return (self._first[shards] + places - self._begin[shards]).tolist()
+
+
+SHARDS = 1 << 32  # key of the order of the shards, beside the numbers of windows
+
+
 def _mix64(word: Any) -> Any:
     """The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): every bit depends on every bit of ``word``."""
     word = word & MASK64  # for Python's ints; uint64 arrays wrap by themselves
@@ -88,7 +141,8 @@ def _mix64(word: Any) -> Any:
 class SampleOrder:
     """Position → index: the garments of an epoch, then those of the next epoch in another order.
 
-    With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, otherwise it is 0, 1, 2, …. An ``endless``
+    With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, of a data set with a ``window`` a
+    ``WindowedPermutation``; otherwise it is 0, 1, 2, …. An ``endless``
     data set, such as ``MixedDataset``, has an order of its own: index = position. Raises ``ConfigError`` for an empty
     data set, and for anything but a data set with a length and indices.
     """
@@ -102,6 +156,10 @@ class SampleOrder:
         if not self.length:
             raise ConfigError("an empty data set has no order: give a data set with at least one garment")
         self._is_endless = isinstance(dataset, Garments) and dataset.endless
+        self.window = dataset.window if isinstance(dataset, Garments) and shuffle else None
+        self._shards = tuple(dataset.shard_lengths()) if self.window is not None else ()  # type: ignore[attr-defined]
+        self._windowed: tuple[int, WindowedPermutation] | None = None
+        self._fetch_ahead, self._ahead = getattr(dataset, "fetch_ahead", None), (0, -1)
         self._dataset_entries = dataset_entries(dataset)
 
     def __getitem__(self, position: int) -> int:
@@ -109,7 +167,14 @@ class SampleOrder:
         if self._is_endless:
             return position
         epoch, offset = divmod(position, self.length)
-        return cached_permutation(self.length, self.seed, epoch)(offset) if self.shuffle else offset
+        return self._permutation(epoch)(offset) if self.shuffle else offset
+
+    def _permutation(self, epoch: int) -> Permutation | WindowedPermutation:
+        if self.window is None:
+            return cached_permutation(self.length, self.seed, epoch)
+        if self._windowed is None or self._windowed[0] != epoch:
+            self._windowed = epoch, WindowedPermutation(self._shards, self.window, self.seed, epoch)
+        return self._windowed[1]
 
     def indices(self, positions: Sequence[int]) -> list[int]:
         """The indices at some positions of one epoch."""
@@ -117,7 +182,17 @@ class SampleOrder:
             return [self[position] for position in positions]
         epoch = positions[0] // self.length
         offsets = [position - epoch * self.length for position in positions]
-        return cached_permutation(self.length, self.seed, epoch).many(offsets)
+        permutation = self._permutation(epoch)
+        if isinstance(permutation, WindowedPermutation) and self._fetch_ahead is not None:
+            self._look_ahead(permutation, epoch, permutation.window_of(offsets[-1]) + 1)
+        return permutation.many(offsets)
+
+    def _look_ahead(self, permutation: WindowedPermutation, epoch: int, window: int) -> None:
+        """Let a thread fetch the shards of a window, once, while the window before it is read."""
+        if self._ahead < (epoch, window):
+            self._ahead = epoch, window
+            chosen = permutation.first_of_shards(window)
+            Thread(target=self._fetch_ahead, args=(chosen,), daemon=True).start()
 
     def uses(self, positions: Sequence[int], epoch: int) -> list[int]:
         """The number of each use of a garment: its epoch; its position for data sets that repeat garments in one."""
@@ -143,7 +218,8 @@ class SampleOrder:
         return position_in_state(state, self._entries(), self._dataset_entries)
 
     def _entries(self) -> dict[str, Any]:
-        return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length}
+        window = {} if self.window is None else {"window": self.window}
+        return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length, **window}
 
 
 @dataclass(frozen=True)

@@ -38,11 +38,8 @@ MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
 DRAPE = ("sim", "segmentation")
 FILES: Mapping[str, tuple[str, ...]] = {
     META: (*MESH, "measures"),
-    "spec.txt": ("spec",), "panels.npy": ("spec",), "edges.npy": ("spec",), "stitches.npy": ("spec",),
-    "design.txt": ("design",), "measures.json": ("measures",), "body.npy": (),
-    "faces.npy": MESH, "uv.npy": MESH, "panel_id.npy": MESH, "labels.npy": MESH, "seams.npy": MESH,
-    "corners.npy": MESH, "uv_vertex.npy": MESH, "box.npy": MESH,
-    "verts.npy": DRAPE, "points.npy": DRAPE, "front.jpg": ("front",), "back.jpg": ("back",),
+    "spec.txt": ("spec",), "pattern.z": ("spec",), "design.txt": ("design",), "measures.json": ("measures",),
+    "mesh.z": MESH, "verts.z": DRAPE, "points.z": DRAPE, "front.jpg": ("front",), "back.jpg": ("back",),
 }  # fmt: skip
 """Member to the published files that it is made from."""
 MEMBERS_FROM: Mapping[str, frozenset[str]] = {
@@ -184,8 +181,8 @@ class PublishedGarmentCodeData(Garments):
             measurements=garment.measurements if wanted & MEMBERS_FROM["measures"] else Measurements(),
             design=garment.design if wanted & MEMBERS_FROM["design"] else {},
             box_mesh=garment.box_mesh if wanted & MEMBERS_FROM["box"] else None,
-            drape=garment.drape if with_meta else _vertices_only(garment) if wanted & {"verts.npy"} else None,
-            points=_points(garment, provenance.source) if wanted & {"points.npy"} else None,
+            drape=garment.drape if with_meta else _vertices_only(garment) if wanted & {"verts.z"} else None,
+            points=_points(garment, provenance.source) if wanted & {"points.z"} else None,
             gathers=_gathers(garment.pattern) if with_meta else (),
             front=_jpeg_on_white(garment, "front") if wanted & MEMBERS_FROM["front"] else None,
             back=_jpeg_on_white(garment, "back") if wanted & MEMBERS_FROM["back"] else None,

@@ -1,5 +1,7 @@
 """Fixtures for all tests."""
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,17 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A cache of columns and shards that ends with the tests, also for processes that they start."""
+    before = os.environ.get("GCD_CACHE")
+    os.environ["GCD_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    os.environ.pop("GCD_CACHE")
+    if before is not None:
+        os.environ["GCD_CACHE"] = before
 
 
 @pytest.fixture(scope="session")

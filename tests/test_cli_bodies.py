@@ -8,7 +8,6 @@ from gcd_dataset.cli import main
 from gcd_dataset.generator.body import draw_shape
 from gcd_dataset.loaders import BodyDataset
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.verbs.body_set import PeoplePlan, workers_for
 from tests.shards.folders import contents
 
 BODIES = ["--stage", "body", "--quiet"]
@@ -62,10 +61,6 @@ def test_options_for_garments_are_refused(
 def test_garments_are_not_put_among_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", str(tmp_path), "--count", "1", *BODIES]) == 0
     before = contents(tmp_path)
-    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--quiet"]) == 1
-    assert "an index of bodies, not of garments" in capsys.readouterr().err
+    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--quiet"]) == 2
+    assert "made with kind='bodies', asked for kind='garments'" in capsys.readouterr().err
     assert contents(tmp_path) == before
-
-
-def test_workers_are_one_for_each_core_where_there_is_enough_to_do(tmp_path: Path) -> None:
-    assert [workers_for(PeoplePlan(n, tuple(range(n)), tmp_path, 0), cores=8) for n in (10, 1000, 100_000)] == [0, 4, 8]

@@ -1,27 +1,24 @@
 """``gcd info``, ``verify``, ``index``, ``show``, ``publish`` and ``download``."""
 
-import io
+import os
 import re
 import shlex
 import shutil
-import tarfile
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+import signal
+import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import View
-from gcd_dataset.shards import ShardWriter, read_index
-from gcd_dataset.shards.contents import warn_of_others
-from gcd_dataset.shards.layout import MEMBERS, Bytes, garments_layout
-from gcd_dataset.shards.unfinished import filling, unfinished
+from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.writer import Draft
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
-from tests.hub.server import Hub, read_folder, running_hub
-from tests.loaders.test_shards import assert_all_same
+from tests.hub.server import Hub, running_hub
 from tests.shards import people
 from tests.shards.folders import fill, open_writer
 
@@ -46,11 +43,9 @@ def test_info_counts_and_plots(data: Path, capsys: Capture) -> None:
     assert "train: 10 samples in 3 shards" in text
     assert "10 at rest (100.0%)" in text
     assert "panels: 2 to 2, median 2" in text
-    share = read_index(data).table.size
-    column = MEMBERS.index("verts.npy")
-    assert f"verts {share[:, column].sum() / share.sum():6.1%}".split() in [
-        line.split()[:2] for line in text.splitlines()
-    ]
+    sizes = {name: len(data) for name, data in encode_sample(fake_sample(0, 0)).items()}
+    share = next(float(line.split()[1].rstrip("%")) for line in text.splitlines() if line.split()[:1] == ["verts"])
+    assert share == pytest.approx(100 * sizes["verts.z"] / sum(sizes.values()), abs=3)
 
 
 def test_info_names_the_stage_of_a_data_set_without_drapes(tmp_path: Path, capsys: Capture) -> None:
@@ -59,18 +54,6 @@ def test_info_names_the_stage_of_a_data_set_without_drapes(tmp_path: Path, capsy
     text = said(capsys)
     assert "train: 1 samples in 1 shards" in text and "stage pattern, without drapes" in text
     assert "at rest" not in text
-
-
-def test_other_files_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    for name in (".git", "000001.tar", "notes.txt", "rejects.jsonl", "train-00000.tar.part", "x.csv", "y.csv"):
-        (tmp_path / name).touch()
-    warn_of_others(tmp_path)
-    assert "holds other files (000001.tar, notes.txt, x.csv and 1 more)" in caplog.text
-    (tmp_path / "manifest.json").touch()
-    caplog.clear()
-    warn_of_others(tmp_path)
-    warn_of_others(tmp_path / "new")
-    assert not caplog.text
 
 
 @pytest.mark.parametrize("stage", ["body", "pattern"])
@@ -93,25 +76,26 @@ def test_verify_finds_nothing_wrong(data: Path, capsys: Capture) -> None:
 
 
 def test_verify_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
-    index, path = read_index(data), data / "train-00001.tar"
+    path = data / "train-00001.tar"
     content = bytearray(path.read_bytes())
-    content[int(index.table.offset[5, MEMBERS.index("verts.npy")]) + 200] ^= 1
+    content[content.index(b"gcd_000000005.verts.z\0") + 600] ^= 1
     path.write_bytes(content)
     assert main(["verify", str(data)]) == 0  # within a member: the headers are intact
     assert main(["verify", str(data), "--full"]) == 1
     text = said(capsys)
     assert "train-00001.tar: its hash differs from manifest.json" in text
-    assert "sample gcd_000000005, member verts.npy: bytes differ" in text
+    assert "sample gcd_000000005, member verts.z: bytes differ" in text
 
 
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (lambda folder: (folder / "train-00001.tar").unlink(), "train-00001.tar: 0 of the"),
-        (lambda folder: (folder / "train-00001.tar").write_bytes(b"short"), "train-00001.tar: 5 of the "),
-        (lambda folder: (folder / "index-train.npz").unlink(), "index-train.npz: no such file: run gcd index"),
-        (lambda folder: (folder / "index-train.npz").write_bytes(b"PK"), "index-train.npz: not an index"),
-        (lambda folder: shutil.copy(folder / "train-00000.tar", folder / "test-00000.tar"), "test and train share 4"),
+        (lambda folder: (folder / "train-00001.tar").write_bytes(b"short"), "train-00001.tar: no tar header at byte 0"),
+        (lambda folder: os.truncate(folder / "train-00001.tar", 6 * 512), "train-00001.tar: "),
+        (lambda folder: (folder / "train.index").unlink(), "train.index: no such file: run gcd index"),
+        (lambda folder: (folder / "manifest.json").unlink(), "manifest.json: no such file: run gcd index"),
+        (lambda folder: (folder / "train.index").write_bytes(b"PK"), "train.index: not the index of these shards"),
+        (lambda folder: shutil.copy(folder / "train-00000.tar", folder / "test-00000.tar"), "not listed in manifest"),
     ],
 )  # fmt: skip
 def test_verify_names_each_fault(data: Path, capsys: Capture, harm: object, message: str) -> None:
@@ -120,103 +104,32 @@ def test_verify_names_each_fault(data: Path, capsys: Capture, harm: object, mess
     assert message in said(capsys)
 
 
-def test_index_is_made_again(data: Path, capsys: Capture) -> None:
-    before = (data / "index-train.npz").read_bytes()
-    (data / "index-train.npz").unlink()
-    assert main(["index", str(data)]) == 0
-    assert (data / "index-train.npz").read_bytes() == before
-    assert "train: 10 samples in 3 shards" in said(capsys)
-    assert main(["index", str(data), "--split", "test"]) == 1
-    assert main(["index", str(data / "nowhere")]) == 1
+def test_a_missing_shard_is_named(data: Path, capsys: Capture) -> None:
+    (data / "train-00001.tar").unlink()
+    assert main(["verify", str(data)]) == 1
+    assert "train-00001.tar: no such file, but manifest.json lists it" in said(capsys)
 
 
-def test_info_lists_foreign_members_by_their_full_names(tmp_path: Path, capsys: Capture) -> None:
-    with tarfile.open(tmp_path / "a.tar", "w") as archive:
-        for name, size in {"s.seg.txt": 30, "s.seg.json": 10}.items():
-            info = tarfile.TarInfo(name)
-            info.size = size
-            archive.addfile(info, io.BytesIO(b"1" * size))
-    assert main(["info", str(tmp_path)]) == 0
-    assert {("seg.txt", "75.0%"), ("seg.json", "25.0%")} <= {
-        tuple(line.split()[:2]) for line in said(capsys).splitlines()
-    }
+def test_splits_that_share_designs_are_reported(data: Path, capsys: Capture) -> None:
+    with open_writer(data, split="test") as writer:
+        writer.write(fake_sample(0, 3))
+    assert main(["verify", str(data)]) == 1
+    assert "test and train share 1" in said(capsys)
 
 
 def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:
     folder = people.fill(tmp_path / "people", range(6))
-    (folder / "index-train.npz").unlink()
+    (folder / "train.index").unlink()
     for verb in ("index", "verify", "info"):
         assert main([verb, str(folder)]) == 0
     assert "no fault found" in (text := said(capsys))
-    assert "straight" in text
+    assert "person" in text
 
 
 @pytest.fixture
 def hub() -> Iterator[Hub]:
     with running_hub() as server:
         yield server
-
-
-def test_publish_and_download(
-    hub: Hub, data: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)  # as HF_ENDPOINT sets it
-    monkeypatch.setenv("HF_TOKEN", hub.token)
-    before = read_folder(data)
-    assert main(["publish", str(data), "me/garments", "--dry-run"]) == 0
-    assert "would be uploaded to me/garments; nothing was sent" in said(capsys)
-    assert not hub.log
-    assert main(["publish", str(data), "me/garments"]) == 0
-    commit = hub.repos["me/garments"].commits[-1][0]
-    assert f"me/garments@{commit}" in said(capsys)
-    assert {name: data for name, data in read_folder(data).items() if not name.startswith("published/")} == before
-
-    monkeypatch.chdir(tmp_path)
-    assert main(["download", "me/garments", "--quiet"]) == 0
-    splits = [split for split in ("train", "validation", "test") if (tmp_path / f"garments/index-{split}.npz").exists()]
-    assert sum(len(GarmentDataset("garments", split)) for split in splits) == 10
-    assert main(["verify", "garments", "--full"]) == 0
-    some = ["download", "me/garments", "--split", "train", "--fields", "panels,edges", "stitches", "--quiet"]
-    assert main([*some, "--out", "some"]) == 0
-    assert main(["verify", "some", "--full"]) == 0
-    assert GarmentDataset("some").fields == ("meta", "panels", "edges", "stitches")
-    assert_all_same(GarmentDataset("some", fields=["edges"]), GarmentDataset("garments", fields=["edges"]))
-    said(capsys)
-    assert main(["info", "me/garments"]) == 0
-    assert f"hf://datasets/me/garments@{commit}" in said(capsys)
-
-
-def test_captions_and_views_can_be_downloaded_alone(hub: Hub, tmp_path: Path) -> None:
-    picture, layout = fake_sample(0, 0).front, garments_layout(caption=True, views=1)
-    assert picture is not None
-    with ShardWriter(tmp_path / "data", seed=0, recipe={"fake": True}, layout=layout) as writer:
-        for index in range(3):
-            view = View(picture, {"fov": 40.0})
-            writer.write(replace(fake_sample(0, index), caption=f"skirt {index}", views=(view,)))
-    hub.publish("me/garments", tmp_path / "data")
-    options = ["--endpoint", hub.endpoint, "--quiet", "--out", str(tmp_path / "some")]
-    assert main(["download", "me/garments", "--fields", "caption,view_0", *options]) == 0
-    some = GarmentDataset(tmp_path / "some")
-    assert some.fields == ("meta", "caption", "view_0")
-    assert [item["caption"] for item in some] == ["skirt 0", "skirt 1", "skirt 2"]
-    assert main(["download", "me/garments", "--fields", "views", *options[:-1], str(tmp_path / "views")]) == 0
-    assert GarmentDataset(tmp_path / "views").fields == ("meta", "view_0")
-    assert GarmentDataset(tmp_path / "views", fields=["views"])[2]["views"].shape == (1, 16, 16, 3)
-
-
-def test_splits_that_share_designs_are_a_fault_also_without_bodies(
-    hub: Hub, data: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    with open_writer(data, split="test") as writer:
-        writer.write(fake_sample(0, 3))
-    hub.publish("me/garments", data)
-    some = str(tmp_path / "some")
-    options = ["--fields", "design", "--endpoint", hub.endpoint, "--quiet", "--out", some]
-    assert main(["download", "me/garments", *options]) == 0
-    said(capsys)
-    for folder in (str(data), some):
-        assert main(["verify", folder]) == 1
-        assert f"{folder}: test and train share 1 design: scores on one are biased" in said(capsys)
 
 
 def small(out: Path, count: int) -> list[str]:
@@ -226,66 +139,57 @@ def small(out: Path, count: int) -> list[str]:
 def test_a_stopped_data_set_is_reported_as_unfinished(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    add, left = ShardWriter.add, iter(range(3))
+    add, left = Draft.add, iter(range(3))
 
-    def stopping(self: ShardWriter, index: int, members: Mapping[str, Bytes]) -> None:
+    def stopping(self: Draft, *arguments: Any, **options: Any) -> None:
         if next(left, None) is None:
             raise KeyboardInterrupt
-        add(self, index, members)
+        add(self, *arguments, **options)
 
     out, publish = tmp_path / "data", ["publish", str(tmp_path / "data"), "me/garments", "--dry-run"]
-    monkeypatch.setattr(ShardWriter, "add", stopping)
+    monkeypatch.setattr(Draft, "add", stopping)
     assert main(small(out, 8)) == 130
     monkeypatch.undo()
     said(capsys)
     assert main(["info", str(out)]) == 0
-    assert "  not whole: 3 of 8 samples: its run was stopped, or is still running: run the same command again" in said(
-        capsys
-    )
-    assert main(["verify", str(out)]) == 1
-    assert "split train is not whole: 3 of 8 samples" in said(capsys)
+    assert "  unfinished: 3 of 8 samples are made: gcd generate" in said(capsys)
+    message = "3 of 8 samples are made"
+    for verb, code in (("verify", 1), ("index", 0)):
+        assert main([verb, str(out)]) == code
+        assert message in said(capsys)
     assert main(publish) == 2
-    assert "split train is not whole: 3 of 8 samples" in (message := capsys.readouterr().err)
-    assert "publish it with --partial" in message
+    assert message in (error := capsys.readouterr().err)
+    assert "--partial" in error
     assert not (out / "published").exists()
     assert main([*publish, "--partial"]) == 0
-    (command,) = re.findall(r"the same command again: (gcd generate .*)", unfinished(out, "train") or "")
+    (command,) = re.findall(r"(gcd generate .*) goes on", FolderStore(out).unfinished("train") or "")
     assert main([*shlex.split(command)[1:], "--quiet"]) == 0
     said(capsys)
     assert main(["info", str(out)]) == 0
-    assert "not whole" not in said(capsys)
+    assert "unfinished" not in said(capsys)
     assert main(publish) == 0
-    assert not list(out.glob(".unfinished*"))
 
 
-def test_a_smaller_count_finishes_an_unfinished_data_set(tmp_path: Path) -> None:
-    with pytest.raises(StopIteration), filling(tmp_path, 100):
-        raise StopIteration
-    assert main(small(tmp_path, 2)) == 0
-    assert unfinished(tmp_path, "train") is None
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
+    number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """Also where a library raises an interrupt of its own, as Ray does."""
 
+    def interrupted(**_: object) -> None:
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt from None
 
-def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
-    assert unfinished(data, "train") is None
-    (data / "train-00003.tar.part").touch()
-    message = "10 samples in whole shards: its run was stopped, or is still running: run the same command again"
-    assert unfinished(data, "train") == message
-    assert unfinished(data, "test") is None
-
-
-@pytest.mark.parametrize("note", [b"", b"[" * 100_000, b'{"count": "x"}', b"{}", b"[]", b"\xff"])
-def test_a_damaged_mark_still_reports_an_unfinished_data_set(data: Path, note: bytes) -> None:
-    (data / ".unfinished-train.json").write_bytes(note)
-    assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its run was stopped")
-
-
-def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
-    hub.publish("me/garments", data)
-    pictures = [tmp_path / "here.png", tmp_path / "there.png"]
-    for what, png in zip([str(data), "me/garments"], pictures, strict=True):
-        assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
-    here, there = (png.read_bytes() for png in pictures)
-    assert here == there
+    monkeypatch.setattr("logging.basicConfig", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process inherits that it is ignored
+    try:
+        assert main(["info", "nowhere"]) == code
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "gcd: stopped: finished files are kept: run it again\n"
 
 
 @pytest.mark.parametrize(
@@ -294,7 +198,6 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
         (["download", "me/nothing"], 1, "me/nothing"),
         (["download", "."], 2, "a local folder"),
         (["download", "one two"], 2, "neither a URL nor a repository"),
-        (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices: there are"),
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),
         (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "give per cent"),
         (["publish", "nowhere", "me/garments"], 1, "nowhere: no such folder"),
@@ -306,7 +209,7 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
         (["show", "me/garments", "--png", "a.png", "--split", "half"], 1, "half"),
         (["show", "nowhere", "--png", "a.png"], 1, "nowhere: no such folder"),
         (["show", "sewn/nowhere.json", "--png", "a.png"], 1, "sewn/nowhere.json: no such file"),
-        (["index", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
+        (["index", "https://example.org/a"], 2, "cannot be written to: give a folder"),
         (["export", "https://example.org/a", "--hdf5", "a.h5"], 2, "run gcd download https://example.org/a first"),
     ],
 )

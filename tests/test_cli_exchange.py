@@ -4,7 +4,6 @@ import errno
 import itertools
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -24,9 +23,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.layout import GARMENTS
-from gcd_dataset.verbs.converting import convert_missing, plan_conversion
+from gcd_dataset.verbs import Progress, convert
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
@@ -51,7 +48,9 @@ def test_converted_shards_equal_the_published_files(
     published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("convert", published, tmp_path / "out", "--quiet") == 0
-    assert "train: 4 garments, 4 of them converted now" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "6 garments, 6 of them converted now" in said
+    assert "train 4, test 2" in said
     for split in ("train", "test"):
         before, after = PublishedGarmentCodeData(published, split), GarmentDataset(tmp_path / "out", split)
         assert len(before) == len(after)
@@ -70,12 +69,13 @@ def test_converted_shards_equal_the_published_files(
 
 def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "whole", "--quiet") == 0
-    plan = plan_conversion(published, tmp_path / "pieces")[0]
-    stopped = convert_missing(plan)
-    list(itertools.islice(stopped, 3))
-    stopped.close()
-    (again,) = (p for p in plan_conversion(published, tmp_path / "pieces") if p.source.split == "train")
-    assert (again.count, again.missing) == (4, (3,))
+
+    def stop(progress: Progress) -> None:
+        if progress.made == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        convert(published, tmp_path / "pieces", on_progress=stop)
     assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
     assert contents(tmp_path / "pieces") == contents(tmp_path / "whole")
 
@@ -87,6 +87,14 @@ def test_garments_downloaded_later_are_added_under_their_own_numbers(published: 
     assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
     assert run("convert", root, tmp_path / "out", "--quiet") == 0
     assert contents(tmp_path / "out") == contents(tmp_path / "both")
+
+
+def test_as_many_garments_on_other_bodies_are_another_data_set(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("convert", published, tmp_path, "--quiet", "--bodies", "random") == 0
+    assert run("convert", published, tmp_path, "--quiet", "--bodies", "default") == 2
+    assert "not a shard of this data set" in capsys.readouterr().err
 
 
 def test_a_broken_garment_is_left_out_and_reported(
@@ -129,7 +137,7 @@ def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path
     for item, other in zip(before, after, strict=True):
         for field in ("verts", "box", "faces", "labels", "seams", "panels", "edges", "stitches"):
             assert torch.equal(item[field], other[field]), field
-        assert torch.allclose(item["uv"], other["uv"], atol=1e-4)
+        assert (item["uv"] - other["uv"]).abs().max() < 2e-3  # cm: rounded in the shards, and by the published layout
 
 
 def generated(index: int, outcome: Outcome) -> Sample:
@@ -287,7 +295,14 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "3 garments of train" in capsys.readouterr().out
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "no samples of split test: choose from train" in capsys.readouterr().err
+    assert "split test: choose from train" in capsys.readouterr().err
+
+
+def test_plain_tars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path / "shards", range(3))
+    assert run("export", tmp_path / "shards", "--plain", tmp_path / "plain", "--quiet") == 0
+    assert "plain: 3 garments of train" in capsys.readouterr().out
+    assert [path.name for path in (tmp_path / "plain").iterdir()] == ["train-00000.tar"]
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
@@ -327,7 +342,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "data"]
 
 
-@pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "index-train.npz"])
+@pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "train.index"])
 def test_an_export_does_not_replace_its_source(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(fill(tmp_path, range(2)))
     assert run("export", tmp_path, "--hdf5", tmp_path / name, "--quiet") == 2
@@ -382,21 +397,4 @@ def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object]
 
 def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bodies='neutral'"):
-        plan_conversion(published, tmp_path, bodies="neutral")
-
-
-@pytest.mark.parametrize(
-    "verb", [["export", "--hdf5", "out.h5"], ["export", "--layout", "published", "out"], ["show", "--png", "out.png"]]
-)
-def test_samples_without_all_of_their_files_are_reported(
-    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    reader = ShardReader(fill(tmp_path / "whole", range(2)))
-    (tmp_path / "part").mkdir()
-    copy_shard(
-        tmp_path / "part" / "train-00000.tar", reader, [0, 1], GARMENTS.of(["meta.json", "points.npy"]), lambda _: None
-    )
-    assert run(*verb, "part") == 2
-    message = capsys.readouterr().err.splitlines()[-1]
-    assert re.fullmatch(r"gcd \w+: part: its samples have no \S+: give a data set .*", message)
+        convert(published, tmp_path, bodies="neutral")

@@ -5,7 +5,6 @@ import io
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -15,6 +14,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.meta import GARMENT
+from gcd_dataset.shards.sections import unpack
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -92,21 +92,16 @@ def test_links_to_headings_of_the_readme_lead_to_headings() -> None:
             assert anchor in {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
 
 
-def test_the_index_table_lists_the_arrays_of_an_index(tmp_path: Path) -> None:
+def test_the_index_table_lists_the_sections_of_an_index(tmp_path: Path) -> None:
     with ShardWriter(tmp_path, seed=0, recipe={"fake": True}) as writer:
         for index in range(2):
             writer.add(index, encode_sample(fake_sample(0, index)))
     text = (DOCS / "format.md").read_text()
-    section = text[text.index("## `index-SPLIT.npz`") : text.index("## Bodies")]
+    section = text[text.index("## `SPLIT.index`") : text.index("## Bodies")]
     told = dict(re.findall(r"^\| `(\w+)` \| (\w+) \|", section, re.MULTILINE))
-    with np.load(tmp_path / "index-train.npz") as arrays:
-        kinds = {"i": "i", "u": "u", "b": "bool", "U": "text"}
-        stored = {name: arrays[name].dtype for name in arrays}
-    sized = {
-        name: kinds[dtype.kind] + (str(8 * dtype.itemsize) if dtype.kind in "iu" else "")
-        for name, dtype in stored.items()
+    assert told == {
+        name: array.dtype.str[1:] for name, array in unpack((tmp_path / "train.index").read_bytes()).items()
     }
-    assert told == sized
 
 
 def test_the_meta_table_lists_the_keys_of_a_meta_file() -> None:
@@ -118,7 +113,7 @@ def test_the_meta_table_lists_the_keys_of_a_meta_file() -> None:
 
 def test_every_field_has_a_unit_and_arrays_an_axis() -> None:
     assert set(tables.UNITS) == set(FIELDS)
-    assert set(tables.ROWS) == {field for field, member in FIELDS.items() if member.endswith(".npy")}
+    assert set(tables.ROWS) == {field for field, member in FIELDS.items() if member.endswith(".z")}
 
 
 def test_pictures_are_small_and_shown() -> None:

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
 HEAVY = (
-    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray"),
+    *("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "aiohttp", "ray"),
     *("ezdxf", "reportlab", "pxr"),
 )
 
@@ -40,7 +40,7 @@ def test_the_package_and_the_command_load_records_on_use(module: str) -> None:
 def test_loaders_bring_torch_but_no_simulator() -> None:
     loaded = loaded_by("gcd_dataset.loaders")
     assert "torch" in loaded
-    assert not loaded & {"warp", "h5py", "huggingface_hub", "httpx2"}
+    assert not loaded & {"warp", "h5py", "huggingface_hub", "aiohttp"}
 
 
 def test_loaders_import_what_reading_shards_needs() -> None:
@@ -120,11 +120,11 @@ def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
         }
 
 
-def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
+def test_ray_is_imported_by_its_engine_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "ray" for m in imports_of(p))}
-    assert users == {"generator/drapers/ray_actor.py", "verbs/ray_engine.py"}
+    assert users == {"making/ray.py"}
     # Every Ray task imports the engine; tasks that make patterns need neither Warp nor torch. Ray is optional.
-    assert not loaded_by("gcd_dataset.verbs.ray_engine") & {"ray", "warp", "torch"}
+    assert not loaded_by("gcd_dataset.making.ray") & {"ray", "warp", "torch"}
 
 
 LAYERS = {
@@ -156,13 +156,11 @@ def test_shards_published_files_and_metrics_know_nothing_of_the_generator() -> N
             )
 
 
-def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it() -> None:
+def test_servers_are_reached_by_the_hub_and_by_the_place_of_a_run_alone() -> None:
     for path in sources():
         part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
-        assert part == "hub" or not any(
-            name.startswith(("huggingface_hub", "httpx", "fsspec", "s3fs")) for name in names
-        )
-        assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)
+        clients = [name for name in names if name.startswith(("huggingface_hub", "aiohttp", "fsspec", "s3fs"))]
+        assert not clients or part == "hub" or (part == "making" and clients == ["fsspec"]), path
 
 
 def test_shards_import_neither_releases_nor_the_hub() -> None:

@@ -1,13 +1,10 @@
 """No name from a file or a server leads to a path outside its folder."""
 
-import json
 import re
 import shutil
-import tarfile
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +18,15 @@ from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.names import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.shards.index import ShardIndex, empty_table
-from gcd_dataset.shards.layout import index_name, lock_name, mesh_name, shard_name
+from gcd_dataset.shards.index import index_name
+from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.verbs.release_folders import _name_in_release, export_published
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
@@ -138,103 +135,65 @@ def test_a_name_must_be_text(name: Any) -> None:
 
 @hostile
 def test_a_split_of_a_data_set(victims: Path, shards: Path, name: str) -> None:
-    for call in (index_name, lock_name, mesh_name, lambda split: shard_name(split, 0)):
-        with pytest.raises(ShardError, match=r"split: .* cannot be a file's name"):
-            call(name)
+    with pytest.raises(ShardError, match=r"split: .* cannot be a file's name"):
+        index_name(name)
     with pytest.raises(GcdError):
         ShardWriter(victims, split=name, seed=0, recipe=RECIPE)
     with pytest.raises(GcdError):
         GarmentDataset(shards, split=name)
-    for verb in (["index", str(shards)], ["export", str(shards), "--hdf5", str(victims / "o.h5")]):
-        assert main([*verb, f"--split={name}"]) == 1
+    assert main(["export", str(shards), "--hdf5", str(victims / "o.h5"), f"--split={name}"]) == 1
 
 
 @hostile
-@pytest.mark.parametrize("what", ["split", "shard"])
-def test_a_manifest(victims: Path, shards: Path, name: str, what: str) -> None:
+def test_a_manifest(victims: Path, shards: Path, name: str) -> None:
+    if name == HOSTILE["half a pair"]:  # cannot be written
+        return
     data = shutil.copytree(shards, victims / "data")
-    (data / "manifest.json").write_text(manifest_with(shards, name, what))
+    (data / "manifest.json").write_bytes(manifest_with(shards, name))
     with pytest.raises(ShardError, match=r"manifest\.json: .*split.* cannot be a file's name"):
         GarmentDataset(data)
-    with pytest.raises(ShardError, match=r"manifest\.json: .*split"):
-        ShardWriter(data, seed=3, recipe=RECIPE)
 
 
-def manifest_with(shards: Path, name: str, what: str) -> str:
-    tree = json.loads((shards / "manifest.json").read_text())
-    if what == "split":
-        tree["splits"] = {"train": tree["splits"]["train"], name: {**tree["splits"]["train"], "shards": []}}
-    else:
-        tree["splits"]["train"]["shards"][0]["name"] = name
-    return json.dumps(tree)
-
-
-@hostile
-def test_a_shard_of_an_index(victims: Path, shards: Path, name: str) -> None:
-    data = shutil.copytree(shards, victims / "data")
-    index = ShardIndex.read(data / "index-train.npz")
-    if "\0" in name or name == "\ud800":  # NumPy cannot store these
-        return
-    (data / "index-train.npz").write_bytes(replace(index, shards=(name,)).to_bytes())
-    with pytest.raises(ShardError, match="a shard outside the folder"):
-        GarmentDataset(data)
-
-
-def test_a_shard_of_another_split_is_none_of_this_one(shards: Path, tmp_path: Path) -> None:
-    data = shutil.copytree(shards, tmp_path / "data")
-    (data / "manifest.json").write_text(manifest_with(shards, "test-00000.tar", "shard"))
-    with pytest.raises(ShardError, match=r'split train lists a shard "test-00000\.tar": give train-00000\.tar'):
-        GarmentDataset(data)
+def manifest_with(shards: Path, name: str) -> bytes:
+    """The manifest with one more split, of that name; its digest is right."""
+    manifest = read_manifest(shards)
+    assert manifest is not None
+    record = manifest.splits["train"]
+    return replace(manifest, splits={"train": record, name: replace(record, shards=())}).to_bytes()
 
 
 # ------------------------------------------------------------------------------------------------------------ servers
 
 
 @hostile
-@pytest.mark.parametrize("what", ["split", "shard"])
 def test_a_manifest_of_a_server(
-    hub: Hub, victims: Path, shards: Path, monkeypatch: pytest.MonkeyPatch, name: str, what: str
+    hub: Hub, victims: Path, shards: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
+    if name == HOSTILE["half a pair"]:
+        return
     monkeypatch.chdir(victims)
-    files = read_folder(shards) | {"manifest.json": manifest_with(shards, name, what).encode()}
+    files = read_folder(shards) | {"manifest.json": manifest_with(shards, name)}
     hub.static = {f"evil/{path}": data for path, data in files.items()}
-    empty = ShardIndex((), np.zeros(0, np.int64), np.zeros(0, np.int32), empty_table()).to_bytes()
-    hub.static |= {f"evil/index-{name}.npz": empty}
     url = f"{hub.endpoint}/files/evil"
     for out in ([], ["--out", "out"]):
         assert main(["download", url, "--quiet", *out]) == 1
     with pytest.raises(ShardError, match=r"manifest\.json: .*split"):
-        download(Url(url), victims / "direct", Remote(cache_dir=victims / "cache"), split="train")
+        download(Url(url), victims / "direct", Remote(cache_dir=victims / "cache"), splits=["train"])
     assert not list(victims.glob("*/*.tar"))
 
 
 @hostile
 def test_a_hash_that_a_server_gives_its_shard(hub: Hub, victims: Path, shards: Path, name: str) -> None:
-    tree = json.loads((shards / "manifest.json").read_text())
-    tree["splits"]["train"]["shards"][0]["sha256"] = name
-    hub.static = {f"evil/{path}": data for path, data in read_folder(shards).items()}
-    hub.static["evil/manifest.json"] = json.dumps(tree).encode()
-    ds = GarmentDataset(f"{hub.endpoint}/files/evil", cache_dir=victims / "cache", fields=["body"])
-    assert ds[0]["body"].shape == GarmentDataset(shards)[0]["body"].shape
-    assert len(list((victims / "cache" / "shards").glob("*.have"))) == 1
-
-
-@hostile
-def test_a_tar_in_the_list_of_a_server(hub: Hub, victims: Path, name: str) -> None:
-    content = BytesIO()
-    with tarfile.open(fileobj=content, mode="w") as tar:
-        info = tarfile.TarInfo("a.txt")
-        info.size = 5
-        tar.addfile(info, BytesIO(b"words"))
-    if name == "\ud800" or "\n" in name:  # the server cannot send these
+    if name == HOSTILE["half a pair"]:
         return
-    hub.publish("org/tars", {f"{name}.tar": content.getvalue()})
-    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": victims / "cache"}
-    try:
-        assert list(GarmentDataset("org/tars", **options)[0].values()) == ["words"]
-    except GcdError as error:
-        assert "/" in name or name.startswith("."), error
-    assert {path.name for path in victims.iterdir()} <= {"cache"}
+    manifest = read_manifest(shards)
+    assert manifest is not None
+    record = manifest.splits["train"]
+    evil = replace(record, shards=(replace(record.shards[0], sha256=name),))
+    hub.static = {f"evil/{path}": data for path, data in read_folder(shards).items()}
+    hub.static["evil/manifest.json"] = replace(manifest, splits={"train": evil}).to_bytes()
+    with pytest.raises(ShardError, match="a hash is not 64 hexadecimal digits"):
+        GarmentDataset(f"{hub.endpoint}/files/evil", cache_dir=victims / "cache", fields=["body"])
 
 
 @pytest.mark.parametrize("revision", [name for name in HOSTILE.values() if name and "\n" not in name])
@@ -329,31 +288,8 @@ def test_plain_names_are_ascii_and_different_in_any_order(seed: int) -> None:
 
 
 def test_a_link_in_the_place_of_a_draft_is_not_followed(hub: Hub, victims: Path, shards: Path) -> None:
-    victim = victims.parent / "victim"
     hub.static = {f"garments/{path}": data for path, data in read_folder(shards).items()}
-    for folder in ("down", "made"):
-        (victims / folder).mkdir()
-        (victims / folder / "train-00000.tar.part").symlink_to(victim)
+    (victims / "down").mkdir()
+    (victims / "down" / ".train-00000.tar.part").symlink_to(victims.parent / "victim")
     with pytest.raises(OutputError, match=r"train-00000\.tar\.part: cannot be written \(.*\): remove this link"):
         download(Url(f"{hub.endpoint}/files/garments"), victims / "down", Remote(cache_dir=victims / "cache"))
-    with pytest.raises(OutputError, match=r"train-00000\.tar\.part: cannot be written \(.*\): remove this link"):
-        ShardWriter(victims / "made", seed=3, recipe=RECIPE).write(garment())
-
-
-def test_a_link_in_the_place_of_a_lock_is_not_followed(victims: Path) -> None:
-    (victims / ".train.lock").symlink_to(victims.parent / "made by a link")
-    with pytest.raises(OutputError):
-        ShardWriter(victims, seed=3, recipe=RECIPE)
-
-
-def test_links_in_a_cache_are_not_followed(hub: Hub, victims: Path, shards: Path) -> None:
-    victim = victims.parent / "victim"
-    hub.static = {f"garments/{path}": data for path, data in read_folder(shards).items()}
-    options: dict[str, Any] = {"cache_dir": victims / "cache", "fields": ["body"], "max_cache_size": "1MB"}
-    url = f"{hub.endpoint}/files/garments"
-    expected = GarmentDataset(url, **options)[0]["body"]
-    for path in [*(victims / "cache" / "shards").iterdir(), victims / "cache" / "used"]:
-        for link in (path, path.with_suffix(".tmp")):
-            link.unlink(missing_ok=True)
-            link.symlink_to(victim)
-    assert (GarmentDataset(url, **options)[0]["body"] == expected).all()

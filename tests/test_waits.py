@@ -1,25 +1,27 @@
 """Waits of all stages are counted once and reach the writer."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from gcd_dataset import waits
-from gcd_dataset.bodies import Person
 from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import _WorkerShare, produce
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.making.garments import encoded
+from gcd_dataset.making.progress import Progress
+from gcd_dataset.making.run import Made, Wanted, run
+from gcd_dataset.making.store import place_for
+from gcd_dataset.making.tasks import Work
 from gcd_dataset.prefetch import prefetch
-from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.verbs import body_set
-from gcd_dataset.verbs.body_set import PeoplePlan, plan_people, store_people
-from gcd_dataset.verbs.making import _encode
+from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
-from tests.shards.people import fake_person
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail="keep", design=SKIRTS)
@@ -66,24 +68,22 @@ def test_an_interrupted_writer_closes_its_source_at_once(monkeypatch: pytest.Mon
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 
-def test_an_interrupted_writer_of_people_closes_its_source_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_closes_its_source_at_once(tmp_path: Path) -> None:
     closed = []
 
-    def made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
+    def make(wanted: Wanted) -> Iterator[Made]:
         try:
-            yield fake_person(0)
+            yield Made(0, encode_sample(fake_sample(0, 0)))
         finally:
             closed.append(True)
 
-    def interrupt(writer: BodyWriter, index: int, person: Person) -> None:
-        raise KeyboardInterrupt
+    def interrupt(progress: Progress) -> None:
+        if progress.made:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(body_set, "_made", made)
-    monkeypatch.setattr(BodyWriter, "write", interrupt)
+    work = Work(place_for(tmp_path), Plan("garments", 0, {"fake": True}, 3, 1), {"train": range(3)})
     with pytest.raises(KeyboardInterrupt) as caught:
-        list(store_people(plan_people(tmp_path / "people", 1)))
+        run(work, make, on_progress=interrupt)
     assert closed, f"not while the traceback of {caught!r} holds its frames"
 
 
@@ -114,10 +114,10 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
     with SharedDraper(place):  # starts it: waits count from here on
-        share = _WorkerShare(5, (0,), DRAPED, place, finished=_encode, pictured=True)
+        share = _WorkerShare(5, (0,), DRAPED, place, finished=partial(encoded, 1, True), pictured=True)
         made = list(share.run())
-    assert [members for _, members in made] == alone
-    waited = sum_waits(*(stored.waits for stored, _ in made), take_waits())
+    assert [one.members for one in made] == alone
+    waited = sum_waits(*(one.waits for one in made), take_waits())
     assert set(waited) >= {"cpu", MAKERS}
     assert 0 < waited["cpu"].idle < waited["cpu"].over
     record_wait("cpu", waited["cpu"])

@@ -1,45 +1,32 @@
-"""Libraries beside our own caches and locks: CPU time, bytes, limits, behaviour after a kill, verdict.
+"""Libraries beside our own locks: CPU time, behaviour after a kill, verdict.
 
-Caches: six shards of 64 samples; a sample has ten members, of which three are read, 28 % of the bytes. ``hit`` and
-``miss``: CPU time of a member with one process. ``sent``: ratio of bytes fetched to bytes requested. ``again``: that
-ratio for a process that reads after two others have filled the cache together. ``wrong``: samples that differ from the
-server's, or raise an error. ``peak``: ratio of bytes on disk, in blocks of 4 KiB, to the cache's limit, a quarter of
-the bytes read; ``killed``: that ratio after eight readers were killed (SIGKILL).
-
-Locks, the median of five rounds: ``alone``: CPU time of taking and releasing a lock. ``wait``: the longest wait while
-two processes take turns of 2 ms. ``freed``: from the kill of the holder to the acquisition by a waiter. ``left``: files
+The median of five rounds: ``alone``: CPU time of taking and releasing a lock. ``wait``: the longest wait while two
+processes take turns of 2 ms. ``freed``: from the kill of the holder to the acquisition by a waiter. ``left``: files
 left in the folder.
 """
 
 import argparse
-import tempfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.libraries.caches import CACHES, write_shards
 from benchmarks.libraries.locks import LOCKS, lock_cost
-from benchmarks.libraries.trials import cost, killed, limited, shared
 
 __all__ = ["add_arguments", "run"]
 
-UNITS = {
-    "hit": "µs", "miss": "µs", "sent": "of asked", "wrong": "samples", "again": "of asked", "peak": "of the limit",
-    "killed": "of the limit", "alone": "µs", "wait": "ms", "freed": "ms", "left": "files",
-}  # fmt: skip
+UNITS = {"alone": "µs", "wait": "ms", "freed": "ms", "left": "files"}
 VERDICTS: Mapping[str, str] = {
-    "hub.cache": "kept: a quarter of diskcache's CPU time for a hit, two thirds for a miss; fetches only what is "
-    "requested; peak 1.1 times its limit",
-    "diskcache": "no: four times the CPU time for a hit, 1.5 times for a miss; peak 1.7 times its limit",
-    "fsspec blockcache": "no: no limit, and blocks of 5 MiB eventually fetch the whole shard",
-    "fsspec blockcache 64 KiB": "no: no limit, and every close rewrites the whole list of blocks",
-    "fsspec filecache": "no: no limit, whole shards, and fetching a shard truncates the file under another reader",
     "shards.access": "kept: the kernel wakes a waiter, and no lock file stays in a published folder",
     "filelock": "no: waiters poll every 50 ms and starve, and the lock file stays",
 }
 DECIDED: tuple[Mapping[str, str], ...] = (
+    {
+        "piece": "cache of a server",
+        "by": "fsspec filecache, blockcache; diskcache",
+        "figures": "no hash, no limit, twice the requests; diskcache: peak 1.7 times its limit",
+        "verdict": "no: whole shards, verified and evicted by shard (hub.fetch, shards.cache)",
+    },
     {
         "piece": "the card's YAML",
         "by": "huggingface_hub.DatasetCardData",
@@ -75,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Measure locks and caches; add a row for each earlier decision, with the figures recorded then."""
+    """Measure locks; add a row for each earlier decision, with the figures recorded then."""
     figures, rows = [], []
     for piece, name, measured in _measured():
         slug = name.replace(" ", "_")
@@ -93,12 +80,5 @@ def _versioned(name: str) -> str:
 
 def _measured() -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Piece, library and figures, in the order of the report."""
-    for name, lock in LOCKS.items():  # before the caches, whose pending disk writes would delay the locks
+    for name, lock in LOCKS.items():
         yield "lock of a writer", name, lock_cost(lock)._asdict()
-    with tempfile.TemporaryDirectory() as folder:
-        served = write_shards(Path(folder))
-        for name, make in CACHES.items():
-            alone, together = cost(make, served), shared(make, served)
-            peak, left = limited(make, served), killed(make, served)
-            figures = {**alone._asdict(), "wrong": together.wrong + left.wrong, "again": together.again}
-            yield "cache of a server", name, figures | {"peak": peak, "killed": left.left}

@@ -29,7 +29,6 @@ from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, re
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.index import has_settled
 
 __all__ = ["add_arguments", "run"]
 
@@ -84,7 +83,7 @@ def _written(config: MakeConfig, options: argparse.Namespace) -> tuple[float, fl
         for index, members in enumerate(made):
             writer.add(index, members)
             begun = begun or time.perf_counter()
-            unsettled += not has_settled(json.loads(members["meta.json"]))
+            unsettled += json.loads(members["meta.json"])["drape"]["outcome"] != Outcome.SETTLED.name
         seconds = time.perf_counter() - begun
     return (options.count - 1) / seconds, unsettled / options.count
 

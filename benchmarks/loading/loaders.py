@@ -1,7 +1,10 @@
-"""Loaders of the same garments as batches of ``collate_packed``: ours, three others, and a lower bound."""
+"""Batches of the same garments by their indices: ours, memory maps, and libraries that store arrays of any length.
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+Copies for other libraries hold the fields to be read alone, which is their best case. They lie in ``FOLDER/copies``.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -9,158 +12,249 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
 
-from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed
-from gcd_dataset.loaders.base import Item, tensor_of
-from gcd_dataset.loaders.order import Permutation
-from gcd_dataset.shards import read_index
-from gcd_dataset.shards.codec import decode_fields
-from gcd_dataset.shards.layout import FIELDS, members_of
-
-__all__ = ["BATCH", "LOADERS", "Loader"]
+from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_packed
+from gcd_dataset.loaders.batches import POINTS_TO, WHOLE
+from gcd_dataset.shards.layout import members_of
 
 BATCH = 16
-Loader = Callable[[Path, Sequence[str], int], Iterable[Any] | None]
-"""``(folder of shards, fields, workers)`` to an iterable of an epoch's batches; ``None`` if not available."""
+Batches = Callable[[Sequence[int]], Any]
+"""Indices of garments to their batch."""
+Rows = Mapping[str, Sequence[np.ndarray]]
 
 
-def ours(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any]:
-    """``GarmentLoader``, in random order."""
-    return GarmentLoader(GarmentDataset(folder, fields=fields), BATCH, num_workers=workers)
+def opened(folder: Path, fields: Sequence[str]) -> GarmentDataset:
+    """The garments, with their cache in the folder."""
+    return GarmentDataset(folder, fields=fields, cache_dir=folder / "cache")
 
 
-def by_webdataset(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any]:
-    """``webdataset`` over the same shards, sequentially; unneeded members are skipped."""
+def ours(folder: Path, fields: Sequence[str]) -> Batches:
+    """``GarmentDataset`` and ``collate_packed``, as a ``DataLoader`` calls them."""
+    dataset = opened(folder, fields)
+    return lambda indices: collate_packed(dataset.__getitems__(indices))
+
+
+def by_garment_loader(folder: Path, fields: Sequence[str]) -> Batches:
+    """``GarmentLoader``, its thread included, in an order of its own."""
+    return following(_epochs(GarmentLoader(opened(folder, fields), BATCH)))
+
+
+def by_memmap(folder: Path, fields: Sequence[str], *, plain: bool = False) -> Batches:
+    """One ``.npy`` file a field, mapped, in 15 lines; ``plain`` as ``np.ndarray``, whose slices cost less."""
+    rows, starts = {}, {}
+    for field in fields:
+        path = _copy(folder, "memmap", fields) / f"{field}.npy"
+        if not path.exists():
+            values = _values(folder, field)
+            np.save(path, np.concatenate(values))
+            np.save(path.with_suffix(".ptr.npy"), np.cumsum([0, *map(len, values)]))
+        mapped = np.load(path, mmap_mode="r")
+        rows[field] = np.asarray(mapped) if plain else mapped
+        starts[field] = np.load(path.with_suffix(".ptr.npy")).tolist()
+
+    def batch(indices: Sequence[int]) -> dict[str, Tensor]:
+        return pack({f: [rows[f][starts[f][i] : starts[f][i + 1]] for i in indices] for f in fields})
+
+    return batch
+
+
+def by_hdf5(folder: Path, fields: Sequence[str]) -> Batches:
+    """``Hdf5Garments``: concatenated arrays in one file."""
+    from gcd_dataset.verbs import export
+
+    path = folder / "garments.h5"
+    if not path.exists():
+        export(folder, path)
+    dataset = Hdf5Garments(path, fields=fields)
+    return lambda indices: collate_packed(dataset.__getitems__(indices))
+
+
+def by_webdataset(folder: Path, fields: Sequence[str]) -> Batches:
+    """``webdataset`` over the same tars, one after the other, with our decoder; other members are skipped."""
     import webdataset
 
-    members = members_of(fields)
-    shards = sorted(map(str, folder.glob("*.tar")))
+    from gcd_dataset import decode
+
+    members, shards = members_of(fields), sorted(map(str, folder.glob("*.tar")))
     stream = webdataset.WebDataset(
         shards, shardshuffle=False, select_files=lambda name: name.partition(".")[2] in members, empty_check=False
     )
-    return _batches(stream.map(_Decoded(fields)), workers)
+    samples = ({field: decoded[field] for field in fields} for decoded in map(decode, _epochs(stream)))
+    return lambda indices: packed_items([next(samples) for _ in indices])
 
 
-class _Decoded:
-    """A sample of ``webdataset`` as an item."""
+def by_litdata(folder: Path, fields: Sequence[str]) -> Batches:
+    """``litdata`` over chunks of these fields alone."""
+    from litdata import StreamingDataset
 
-    def __init__(self, fields: Sequence[str]) -> None:
-        self._fields = fields
-
-    def __call__(self, sample: dict[str, Any]) -> Item:
-        values = decode_fields(sample, self._fields)
-        return {n: tensor_of(v, torch.float32) if isinstance(v, np.ndarray) else v for n, v in values.items()}
+    dataset = StreamingDataset(str(write_litdata(folder, fields)))
+    return lambda indices: packed_items([arrays_of(dataset[i]) for i in indices])
 
 
-def by_litdata(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """``litdata`` over chunks that hold only these fields, its best case, in random order."""
-    if find_spec("litdata") is None:
-        return None
-    from litdata import StreamingDataLoader, StreamingDataset
+def write_litdata(folder: Path, fields: Sequence[str]) -> Path:
+    """The garments as chunks of ``litdata``."""
     from litdata.streaming.writer import BinaryWriter
 
-    chunks = folder / "litdata" / "-".join(fields)
-    if not (chunks / "index.json").exists():
-        chunks.mkdir(parents=True, exist_ok=True)
-        writer = BinaryWriter(str(chunks), chunk_bytes="64MB")
-        for number, item in enumerate(GarmentDataset(folder, fields=fields)):
-            writer.add_item(number, item)
+    copy = _copy(folder, "litdata", fields)
+    if not (copy / "index.json").exists():
+        writer = BinaryWriter(str(copy), chunk_bytes="64MB")
+        for number, item in enumerate(_items(folder, fields)):
+            writer.add_item(number, {field: torch.from_numpy(value) for field, value in item.items()})
         writer.done()
         writer.merge()
-    return StreamingDataLoader(
-        StreamingDataset(str(chunks), shuffle=True),
-        batch_size=BATCH,
-        num_workers=workers,
-        collate_fn=collate_packed,
-        persistent_workers=workers > 0,
-    )
+    return copy
 
 
-def by_hdf5(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """``h5py``: one group per garment, one contiguous array per field, in random order."""
-    if find_spec("h5py") is None:
-        return None
-    import h5py
-
-    path = folder / "plain.h5"
-    if not path.exists():
-        with h5py.File(path, "w") as file:
-            for number, item in enumerate(GarmentDataset(folder)):
-                arrays = {name: value.numpy() for name, value in item.items() if isinstance(value, Tensor)}
-                for name, array in arrays.items():
-                    file.create_dataset(f"{number}/{name}", data=array)
-    return _batches(_Hdf5Arrays(path, [name for name in fields if FIELDS[name].endswith(".npy")]), workers)
+def arrays_of(item: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    return {field: value.numpy() for field, value in item.items()}
 
 
-class _Hdf5Arrays(Dataset):
-    """The groups of an HDF5 file; each process opens the file."""
+def by_streaming(folder: Path, fields: Sequence[str]) -> Batches:
+    """``mosaicml-streaming`` over uncompressed shards of these fields alone."""
+    from streaming import LocalDataset
 
-    def __init__(self, path: Path, fields: Sequence[str]) -> None:
-        import h5py
-
-        self._path, self._fields = path, fields
-        self._file: Any = None
-        with h5py.File(path) as file:
-            self._length = len(file)
-
-    def __len__(self) -> int:
-        return self._length
-
-    def __getitem__(self, index: int) -> Item:
-        import h5py
-
-        if self._file is None:
-            self._file = h5py.File(self._path)
-        group = self._file[str(index)]
-        return {name: torch.from_numpy(group[name][()]) for name in self._fields}
+    dataset = LocalDataset(str(write_streaming(folder, fields)))
+    return lambda indices: packed_items([dataset[i] for i in indices])
 
 
-def floor(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """A lower bound: reads the stored bytes of the fields from the page cache and copies them once, in random order.
+def write_streaming(folder: Path, fields: Sequence[str]) -> Path:
+    """The garments as shards of ``mosaicml-streaming``."""
+    from streaming import MDSWriter
 
-    It reuses both buffers; a loader cannot, since batches keep their memory.
-    """
-    return None if workers else _Bytes(folder, fields)
-
-
-class _Bytes:
-    def __init__(self, folder: Path, fields: Sequence[str]) -> None:
-        index = read_index(folder)
-        columns = [index.layout.members.index(FIELDS[field]) for field in fields]
-        offsets, sizes = index.table.offset[:, columns].tolist(), index.table.size[:, columns].tolist()
-        self._spans = [list(zip(*spans, strict=True)) for spans in zip(offsets, sizes, strict=True)]
-        self._files = [os.open(folder / shard, os.O_RDONLY) for shard in index.shards]
-        self._shard = index.shard.tolist()
-        largest = max(map(sum, sizes))
-        self._read, self._batch = np.empty(largest, np.uint8), np.empty(BATCH * largest, np.uint8)
-
-    def __iter__(self) -> Iterator[None]:
-        order, end = Permutation(len(self._spans), 0), 0
-        for offset_in_epoch in range(len(self._spans)):
-            index, filled = order(offset_in_epoch), 0
-            for offset, size in self._spans[index]:
-                os.preadv(self._files[self._shard[index]], [self._read[filled : filled + size].data], offset)
-                filled += size
-            end = 0 if offset_in_epoch % BATCH == 0 else end
-            self._batch[end : end + filled] = self._read[:filled]
-            end += filled
-            if (offset_in_epoch + 1) % BATCH == 0:
-                yield
+    copy = _copy(folder, "streaming", fields)
+    if not (copy / "index.json").exists():
+        with MDSWriter(out=str(copy), columns=dict.fromkeys(fields, "ndarray"), exist_ok=True) as writer:
+            for item in _items(folder, fields):
+                writer.write(item)
+    return copy
 
 
-def _batches(dataset: Any, workers: int) -> DataLoader:
-    is_indexed = isinstance(dataset, _Hdf5Arrays) and len(dataset) > 0
-    return DataLoader(
-        dataset,
-        BATCH,
-        shuffle=is_indexed,
-        num_workers=workers,
-        collate_fn=collate_packed,
-        persistent_workers=workers > 0,
-    )
+def by_ninja(folder: Path, fields: Sequence[str]) -> Batches:
+    """``mmap_ninja``: a ``RaggedMmap`` a field."""
+    from mmap_ninja import RaggedMmap
+
+    copy = _copy(folder, "ninja", fields)
+    for field in fields:
+        if not (copy / field).exists():
+            RaggedMmap.from_lists(copy / field, _values(folder, field))
+    maps = {field: RaggedMmap(copy / field) for field in fields}
+    return lambda indices: pack({field: [maps[field][i] for i in indices] for field in fields})
 
 
-LOADERS: dict[str, Loader] = {
-    "ours": ours, "webdataset": by_webdataset, "litdata": by_litdata, "hdf5": by_hdf5, "floor": floor,
-}  # fmt: skip
+def by_lance(folder: Path, fields: Sequence[str]) -> Batches:
+    """``lance``: a row a garment, a list of numbers a field; ``take`` of the rows."""
+    import lance
+
+    copy = _copy(folder, "lance", fields) / "set.lance"
+    if not copy.exists():
+        lance.write_dataset(_table(folder, fields), copy)
+    dataset, shapes = lance.dataset(copy), _shapes(folder, fields)
+    return lambda indices: pack(_of_table(dataset.take(list(indices)), shapes))
+
+
+def by_arrow(folder: Path, fields: Sequence[str]) -> Batches:
+    """Arrow's IPC file, mapped; ``take`` of the rows."""
+    import pyarrow as pa
+
+    copy = _copy(folder, "arrow", fields) / "set.arrow"
+    if not copy.exists():
+        table = _table(folder, fields)
+        with pa.OSFile(str(copy), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+            writer.write_table(table)
+    table, shapes = pa.ipc.open_file(pa.memory_map(str(copy))).read_all().combine_chunks(), _shapes(folder, fields)
+    return lambda indices: pack(_of_table(table.take(list(indices)), shapes))
+
+
+LOADERS: Mapping[str, tuple[str, Callable[[Path, Sequence[str]], Batches]]] = {
+    "ours": ("torch", ours),
+    "GarmentLoader": ("torch", by_garment_loader),
+    "memmap": ("numpy", by_memmap),
+    "memmap as ndarray": ("numpy", partial(by_memmap, plain=True)),
+    "mmap_ninja": ("mmap_ninja", by_ninja),
+    "HDF5": ("h5py", by_hdf5),
+    "Arrow": ("pyarrow", by_arrow),
+    "Lance": ("lance", by_lance),
+    "litdata": ("litdata", by_litdata),
+    "mosaicml streaming": ("streaming", by_streaming),
+    "webdataset": ("webdataset", by_webdataset),
+}
+"""Name to the module that must be installed, and ``(folder of shards, fields)`` to the batches."""
+
+
+def installed_loaders(folder: Path, fields: Sequence[str]) -> dict[str, Batches]:
+    """The loaders whose library is installed; makes their copies of the garments."""
+    return {name: load(folder, fields) for name, (module, load) in LOADERS.items() if find_spec(module) is not None}
+
+
+def following(batches: Iterator[Any]) -> Batches:
+    """The next batch, whatever the indices."""
+    return lambda indices: next(batches)
+
+
+def pack(rows: Rows) -> dict[str, Tensor]:
+    """The arrays of a batch one after the other, copied once, and their starts; row numbers index the whole batch."""
+    starts = {field: np.cumsum([0, *map(len, values)]) for field, values in rows.items()}
+    batch = {f"{field}_ptr": torch.from_numpy(start) for field, start in starts.items()}
+    for field, values in rows.items():
+        kind = np.float32 if values[0].dtype.kind == "f" else values[0].dtype
+        out = np.empty((starts[field][-1], *values[0].shape[1:]), kind)
+        pointing = POINTS_TO.get(field, ())
+        columns = [(column, starts["verts" if target == "vertices" else target]) for column, target in pointing]
+        if columns and columns[0][0] == WHOLE:
+            for number, value in enumerate(values):
+                begin, end = starts[field][number : number + 2]
+                np.add(value, columns[0][1][number], out=out[begin:end], casting="unsafe")
+        else:
+            np.concatenate(values, out=out, casting="unsafe")
+            for column, offsets in columns:
+                of_rows = np.repeat(offsets[:-1], np.diff(starts[field])).astype(kind)
+                for entries in out.T[column]:  # one by one: broadcasting over short rows takes ten times as long
+                    entries += of_rows
+        batch[field] = torch.from_numpy(out)
+    return batch
+
+
+def packed_items(items: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Tensor]:
+    return pack({field: [item[field] for item in items] for field in items[0]})
+
+
+def _epochs(items: Any) -> Iterator[Any]:
+    """The items of one epoch after the other."""
+    while True:
+        yield from items
+
+
+def _items(folder: Path, fields: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+    dataset: Any = opened(folder, fields)
+    return ({field: item[field].numpy() for field in fields} for item in (dataset[i] for i in range(len(dataset))))
+
+
+def _values(folder: Path, field: str) -> list[np.ndarray]:
+    return [item[field] for item in _items(folder, [field])]
+
+
+def _copy(folder: Path, name: str, fields: Sequence[str]) -> Path:
+    copy = folder / "copies" / name / "-".join(fields)
+    copy.mkdir(parents=True, exist_ok=True)
+    return copy
+
+
+def _shapes(folder: Path, fields: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    return {field: _values(folder, field)[0].shape[1:] for field in fields}
+
+
+def _table(folder: Path, fields: Sequence[str]) -> Any:
+    import pyarrow as pa
+
+    return pa.table({field: [value.ravel() for value in _values(folder, field)] for field in fields})
+
+
+def _of_table(table: Any, shapes: Mapping[str, tuple[int, ...]]) -> Rows:
+    columns = {field: table.column(field).combine_chunks() for field in shapes}
+    return {
+        field: [
+            column.values.to_numpy(zero_copy_only=False)[begin:end].reshape(-1, *shapes[field])
+            for begin, end in zip(column.offsets.to_numpy()[:-1], column.offsets.to_numpy()[1:], strict=True)
+        ]
+        for field, column in columns.items()
+    }

@@ -189,7 +189,7 @@ def load(folder: Path, args: argparse.Namespace) -> Data:
 
 def _wearers(reader: ShardReader) -> int:
     """Samples of one design."""
-    recipe = {} if reader.manifest is None else reader.manifest.splits[reader.split].recipe
+    recipe = reader.record.plan.recipe
     return int(recipe.get("bodies_each", 1)) + (recipe.get("bodies") == "both")
 
 

@@ -27,11 +27,11 @@ from gcd_dataset.hub.card import FIELD_DESCRIPTIONS
 from gcd_dataset.loaders.available import ADDED
 from gcd_dataset.loaders.fake import FakeGarments, fake_sample
 from gcd_dataset.measurements import MEASURE, Measurements
-from gcd_dataset.records import BodyPart, EdgeRole, Grade, Outcome
-from gcd_dataset.shards import encode_sample, meta, rejects
-from gcd_dataset.shards.codec import IDS, WIDTHS
+from gcd_dataset.records import POSITION_STEP, UV_STEP, BodyPart, EdgeRole, Grade, Outcome
+from gcd_dataset.shards import encode_sample, meta, notes
+from gcd_dataset.shards.codec import WIDTHS
 from gcd_dataset.shards.layout import FIELDS
-from gcd_dataset.shards.npy import read_npy
+from gcd_dataset.shards.sections import unpack
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PanelColumn, StitchColumn
 
 __all__ = ["DOCUMENTS", "TABLES", "rst_rows", "updated"]
@@ -63,30 +63,39 @@ UNITS: Mapping[str, str] = {
 """Field to the unit of an item's values."""
 
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
 def members_table() -> str:
     """The members of a sample: type and shape in the shard and in an item."""
-    encoded, item = encode_sample(fake_sample(0, 0)), dict(FakeGarments(1)[0])
-    rows = []
-    for field, member in FIELDS.items():
-        stored, shape = _stored(field, member, encoded[member])
-        rows.append(
-            (f"`{member}`", stored, shape, f"`{field}`", _loaded(item[field]), UNITS[field], FIELD_DESCRIPTIONS[field])
+    item = dict(FakeGarments(1)[0])
+    rows = [
+        (
+            f"`{member}`",
+            f"`{field}`",
+            *_stored(field, member),
+            _loaded(item[field]),
+            UNITS[field],
+            FIELD_DESCRIPTIONS[field],
         )
-    return table(("member", "stored type", "shape", "field", "in an item", "unit", "content"), rows)
+        for field, member in FIELDS.items()
+    ]
+    return table(("member", "field", "stored as", "shape", "in an item", "unit", "content"), rows)
 
 
-def _stored(field: str, member: str, content: bytes) -> tuple[str, str]:
-    """Type and shape of a member."""
-    if not member.endswith(".npy"):
+def _stored(field: str, member: str) -> tuple[str, str]:
+    """How a field is stored, and its shape."""
+    if field not in WIDTHS:
         return {"json": "JSON", "txt": "JSON text", "jpg": "JPEG"}[member.rpartition(".")[2]], ""
-    array = read_npy(content)
-    width = WIDTHS[field]
-    assert array.shape[1:] == width, f"{member} has rows of shape {array.shape[1:]}, expected {width}"
-    letters = ", ".join([ROWS[field], *map(str, width)])
-    if field in IDS and field != "stitches":
-        size = array.dtype.itemsize
-        return f"u{8 * size}, u{16 * size} above {256**size:,} rows", f"({letters})"
-    return f"{array.dtype.kind}{8 * array.dtype.itemsize}", f"({letters})"
+    sections = unpack(encode_sample(fake_sample(0, 0))[member])
+    shape = ", ".join([ROWS[field], *map(str, WIDTHS[field])])
+    if field not in sections:
+        return "derived", f"({shape})"
+    dtype = sections[field].dtype
+    if field in ("uv", "verts"):
+        step = round(float(np.log2(POSITION_STEP if field == "verts" else UV_STEP)))
+        return f"multiples of 2{str(step).translate(SUPERSCRIPTS)} cm", f"({shape})"
+    return f"{dtype.kind}{8 * dtype.itemsize}", f"({shape})"
 
 
 def _loaded(value: Any) -> str:
@@ -112,7 +121,7 @@ def meta_table() -> str:
 
 def rejects_table() -> str:
     """The keys of a line of ``rejects.jsonl``."""
-    return table(("key", "holds"), [_ticked(row) for row in rst_rows(rejects.__doc__ or "")])
+    return table(("key", "holds"), [_ticked(row) for row in rst_rows(notes.__doc__ or "")])
 
 
 def columns_table() -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, doctor, exchange, merge, show
+from gcd_dataset.cli import datasets, doctor, exchange, show
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.subject import design_in
 from gcd_dataset.cli.verb import (
@@ -44,10 +44,10 @@ BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, n
 @interrupts_after_imports()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     name = "gcd"
     try:
+        logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+        logging.getLogger("gcd_dataset").setLevel(logging.INFO)
         options = _with_user_paths(_parse(arguments))
         name = f"gcd {options.verb}"
         return int(options.run(options))
@@ -71,9 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.recipe import MakeConfig
+    from gcd_dataset.making.tasks import parse_job
     from gcd_dataset.verbs import generate
 
-    part = None if options.shard is None else merge.parse_part(options.shard)
+    job = None if options.job is None else parse_job(options.job)
+    unit = "garment"
     if options.recipe is not None:
         work = _recipe_work(options, given_options(options, MakeConfig))
     else:
@@ -82,32 +84,20 @@ def _generate(options: argparse.Namespace) -> int:
         known = {option.name for option in options_of(MakeConfig)}
         given = _read_config(options.config, known) if options.config else {}
         given |= given_options(options, MakeConfig)
-        options.seed = options.seed or 0
         if given.get("stage") == BODY_STAGE:
-            return _generate_people(options, given)
-        work = partial(
-            generate,
-            options.out,
-            options.count,
-            seed=options.seed,
-            config=MakeConfig(**given),
-            spool=options.spool,
-            patience=options.patience,
-        )
-    with Bar("garment", options.quiet) as bar:
-        bar.run(partial(work, part=part, workers=options.workers, engine=options.engine, log=options.log))
-    done = bar.progress
-    rejected = done.rejects.total()
-    which = "" if part is None else f"part {part}: "
-    if part is not None and not done.made:
-        which = f"part {part} {'is there already' if done.count else 'has no samples'}: "
-    print(
-        f"{options.out}: {which}{done.count} garments, {done.made} of them made now, {rejected} designs or drapes "
-        "rejected"
-    )
+            work, unit = _people_work(options, given), "body"
+        else:
+            work = partial(generate, config=MakeConfig(**given), engine=options.engine)
+        work = partial(work, options.out, options.count, seed=options.seed or 0)
+    with Bar(unit, options.quiet) as bar:
+        bar.run(partial(work, job=job, workers=options.workers, log=options.log))
+    done, what = bar.progress, "bodies in two poses" if unit == "body" else "garments"
+    of_job = "" if job is None else f"job {job}: "
+    rejected = f", {done.rejects.total()} designs or drapes rejected" if unit == "garment" else ""
+    print(f"{options.out}: {of_job}{done.count} {what}, {done.made} of them made now{rejected}")
     if failed := done.unsettled:
         print(f"  {failed} did not settle: their outcomes are in meta.json")
-    for line in merge.summary_lines(options.out, part):
+    for line in datasets.summary_lines(options.out):
         print(f"  {line}")
     return 0
 
@@ -116,40 +106,26 @@ def _recipe_work(options: argparse.Namespace, given: Mapping[str, Any]) -> Calla
     """The call that makes the data set of a recipe. Raises ``ConfigError`` for options that the recipe fixes."""
     from gcd_dataset.verbs import generate_recipe
 
-    _require_no_store(options, "recipes")
     all_given = {"count": options.count, "seed": options.seed, "config": options.config, **given}
     if fixed := [name for name, value in all_given.items() if value is not None and name != "device"]:
         raise ConfigError(
             f"--{fixed[0].replace('_', '-')} is fixed by the recipe: leave it out, or write a recipe of your own"
         )
-    return partial(generate_recipe, options.out, options.recipe, device=given.get("device", "auto"))
+    device = given.get("device", "auto")
+    return partial(generate_recipe, options.out, options.recipe, device=device, engine=options.engine)
 
 
-def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
+def _people_work(options: argparse.Namespace, given: Mapping[str, Any]) -> Callable[..., Any]:
+    """The call that makes bodies. Raises ``ConfigError`` for options of garments."""
     from gcd_dataset.verbs import generate_people
 
     if unused := sorted(given.keys() - {"stage", "bodies"}):
         raise ConfigError(
             f"{unused[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
         )
-    if options.shard is not None:
-        raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one run: leave it out")
     if options.engine != "local":
         raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
-    _require_no_store(options, "bodies")
-    with Bar("body", options.quiet) as bar:
-        bodies = given.get("bodies", "random")
-        work = partial(generate_people, options.out, options.count, seed=options.seed, bodies=bodies)
-        bar.run(partial(work, workers=options.workers, log=options.log))
-    done = bar.progress
-    print(f"{options.out}: {done.count} bodies in two poses, {done.made} of them made now")
-    return 0
-
-
-def _require_no_store(options: argparse.Namespace, data: str) -> None:
-    """Raise ``ConfigError`` for options of a store; ``data``: the data that needs a folder, for the message."""
-    if options.spool is not None or options.patience is not None:
-        raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
+    return partial(generate_people, bodies=given.get("bodies", "random"))
 
 
 def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = None) -> int:
@@ -279,11 +255,15 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
-    generate = add_verb(verbs, "generate", _generate, "make a data set")
+    again = (
+        "The same command continues a stopped run, and with a larger --count a folder grows:\n"
+        "finished samples are not made again."
+    )
+    generate = add_verb(verbs, "generate", _generate, "make a data set", again)
     generate.add_argument(
         "out", metavar="OUT", help="folder for the shards, created if missing; or a URL such as s3://BUCKET/PREFIX"
     )
-    generate.add_argument("--count", type=natural_number, help="number of garments, or of bodies")
+    generate.add_argument("--count", type=natural_number, metavar="N", help="number of garments, or of bodies")
     generate.add_argument("--seed", type=natural_number, help="seed of all random numbers (default: 0)")
     generate.add_argument(
         "--recipe",
@@ -294,7 +274,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         "--workers",
         type=process_count,
         metavar="K|auto",
-        help="processes that make garments; on each GPU two more drape them (default: auto, one for each core)",
+        help="processes that make garments; on each GPU two more drape them (default: auto, one for each core); with "
+        "--engine ray: shards in work at a time (default: as many as the cluster has room for)",
     )
     generate.add_argument(
         "--engine",
@@ -309,26 +290,18 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         metavar="FILE.toml",
         help="file with these options, and tables such as [design.pants] that restrict the design parameters",
     )
-    merge.add_shard(generate)
+    generate.add_argument(
+        "--job",
+        metavar="I/N",
+        help="for array jobs: make every N-th shard only, from shard I on, I from 0 to N-1; jobs may run at the same "
+        "time, on any machines that share OUT, and the last one writes manifest and index (default: all shards)",
+    )
     generate.add_argument(
         "--log", type=Path, metavar="FILE", help="append progress, rate, waits and memory as lines of JSON"
-    )
-    generate.add_argument(
-        "--spool",
-        type=Path,
-        metavar="DIR",
-        help="for a URL: folder in which up to three shards wait for upload (default: ~/.cache/gcd_dataset/spool)",
-    )
-    generate.add_argument(
-        "--patience",
-        type=float,
-        metavar="SECONDS",
-        help="for a URL: how long to wait for a store that does not answer (default: 30)",
     )
     generate.add_slow_options = partial(_add_make_options, generate)
     add_quiet(generate)
 
-    merge.add_verbs(verbs)
     _add_drape(verbs)
     _add_measure(verbs)
 

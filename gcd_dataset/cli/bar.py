@@ -6,12 +6,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from gcd_dataset.cli.verb import Stopped
-from gcd_dataset.verbs.progress import SETTLED, Progress
+from gcd_dataset.making.progress import SETTLED, Progress
 
 if TYPE_CHECKING:
     from tqdm import tqdm
-
-__all__ = ["Bar", "postfix"]
 
 MOST_RULES = 3  # rules named in the bar
 
@@ -89,7 +87,7 @@ class Bar:
 def postfix(progress: Progress) -> str:
     """Text after the bar: outcomes other than settled, waits, and rejected attempts by rule.
 
-    >>> postfix(Progress(9, 0).with_sample(rejects=["too_heavy: 3 kg"], outcome="SETTLED"))
+    >>> postfix(Progress(9, 0).with_made(["too_heavy: 3 kg"], "SETTLED"))
     'rejected 1 (too_heavy 1)'
     """
     parts = [f"{name.lower()} {count}" for name, count in progress.outcomes.most_common() if name != SETTLED]

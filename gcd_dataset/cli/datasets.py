@@ -2,14 +2,13 @@
 
 import argparse
 import sys
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb, open_source, require_folder
-from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
-
-__all__ = ["add_verbs"]
+from gcd_dataset.errors import ConfigError, ShardError
 
 RECIPE = "recipe:"
 
@@ -27,19 +26,17 @@ def add_verbs(verbs: Any) -> None:
     verify.add_argument("--full", action="store_true", help="check every byte, not only headers and lengths")
     verify.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
 
-    index = add_verb(verbs, "index", _index, "rebuild the index of a data set from its tars")
-    index.add_argument("dataset", metavar="DATASET", help="folder of shards, made by gcd or in webdataset's format")
-    index.add_argument("--split", help="one split (default: all)")
+    itself = (
+        "gcd generate and gcd convert do so themselves when the last shard is made: this is for\n"
+        "data sets that stay unfinished, and for lost or damaged files beside the shards."
+    )
+    index = add_verb(verbs, "index", _index, "gather manifest and index of a data set from its shards", itself)
+    index.add_argument("dataset", metavar="DATASET", help="folder of shards, or URL such as s3://BUCKET/PREFIX")
 
     download = add_verb(verbs, "download", _download, "download a data set from the Hub or a URL; resumes if stopped")
     download.add_argument("repo", metavar="REPO", help="repository ORG/NAME of the Hub, or URL of a data set's folder")
-    download.add_argument("--split", help="one split (default: all)")
-    download.add_argument(
-        "--fields",
-        nargs="+",
-        metavar="FIELD",
-        help="only these fields of each garment, such as points panels edges (default: all)",
-    )
+    download.add_argument("--split", nargs="+", metavar="SPLIT", help="some splits (default: all)")
+    download.add_argument("--no-views", action="store_true", help="without the pictures")
     download.add_argument(
         "--out", "--root", type=Path, metavar="DIR", help="target folder (default: the name of the repository)"
     )
@@ -48,7 +45,7 @@ def add_verbs(verbs: Any) -> None:
         "--patience",
         type=float,
         metavar="SECONDS",
-        help="how long to wait for a server that does not answer (default: 30)",
+        help="how long to try a server that does not answer (default: 300)",
     )
     add_quiet(download)
     add_server(download)
@@ -76,7 +73,7 @@ def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
 
     if options.dataset.startswith(RECIPE):
-        from gcd_dataset.verbs.recipes import recipe_lines
+        from gcd_dataset.cli.recipes import recipe_lines
 
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
@@ -91,8 +88,8 @@ def _verify(options: argparse.Namespace) -> int:
     folder, count, named = require_folder(options.dataset), 0, ""
     found = faults(folder, full=options.full)
     if options.recipe is not None:
+        from gcd_dataset.cli.recipes import recipe_faults
         from gcd_dataset.generator.recipes import find_recipe
-        from gcd_dataset.verbs.recipes import recipe_faults
 
         recipe = find_recipe(options.recipe)
         named, found = f": this is {recipe.name}", chain(found, recipe_faults(folder, recipe))
@@ -105,27 +102,44 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _index(options: argparse.Namespace) -> int:
-    from gcd_dataset.shards import rebuild_index
-    from gcd_dataset.shards.contents import layout_in, require_splits
+    from gcd_dataset.making.store import place_for
+    from gcd_dataset.verbs import index
 
-    folder = require_folder(options.dataset)
-    splits = require_splits(folder)
-    if options.split not in (None, *splits):
-        known = f"choose from {', '.join(splits)}{did_you_mean(options.split, splits)}"
-        raise ShardError(f"{folder}: no shards of split {options.split}: {known}")
-    for split in splits if options.split is None else [options.split]:
-        index = rebuild_index(folder, split, layout_in(folder, split))
-        print(f"{folder}: {split}: {len(index)} samples in {len(index.shards)} shards")
+    if "://" not in options.dataset:
+        require_folder(options.dataset)
+    manifest = index(place_for(options.dataset)).manifest
+    for split, record in manifest.splits.items():
+        print(f"{options.dataset}: {split}: {record.count} samples in {len(record.shards)} shards")
+    for line in summary_lines(options.dataset, counts=False):
+        print(f"  {line}")
     return 0
+
+
+def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
+    """Lines about the data set in a folder: its samples by split if there are several, and what it lacks."""
+    from gcd_dataset.shards.folder import FolderStore
+
+    if "://" in str(out):
+        return
+    try:
+        store = FolderStore(out)
+        manifest = store.manifest()
+    except ShardError:  # no shard is finished
+        return
+    if counts and len(manifest.splits) > 1:
+        yield ", ".join(f"{split} {count}" for split, count in sorted(manifest.counts.items(), reverse=True))
+    if (fault := store.unfinished(next(iter(manifest.splits)))) is not None:
+        yield fault
 
 
 def _download(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
-    from gcd_dataset.hub.download import download, remote_splits, wanted_layout
-    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.download import download
+    from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
+    from gcd_dataset.shards.folder import downloaded_from
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):
@@ -133,19 +147,17 @@ def _download(options: argparse.Namespace) -> int:
     remote = Remote(endpoint=options.endpoint, patience=options.patience)
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
-    fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
-    wanted_layout(fields)  # raises before anything is requested
-    source, splits = remote_splits(source, remote)
-    for split in splits if options.split is None else [options.split]:
-        with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
+    with tqdm(desc=out.name, unit="B", unit_scale=True, delay=0.5, disable=options.quiet, file=sys.stderr) as bar:
 
-            def update(received: int, total: int, bar: tqdm = bar) -> None:
-                bar.total = total
-                bar.update(received - bar.n)
+        def update(received: int, total: int) -> None:
+            bar.total = total
+            bar.update(received - bar.n)
 
-            note = download(source, out, remote, split=split, fields=fields, on_progress=update)
-        members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
-        print(f"{out}: {split} of {note.source}: {members}")
+        manifest = download(
+            source, out, remote, splits=options.split or (), views=not options.no_views, on_progress=update
+        )
+    for split in options.split or manifest.splits:
+        print(f"{out}: {split} of {downloaded_from(out)}: {manifest.splits[split].count} samples")
     return 0
 
 
@@ -156,7 +168,7 @@ def _publish(options: argparse.Namespace) -> int:
 
     def list_files(staged: Staged) -> None:
         for name, split in staged.manifest.splits.items():
-            print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
+            print(f"{name}: {split.count} garments in {len(split.shards)} shards")
         for path, size in staged.files.items():
             print(f"  {path}  {size} bytes", flush=True)
 
@@ -172,9 +184,9 @@ def _publish(options: argparse.Namespace) -> int:
         endpoint=options.endpoint,
         on_staged=list_files,
     )
-    files = len(done.staged.files)
+    files = len(done.files)
     if done.commit is None:
-        print(f"{done.staged.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
+        print(f"{done.folder}: {files} files would be uploaded to {options.repo}; nothing was sent")
     else:
         print(f"{options.repo}@{done.commit}: {files} files uploaded")
     return 0

@@ -9,10 +9,6 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
         "gcd generate smoke --recipe smoke-64",
     ),
-    "merge": (
-        "gcd merge shards",
-        "gcd merge /scratch/shards --quiet",
-    ),
     "drape": (
         "gcd drape shirt_specification.json --out draped",
         "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2",
@@ -47,11 +43,11 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "index": (
         "gcd index shards",
-        "gcd index shards --split test",
+        "gcd index s3://bucket/shards",
     ),
     "download": (
         "gcd download org/garments --split test",
-        "gcd download org/garments --fields points panels edges stitches --out garments",
+        "gcd download org/garments --no-views --out garments",
     ),
     "publish": (
         "gcd publish shards org/garments --dry-run",

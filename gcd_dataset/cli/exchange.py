@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.datasets import summary_lines
 from gcd_dataset.cli.subject import names_a_file, sample_of
 from gcd_dataset.cli.verb import (
     SOURCE_HELP,
@@ -19,12 +20,11 @@ from gcd_dataset.cli.verb import (
 )
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
-__all__ = ["add_verbs"]
-
 
 def add_verbs(verbs: Any) -> None:
     """Add these verbs to ``gcd``."""
-    convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards")
+    again = "The same command continues a stopped conversion, and adds the garments of further batches."
+    convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards", again)
     convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and the like")
     convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; created if missing")
     convert.add_argument(
@@ -43,6 +43,9 @@ def _add_export(verbs: Any) -> None:
     export = add_verb(verbs, "export", _export, "write a data set, a garment or a pattern in another format")
     export.add_argument("what", nargs="+", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
+    export.add_argument(
+        "--plain", type=Path, metavar="OUT", help="one split as tars of .npy files, texts and pictures in a folder"
+    )
     export.add_argument(
         "--layout",
         nargs=2,
@@ -77,16 +80,18 @@ def _convert(options: argparse.Namespace) -> int:
 
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
     with Bar("garment", options.quiet, verb="convert") as bar:
-        splits = bar.run(partial(work, cache_dir=options.cache_dir))
-    for done in splits:
-        print(f"{options.out}: {done.split}: {done.done} garments, {done.made} of them converted now")
-    if faults := sum(len(done.skipped) for done in splits):
+        done = bar.run(partial(work, cache_dir=options.cache_dir))
+    print(f"{options.out}: {done.count} garments, {done.made} of them converted now")
+    for line in summary_lines(options.out):
+        print(f"  {line}")
+    if faults := len(done.skipped):
         print(f"gcd convert: {faults} garments were skipped; the same command tries them again", file=sys.stderr)
     return 1 if faults else 0
 
 
 OPTIONS_OF = {
     "hdf5": ("split",),
+    "plain": ("split",),
     "layout": (),
     "glb": ("index", "split", "tile", "no_body", "endpoint"),
     "obj": ("index", "split", "tile", "no_body", "endpoint"),
@@ -96,6 +101,7 @@ OPTIONS_OF = {
     "pdf": ("index", "split", "seam_allowance", "paper", "endpoint"),
 }
 """Format to the options that it takes."""
+DATA_SETS = ("hdf5", "plain", "layout")
 PATTERN_FORMATS = ("dxf", "pdf")  # of a specification file; the others drape it
 
 
@@ -105,13 +111,13 @@ def _export(options: argparse.Namespace) -> int:
         raise ConfigError(f"give {', '.join(f'--{form}' for form in OPTIONS_OF)}: one of them")
     [form] = given
     options.sources, options.what = options.what, options.what[0]
-    is_data_set = form in ("hdf5", "layout") or not any(map(names_a_file, options.sources))
+    is_data_set = form in DATA_SETS or not any(map(names_a_file, options.sources))
     if is_data_set and len(options.sources) > 1:
         raise ConfigError(f"{len(options.sources)} inputs: give one data set, or specification files")
     for name in sorted({name for names in OPTIONS_OF.values() for name in names} - set(OPTIONS_OF[form])):
         if getattr(options, name) not in (None, False):
             raise ConfigError(_unused(name, form))
-    return _export_data_set(options, form) if form in ("hdf5", "layout") else _export_garment(options, form)
+    return _export_data_set(options, form) if form in DATA_SETS else _export_garment(options, form)
 
 
 def _unused(option: str, form: str) -> str:
@@ -190,13 +196,14 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
         raise ConfigError(f"--layout {options.layout[0]}: unknown layout: give published")
     from gcd_dataset.verbs import export
 
-    out = options.hdf5 if options.layout is None else Path(options.layout[1])
-    resumes = form != "hdf5"
+    out = options.hdf5 or options.plain or Path(options.layout[1])
+    resumes = form == "layout"
     again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
     with Bar("garment", options.quiet, verb="export", again=again) as bar:
         folder = require_folder(options.what)
-        bar.run(partial(export, folder, out, "hdf5" if form == "hdf5" else "published", split=options.split))
+        exported: Any = "published" if form == "layout" else form
+        bar.run(partial(export, folder, out, exported, split=options.split))
     done = bar.progress
-    layout = "" if form == "hdf5" else " in the published layout"
+    layout = " in the published layout" if form == "layout" else ""
     print(f"{out}: {done.count} garments of {done.split}{layout}")
     return 0

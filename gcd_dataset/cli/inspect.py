@@ -1,9 +1,9 @@
 """Summary of a data set for ``gcd info``, and its faults for ``gcd verify``."""
 
-import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +13,34 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.hub.partition import DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.codec import decode_field, read_meta
-from gcd_dataset.shards.contents import layout_in, require_splits
+from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.index import GRADES, ShardTable, read_stored_index, scan_shard
+from gcd_dataset.shards.index import GRADES, index_name
 from gcd_dataset.shards.layout import (
-    FOREIGN,
+    BODIES,
     GARMENTS,
     Bytes,
+    Layout,
     fields_of,
-    index_name,
+    is_picture,
     is_view_field,
     joint_fields,
+    key_of,
 )
-from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
-from gcd_dataset.shards.picture import opened_picture
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
+from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import REJECTS, hashed, shards_named
+from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.shards.rejects import REJECTS
 from gcd_dataset.shards.store import Store
-from gcd_dataset.shards.unfinished import unfinished
+from gcd_dataset.shards.tar import BLOCK, tar_entries
 
 __all__ = ["faults", "info_lines"]
 
 FIRST_CAPTIONS = 3
 DRAPE = "drape"  # the stage that drapes
 SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent
+WEIGHED = 20  # samples of a split whose members are weighed
 BAR = 30  # characters
 
 
@@ -45,44 +48,50 @@ BAR = 30  # characters
 
 
 def info_lines(store: Store) -> Iterator[str]:
-    """Counts, shares and text plots of a data set. Raises ``ShardError``."""
+    """Counts, shares and text plots of a data set. Raises ``ShardError``, at the end where its pictures are lost."""
     manifest = store.manifest()
-    if isinstance(store, FolderStore):
-        splits = require_splits(store.folder)
-    else:
-        splits = tuple(manifest.splits) if manifest is not None else ("train",)
     source = "" if store.source in (None, store.location()) else f", from {store.source}"
-    version = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
-    yield f"{store.location()}{source}{version}"
-    if manifest is not None and manifest.recipe is not None:
+    yield f"{store.location()}{source}, made by gcd_dataset {manifest.generator}, schema {manifest.schema}"
+    if manifest.recipe is not None:
         recipe = manifest.recipe
         yield f"  recipe {recipe.name}, sha256 {recipe.sha256}, patterns {recipe.patterns or 'not all made yet'}"
-    for split in splits:
-        layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
-        reader = ShardReader(store, split, layout=layout)
+    for split in manifest.splits:
+        if (fault := store.unfinished(split)) is not None:
+            yield f"  unfinished: {fault}"
+            break
+    lost: ShardError | None = None
+    for split, record in manifest.splits.items():
         yield ""
+        if not record.count:
+            yield f"{split}: no samples"
+            continue
+        reader = ShardReader(store, split, layout=_layout_of(record))
         yield from _split_lines(reader)
-        if isinstance(store, FolderStore) and (fault := unfinished(store.folder, split)) is not None:
-            yield f"  not whole: {fault}"
-        record = manifest.splits.get(split) if manifest is not None else None
-        if record is not None:
-            yield from _recipe_lines(record)
-            yield from _reject_lines(store, record)
-        yield from _bars("bytes by field", _bytes_by_member(reader))
-        if reader.layout.kind == GARMENTS.kind and isinstance(store, FolderStore):
-            yield from _content_lines(reader)
+        yield from _recipe_lines(record)
+        yield from _reject_lines(store, record)
+        if isinstance(store, FolderStore):
+            lost = lost or store.missing_pictures(split)
+            members = [member for member in reader.layout.members if lost is None or not is_picture(member)]
+            yield from _bars("bytes by field", _bytes_by_member(reader, members))
+            if reader.layout.kind == GARMENTS.kind:
+                yield from _content_lines(reader, members)
+    if lost is not None:
+        raise lost
+
+
+def _layout_of(record: SplitRecord) -> Layout:
+    return BODIES if record.plan.kind == BODIES.kind else GARMENTS
 
 
 def _split_lines(reader: ShardReader) -> Iterator[str]:
-    index, count = reader.index, len(reader)
-    size = f"{index.length.sum() / 1e6:.1f} MB"
-    settled = int(index.table.settled.sum())
-    record = None if reader.manifest is None else reader.manifest.splits.get(reader.split)
-    stage = DRAPE if record is None else record.recipe.get("stage", DRAPE)
+    index, count, shards = reader.index, len(reader), reader.record.shards
+    size = f"{sum(shard.size + shard.views_size for shard in shards) / 1e6:.1f} MB"
+    settled = int(index.settled.sum())
+    stage = reader.record.plan.recipe.get("stage", DRAPE)
     at_rest = f"{settled} at rest ({settled / count:.1%})" if stage == DRAPE else f"stage {stage}, without drapes"
     drapes = f", {at_rest}" if reader.layout.kind == GARMENTS.kind else ""
-    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{drapes}"
-    grades = np.bincount(index.table.grade, minlength=len(GRADES))
+    yield f"{reader.split}: {count} samples in {len(shards)} shards, {size}{drapes}"
+    grades = np.bincount(index.grade, minlength=len(GRADES))
     if grades[1:].any():
         shares = (
             f"{name} {number / count:.1%}" for name, number in zip(GRADES, grades, strict=True) if name and number
@@ -91,11 +100,11 @@ def _split_lines(reader: ShardReader) -> Iterator[str]:
 
 
 def _recipe_lines(record: SplitRecord) -> Iterator[str]:
-    yield f"  seed {record.seed}, recipe {json.dumps(dict(record.recipe), sort_keys=True)}"
+    yield f"  seed {record.plan.seed}, recipe {json.dumps(dict(record.plan.recipe), sort_keys=True)}"
     if record.rejects:
         yield from _bars("rejected attempts by rule", record.rejects)
     if record.redraws:
-        total, count = sum(record.redraws.values()), sum(shard.count for shard in record.shards)
+        total, count = sum(record.redraws.values()), record.count
         yield from _bars(f"redraws by rule, {total / count:.2f} per sample", record.redraws)
 
 
@@ -105,15 +114,17 @@ def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
         yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
 
 
-def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
-    total = reader.index.table.size.sum(axis=0, dtype=np.int64)
-    members = reader.layout.members
-    # Foreign members may share a stem: keep their full names.
-    names = members if reader.layout.kind == FOREIGN else map(_stem, members)
+def _bytes_by_member(reader: ShardReader, members: Sequence[str]) -> dict[str, int]:
     amounts: Counter[str] = Counter()
-    for name, size in zip(names, total.tolist(), strict=True):
-        amounts[name] += size
+    for content in reader.read_many(_chosen(reader, WEIGHED), members):
+        for member, data in content.items():
+            amounts[_stem(member)] += len(data)
     return dict(amounts)
+
+
+def _chosen(reader: ShardReader, count: int) -> list[int]:
+    """At most ``count`` evenly spaced positions."""
+    return np.unique(np.linspace(0, len(reader) - 1, min(len(reader), count)).astype(int)).tolist()
 
 
 def _stem(member: str) -> str:
@@ -122,11 +133,11 @@ def _stem(member: str) -> str:
     return "views" if is_view_field(stem) else stem
 
 
-def _content_lines(reader: ShardReader) -> Iterator[str]:
-    """Outcomes, wearers and types of garments, from samples at evenly spaced positions."""
-    member_of = fields_of(reader.layout.members)
+def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]:
+    """Outcomes, wearers and types of garments, from the ``present`` members at evenly spaced positions."""
+    member_of = fields_of(present)
     members = [member_of[field] for field in ("meta", "design", "caption") if field in member_of]
-    chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), SAMPLED)).astype(int)).tolist()
+    chosen = _chosen(reader, SAMPLED)
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
     panels, tags, captions = [], Counter[str](), []
     for content in reader.read_many(chosen, members):
@@ -147,7 +158,7 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
             yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
     if tags:
         yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
-    if views := joint_fields(reader.layout.members).get("views"):
+    if views := joint_fields(present).get("views"):
         yield f"  views: {len(views)} of each garment, {_view_size(reader, views[0])}"
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
@@ -191,70 +202,82 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     """The faults of the data set in a folder, one line each.
 
     Checks the headers, length and index of every shard, and with ``full`` every byte, by the hashes of shard and
-    members; whether each split is finished; and whether two splits share designs.
+    members; whether the data set is finished; and whether two splits share designs.
     """
     store = FolderStore(folder)
-    splits = require_splits(folder)
-    readers = {}
-    for split in splits:
-        try:
-            readers[split] = ShardReader(store, split, layout=layout_in(folder, split))
-        except GcdError as error:
-            yield str(error)
-            continue
-        if (fault := unfinished(folder, split)) is not None:
-            yield f"{folder}: split {split} is not whole: {fault}"
-        yield from _shard_faults(readers[split], folder, full=full)
     manifest = store.manifest()
-    for split in sorted(set(manifest.splits) - set(splits) if manifest is not None else ()):
-        if manifest is not None and manifest.splits[split].shards:
-            yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
-    if all(DESIGN in fields_of(reader.layout.members) for reader in readers.values()):
+    names = FolderPlace(folder).names()
+    if MANIFEST not in names:
+        yield f"{folder / MANIFEST}: no such file: run gcd index"
+    listed = {(split, shard.number) for split, record in manifest.splits.items() for shard in record.shards}
+    for split, number in shards_named(names):
+        if (split, number) not in listed:
+            yield f"{folder / ShardRecord(number, 0, 0, '').name(split)}: not listed in {MANIFEST}: run gcd index"
+    for split in manifest.splits:
+        if (fault := store.unfinished(split)) is not None:
+            yield f"{folder}: the data set is unfinished: {fault}"
+            break
+    readers = dict(_readers(store, manifest))
+    for split, reader in readers.items():
+        if isinstance(reader, str):
+            yield reader
+        else:
+            if MANIFEST in names and index_name(split) not in names:
+                yield f"{folder / index_name(split)}: no such file: run gcd index"
+            yield from _shard_faults(reader, folder, full=full)
+    garments = {
+        split: r for split, r in readers.items() if isinstance(r, ShardReader) and r.layout.kind == GARMENTS.kind
+    }
+    if len(garments) == len(readers) and all(DESIGN in reader.layout.members for reader in garments.values()):
         yield from (
-            f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(readers)
+            f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(garments)
         )
 
 
+def _readers(store: FolderStore, manifest: Manifest) -> Iterator[tuple[str, ShardReader | str]]:
+    """Split to its reader, or to the fault for which there is none."""
+    for split, record in manifest.splits.items():
+        try:
+            if record.count:
+                yield split, ShardReader(store, split, layout=_layout_of(record))
+        except GcdError as error:
+            yield split, str(error)
+
+
 def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
-    manifest, index = reader.manifest, reader.index
-    stored = read_stored_index(folder, reader.split, reader.layout, partial=True)
-    if stored is None:
-        yield f"{folder / index_name(reader.split)}: no such file: run gcd index"
-    elif (stored.shards, stored.length.tolist()) != (index.shards, index.length.tolist()):
-        yield f"{folder / index_name(reader.split)}: differs from the shards in the folder: run gcd index"
-    record = manifest.splits.get(reader.split) if manifest is not None else None
-    records = {shard.name: shard for shard in record.shards} if record is not None else {}
-    for name, table in index.tables().items():
-        path = folder / name
-        if record is not None and name not in records:
-            yield f"{path}: not listed in {MANIFEST}: run gcd generate again"
-        elif record is not None and records[name].count != len(table):
-            yield f"{path}: {len(table)} samples, but {MANIFEST} lists {records[name].count}: copy it again"
-        if reader.layout.kind != FOREIGN:
-            yield from _header_faults(path, reader, table)
-        if full and name in records and _sha256(path) != records[name].sha256:
-            yield f"{path}: its hash differs from {MANIFEST}: {REMEDY}"
-    if full:
-        for position in range(len(reader)):
-            try:
-                reader.check(position)
-            except ShardError as error:
-                yield str(error)
+    first = reader.index.first.tolist()
+    for row, shard in enumerate(reader.record.shards):
+        rows = slice(first[row], first[row + 1])
+        keys = list(map(key_of, reader.index.number[rows].tolist()))
+        yield from _tar_faults(folder / shard.name(reader.split), keys, reader.index.start[rows].tolist(), shard.size)
+        if shard.views_size:
+            starts = reader.index.views_start[rows].tolist()
+            yield from _tar_faults(folder / shard.views_name(reader.split), keys, starts, shard.views_size)
+        for views in (False, True) if full else ():
+            path = folder / shard.name(reader.split, views=views)
+            expected = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
+            if expected[0] and path.exists() and hashed(path) != expected:
+                yield f"{path}: its hash differs from {MANIFEST}: {REMEDY}"
+    for position in range(len(reader)) if full else ():
+        try:
+            reader.check(position)
+        except ShardError as error:
+            yield str(error)
 
 
-def _header_faults(path: Path, reader: ShardReader, table: ShardTable) -> Iterator[str]:
+def _tar_faults(path: Path, keys: list[str], starts: list[int], size: int) -> Iterator[str]:
+    """The faults of the headers of a tar: its samples are ``keys``, which begin at ``starts``."""
     try:
-        scanned = scan_shard(path, reader.layout)
+        with reading(path), open_regular(path) as file:
+            entries = list(tar_entries(file.fileno()))
+            found = file.seek(0, 2)
     except ShardError as error:
-        yield str(error)
+        yield str(error) if str(error).startswith(str(path)) else f"{path}: {error}: {REMEDY}"
         return
-    same = all(
-        np.array_equal(getattr(scanned, name), getattr(table, name)) for name in ("sample", "offset", "size", "crc")
-    )
-    if not same:
-        yield f"{path}: its contents differ from the index: run gcd index"
-
-
-def _sha256(path: Path) -> str:
-    with reading(path), open_regular(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    groups = {
+        key: next(group).offset - BLOCK for key, group in groupby(entries, lambda entry: entry.name.split(".")[0])
+    }
+    if found != size:
+        yield f"{path}: {found} bytes, but {MANIFEST} lists {size}: {REMEDY}"
+    elif list(groups.items()) != list(zip(keys, starts, strict=True)):
+        yield f"{path}: its samples differ from the index: run gcd index"

@@ -10,8 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gcd_dataset.cli.subject import design_in, names_a_file, pattern_of, sample_of
-from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, open_source, wearer_of
+from gcd_dataset.cli.subject import design_in, names_a_file, pattern_of, position_of, reader_of, sample_of
+from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, wearer_of
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
 
     published = _published(options)
     if published is not None:
-        subject: Sample | Pattern = published.sample(_position(options, len(published)))
+        subject: Sample | Pattern = published.sample(position_of(options, len(published)))
     else:
         subject = sample_of(options) if not names_a_file(options.what) else _only_pattern(options)
     if options.png is not None:
@@ -175,7 +175,7 @@ def _serve(options: argparse.Namespace) -> int:
         site: Design | Gallery = _design(options)
     else:
         album = _album(options)
-        site = Gallery(album, _position(options, len(album)))
+        site = Gallery(album, position_of(options, len(album)))
         if isinstance(album, SpecAlbum) and options.truth is not None:
             lines = (print(line, flush=True) for line in album.scores())
             threading.Thread(target=list, args=(lines,), daemon=True).start()
@@ -188,46 +188,43 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _album(options: argparse.Namespace) -> "Album":
-    from gcd_dataset.hub.site import Remote
-    from gcd_dataset.shards import ShardReader
-    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.hub.remote import Remote
+    from gcd_dataset.shards.folder import is_set
     from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
-    if options.truth is not None and (folder / MANIFEST).exists():
+    if options.truth is not None and is_set(folder):
         raise ConfigError(f"{folder}: a data set: give predictions, specification files, and the data set as --truth")
     if options.truth is not None:
         return spec_album(folder, _truth(options))
     published = _published(options)
     if published is not None:
         return PublishedAlbum(published, options.what)
-    is_no_set = "://" not in options.what and folder.is_dir() and not (folder / MANIFEST).exists()
+    is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
     if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
         return spec_album(folder)
-    reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
-    return ShardAlbum(reader, options.what, Remote().folder)
+    return ShardAlbum(reader_of(options.what, options), options.what, Remote().folder)
 
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":
     """The source of true patterns: a specification file, a folder of them, or a data set."""
-    from gcd_dataset.shards import ShardReader
-    from gcd_dataset.shards.manifest import MANIFEST
+    from gcd_dataset.shards.folder import is_set
 
     path = Path(options.truth)
-    if names_a_file(options.truth) or (path.is_dir() and not (path / MANIFEST).exists()):
+    if names_a_file(options.truth) or (path.is_dir() and not is_set(path)):
         return path
-    return ShardReader(open_source(options.truth, options.endpoint), options.split or "train")
+    return reader_of(options.truth, options)
 
 
 def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None":
     """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
+    from gcd_dataset.filekinds import is_published
     from gcd_dataset.shards.access import reading
-    from gcd_dataset.shards.manifest import MANIFEST
-    from gcd_dataset.shards.published import is_published
+    from gcd_dataset.shards.folder import is_set
 
     folder = Path(options.what)
     with reading(folder):
-        if "://" in options.what or not folder.is_dir() or (folder / MANIFEST).exists() or not is_published(folder):
+        if "://" in options.what or not folder.is_dir() or is_set(folder) or not is_published(folder):
             return None
     from gcd_dataset.loaders import PublishedGarmentCodeData
 
@@ -236,16 +233,8 @@ def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None"
 
 def _only_pattern(options: argparse.Namespace) -> "Pattern":
     """The pattern of a specification file, which is garment 0. Raises ``ShardError`` for another ``--index``."""
-    _position(options, 1)
+    position_of(options, 1)
     return pattern_of(options)
-
-
-def _position(options: argparse.Namespace, count: int) -> int:
-    """``--index``. Raises ``ShardError`` beyond the last garment."""
-    if options.index >= count:
-        known = f"give one from 0 to {count - 1}" if count > 1 else "leave --index out"
-        raise ShardError(f"{options.what}: garment {options.index} of {count}: {known}")
-    return int(options.index)
 
 
 def _design(options: argparse.Namespace) -> "Design":

@@ -10,8 +10,9 @@ from gcd_dataset.errors import ConfigError, ShardError, SpecError
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments import OutfitDesign
     from gcd_dataset.records import Pattern, Sample
+    from gcd_dataset.shards import ShardReader
 
-__all__ = ["design_in", "names_a_file", "pattern_of", "sample_of"]
+__all__ = ["design_in", "names_a_file", "pattern_of", "position_of", "reader_of", "sample_of"]
 
 
 def names_a_file(source: str) -> bool:
@@ -39,14 +40,23 @@ def pattern_of(options: argparse.Namespace) -> "Pattern":
 
 def sample_of(options: argparse.Namespace) -> "Sample":
     """The sample at ``index`` of the data set ``what``, local or remote; of the split ``train`` without ``split``."""
+    reader = reader_of(options.what, options)
+    return reader.sample(position_of(options, len(reader)))
+
+
+def reader_of(source: str, options: argparse.Namespace) -> "ShardReader":
+    """The reader of a data set, local or remote; of the split ``train`` without ``split``."""
     from gcd_dataset.shards import ShardReader
 
-    reader = ShardReader(open_source(options.what, options.endpoint), options.split or "train")
-    if options.index >= len(reader):
-        raise ShardError(
-            f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 to {len(reader) - 1}"
-        )
-    return reader.sample(options.index)
+    return ShardReader(open_source(source, options.endpoint), options.split or "train")
+
+
+def position_of(options: argparse.Namespace, count: int) -> int:
+    """``--index``. Raises ``ShardError`` beyond the last garment."""
+    if options.index >= count:
+        known = f"give one from 0 to {count - 1}" if count > 1 else "leave --index out"
+        raise ShardError(f"{options.what}: garment {options.index} of {count}: {known}")
+    return int(options.index)
 
 
 def _is_folder(path: Path) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from gcd_dataset import files
 from gcd_dataset.cli.examples import EXAMPLES
@@ -18,25 +18,6 @@ from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 if TYPE_CHECKING:
     from gcd_dataset.records import Body, Measurements
     from gcd_dataset.shards.store import Store
-
-__all__ = [
-    "BODY_NAMES",
-    "SOURCE_HELP",
-    "Parser",
-    "Stopped",
-    "add_body",
-    "add_height",
-    "add_quiet",
-    "add_server",
-    "add_verb",
-    "body_name",
-    "interrupts_after_imports",
-    "natural_number",
-    "open_source",
-    "process_count",
-    "require_folder",
-    "wearer_of",
-]
 
 SIGNALLED = 128  # added by shells to the number of the signal that ended a program
 USUAL: Mapping[int, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
@@ -52,6 +33,9 @@ BODY_NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in RANDOM)))
 class Stopped(KeyboardInterrupt):
     """A verb was stopped by a signal; the message says how far it got, and how to go on."""
 
+    last: ClassVar[int] = signal.SIGINT
+    """The last signal: libraries such as Ray raise another ``KeyboardInterrupt`` in place of ours."""
+
     def __init__(self, number: int = signal.SIGINT, message: str = ": finished files are kept: run it again") -> None:
         super().__init__(f"stopped{message}")
         self.exit_code = SIGNALLED + number
@@ -59,8 +43,8 @@ class Stopped(KeyboardInterrupt):
 
     @classmethod
     def of(cls, error: KeyboardInterrupt) -> "Stopped":
-        """The error itself, or that of Ctrl-C."""
-        return error if isinstance(error, cls) else cls()
+        """The error itself, or that of the last signal."""
+        return error if isinstance(error, cls) else cls(cls.last)
 
 
 class Parser(argparse.ArgumentParser):
@@ -106,12 +90,12 @@ def body_name(text: str) -> str:
     raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {BODY_NAMES}, or a mesh file{nearest}")
 
 
-def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Parser:
-    """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code."""
+def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, more: str = "") -> Parser:
+    """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code, ``more`` is for its own help."""
     parser: Parser = verbs.add_parser(
         name,
         help=text,
-        description=f"{text[0].upper()}{text[1:]}.",
+        description=f"{text[0].upper()}{text[1:]}.\n{more}".rstrip(),
         epilog="\n  ".join(["examples:", *EXAMPLES[name]]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -189,6 +173,7 @@ def interrupts_after_imports() -> Iterator[None]:
     is_main = threading.current_thread() is threading.main_thread()
     taken = [number for number, usual in USUAL.items() if is_main and signal.getsignal(number) == usual]
     later: dict[int, threading.Timer] = {}
+    Stopped.last = signal.SIGINT
 
     def interrupted(number: int, frame: FrameType | None) -> None:
         if (timer := later.pop(number, None)) is not None:
@@ -196,6 +181,7 @@ def interrupts_after_imports() -> Iterator[None]:
         if not _must_wait(frame):
             if number == signal.SIGTERM:
                 signal.signal(number, signal.SIG_IGN)
+            Stopped.last = number
             raise Stopped(number)
         later[number] = threading.Timer(RETRY, os.kill, (os.getpid(), number))
         later[number].daemon = True
@@ -244,8 +230,7 @@ def require_folder(source: str) -> Path:
 
 def open_source(source: str, endpoint: str | None) -> "Store":
     """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ShardError``."""
-    from gcd_dataset.hub.opening import open_store
-    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.remote import Remote, open_store
     from gcd_dataset.hub.source import Repo, parse_source
 
     try:

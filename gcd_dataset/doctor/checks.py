@@ -41,7 +41,7 @@ INCOMPLETE = Check(
     "incomplete",
     "shards or garments of a split are missing",
     "the split is smaller than its manifest or list: scores do not compare with those on the whole split",
-    "run the interrupted gcd generate, gcd merge or gcd download again",
+    "run the interrupted gcd generate or gcd download again",
     counts_garments=False,
 )
 LEAKED_DESIGN = Check(

@@ -12,11 +12,13 @@ from gcd_dataset.release.body_folder import FOLDER
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import DEFAULT_BODY
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.index import read_stored_index
-from gcd_dataset.shards.layout import GARMENTS, WAITING, index_name, shards_in
-from gcd_dataset.shards.manifest import MANIFEST, read_manifest
-from gcd_dataset.shards.tar import TarMember, tar_entries
-from gcd_dataset.shards.unfinished import unfinished
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import index_name
+from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.manifest import MANIFEST, ShardRecord
+from gcd_dataset.shards.notes import shards_named
+from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.tar import tar_entries
 
 __all__ = ["published_faults", "shard_file_faults", "split_file_faults"]
 
@@ -27,70 +29,43 @@ PEOPLE_FILES = ("measurements/{}.yaml", "meta/{}_meta.json", "meshes/{}_straight
 
 def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
     """Faults of the shards of a split in a local folder, from tar headers. Raises ``ShardError`` for a broken index."""
-    index = read_stored_index(folder, split, GARMENTS, partial=True)
-    tables = {} if index is None else index.tables()
-    with reading(folder):
-        paths = shards_in(folder, split)
-    if index is None:
-        yield checks.ORPHANS, index_name(split), "no index: run gcd index"
-    for path in paths:
-        if index is not None and path.name not in tables:
-            yield checks.ORPHANS, path.name, "shards that the index does not list"
-        elif path.name in tables:
-            offsets = set(tables[path.name].offset.ravel().tolist())
-            yield from _member_faults(path, offsets)
-    names = {path.name for path in paths}
-    yield from (
-        (checks.INCOMPLETE, name, "shards of the index that are missing") for name in tables if name not in names
-    )
-    yield from _manifest_faults(folder, split, names)
-    if (problem := unfinished(folder, split)) is not None:
+    store, names = FolderStore(folder), FolderPlace(folder).names()
+    record = store.manifest().splits[split]
+    if MANIFEST not in names or index_name(split) not in names:
+        yield checks.ORPHANS, index_name(split), "no manifest or index: run gcd index"
+    listed = {shard.number for shard in record.shards}
+    for name, number in shards_named(names):
+        if name == split and number not in listed:
+            path = ShardRecord(number, 0, 0, "").name(split)
+            yield checks.ORPHANS, path, f"shards that {MANIFEST} does not list"
+    missing = [shard.name(split) for shard in record.shards if shard.name(split) not in names]
+    yield from ((checks.INCOMPLETE, name, f"shards of {MANIFEST} that are missing") for name in missing)
+    if record.count and not missing:
+        keys = set(map(key_of, store.index(split).number.tolist()))
+        for shard in record.shards:
+            yield from _member_faults(folder / shard.name(split), keys)
+    if (problem := store.unfinished(split)) is not None:
         yield checks.INCOMPLETE, split, f"unfinished: {problem}"
 
 
-def _member_faults(path: Path, offsets: set[int]) -> Iterator[FileFault]:
-    """Members of a shard that its index does not list."""
+def _member_faults(path: Path, keys: set[str]) -> Iterator[FileFault]:
+    """Members of a shard whose samples the index does not list."""
     try:
         with reading(path), open_regular(path) as file:
             for entry in tar_entries(file.fileno()):
-                if entry.offset not in offsets:
-                    yield checks.ORPHANS, _place(path, entry), "members that the index does not list"
+                if entry.name.partition(".")[0] not in keys:
+                    yield checks.ORPHANS, f"{path.name}/{entry.name}", "members that the index does not list"
     except ShardError as error:
         yield checks.UNREADABLE, path.name, f"{error}"
 
 
-def _place(path: Path, entry: TarMember) -> str:
-    return f"{path.name}/{entry.name}"
-
-
-def _manifest_faults(folder: Path, split: str, shards: set[str]) -> Iterator[FileFault]:
-    manifest = read_manifest(folder)
-    record = None if manifest is None else manifest.splits.get(split)
-    if manifest is None or record is None:
-        yield checks.ORPHANS, split, f"a split without an entry in {MANIFEST}"
-        return
-    listed = {shard.name for shard in record.shards}
-    yield from ((checks.ORPHANS, name, f"shards that {MANIFEST} does not list") for name in sorted(shards - listed))
-    yield from ((checks.INCOMPLETE, name, f"shards of {MANIFEST} that are missing") for name in sorted(listed - shards))
-
-
 def split_file_faults(folder: Path, splits: Sequence[str]) -> Iterator[FileFault]:
-    """Files of a local folder that belong to no split, and splits of the manifest without shards."""
-    with reading(folder):
-        names = sorted(path.name for path in folder.iterdir())
-        waiting = sorted(path.name for path in (folder / WAITING).glob("*/*.tar"))
-    known = {index_name(split) for split in splits}
-    for name in names:
-        split = name.rpartition("-")[0]
-        if name.endswith(".tar") and split not in splits:
+    """Tars of a local folder that belong to no split."""
+    names = FolderPlace(folder).names()
+    own = {ShardRecord(number, 0, 0, "").name(split) for split, number in shards_named(names) if split in splits}
+    for name in sorted(names - own):
+        if name.endswith(".tar") and "/" not in name:
             yield checks.ORPHANS, name, "tars of no split"
-        elif name.startswith("index-") and name.endswith(".npz") and name not in known:
-            yield checks.ORPHANS, name, "indices of splits without shards"
-    yield from ((checks.ORPHANS, name, "samples that wait for the rest of their shard") for name in waiting)
-    manifest = read_manifest(folder)
-    for split in sorted(set(manifest.splits) - set(splits)) if manifest is not None else ():
-        if manifest is not None and manifest.splits[split].shards:
-            yield checks.INCOMPLETE, split, f"splits of {MANIFEST} without shards"
 
 
 # ----------------------------------------------------------------------------------------------------------- published

@@ -1,4 +1,4 @@
-"""Data sets on servers: reading sample by sample, downloading, publishing, and generating into object stores.
+"""Data sets on servers: whole verified shards in the cache, single samples by range, downloads, publishing.
 
-This package is imported, and a server contacted, only when a URL or a repository is given.
+A server is contacted, and its libraries are imported, only when a URL or a repository is given.
 """

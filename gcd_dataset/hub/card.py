@@ -3,28 +3,21 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
-from gcd_dataset.shards.layout import FAILED, fields_of
+from gcd_dataset.shards.layout import FAILED, fields_of, is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
-__all__ = ["LICENSES", "Release", "card", "croissant"]
+TEXTS = resources.files(__package__)
+PREVIEW = "preview.parquet"
 
+BYTES = "application/octet-stream"
+FORMATS = {"tar": "application/x-tar", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthetic", "3d"]
 
-LICENSES = frozenset(
-    """
-    afl-3.0 agpl-3.0 apache-2.0 apple-amlr apple-ascl artistic-2.0 bigcode-openrail-m bigscience-bloom-rail-1.0
-    bigscience-openrail-m bsd bsd-2-clause bsd-3-clause bsd-3-clause-clear bsl-1.0 c-uda cc cc-by-2.0 cc-by-2.5
-    cc-by-3.0 cc-by-4.0 cc-by-nc-2.0 cc-by-nc-3.0 cc-by-nc-4.0 cc-by-nc-nd-3.0 cc-by-nc-nd-4.0 cc-by-nc-sa-2.0
-    cc-by-nc-sa-3.0 cc-by-nc-sa-4.0 cc-by-nd-4.0 cc-by-sa-3.0 cc-by-sa-4.0 cc0-1.0 cdla-permissive-1.0
-    cdla-permissive-2.0 cdla-sharing-1.0 creativeml-openrail-m deepfloyd-if-license ecl-2.0 epl-1.0 epl-2.0 etalab-2.0
-    eupl-1.1 eupl-1.2 fair-noncommercial-research-license gemma gfdl gpl gpl-2.0 gpl-3.0 h-research intel-research isc
-    lgpl lgpl-2.1 lgpl-3.0 lgpl-lr llama2 llama3 llama3.1 llama3.2 llama3.3 llama4 lppl-1.3c mit mpl-2.0 ms-pl ncsa
-    odbl odc-by ofl-1.1 openmdw-1.0 openrail openrail++ osl-3.0 other pddl postgresql unknown unlicense wtfpl zlib
-    """.split()  # noqa: SIM905
-)
+LICENSES = frozenset((TEXTS / "licenses.txt").read_text("utf-8").split())
 """License identifiers, from huggingface.co/docs/hub/repositories-licenses; the Hub refuses a card with another one."""
 
 FIELD_DESCRIPTIONS: Mapping[str, str] = {
@@ -46,52 +39,13 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "uv_vertex": "the vertex of each row of uv",
     "box": "vertex positions before sewing [cm]",
     "verts": "vertex positions at rest on the body [cm]",
-    "points": "surface points and normals as 16-bit integers; meta holds scale and centre [cm]",
+    "points": "surface points [cm] and unit normals",
     "front": "picture from the front",
     "back": "picture from behind",
 }
 
-CARD_TEXT = """
-# {title}
-
-{total} garments with their sewing patterns, made by [gcd_dataset](https://pypi.org/project/gcd-dataset/) {generator}:
-body, tailor's measures, design, pattern, mesh, drape and pictures of each. Centimetres; y up, the wearer faces +z, the
-wearer's left is +x, soles at y = 0.
-
-| split | garments | settled drapes | shards | size |
-|---|---|---|---|---|
-{splits}
-
-{promise}
-
-## Use
-
-```python
-from gcd_dataset.loaders import GarmentDataset
-
-ds = GarmentDataset("{repo}", "train", fields=["points", "panels", "edges", "stitches"])  # fetches these fields only
-ds[12]
-```
-
-```sh
-gcd download {repo} --split train --fields points panels edges stitches
-```
-
-The shards are plain tars that `webdataset` reads, and `datasets.load_dataset("{repo}", streaming=True)`.
-
-## Fields
-
-| field | file | content |
-|---|---|---|
-{fields}
-
-## How it was made
-
-{made}
-
-`ds.recipe(i)` holds all that is needed to generate a garment again. The hash of every shard is in `{manifest}`, the
-CRC-32 of every file of every garment in `index-….npz`.
-"""
+PICTURES = "Pictures are in `views/`, under the same keys; configuration `views`. "
+PREVIEWED = f"The first garments as a table: [`{PREVIEW}`]({PREVIEW}). "
 
 
 @dataclass(frozen=True)
@@ -108,44 +62,73 @@ class Release:
     divided: bool
     """Whether the splits share neither designs nor bodies: true for parts of one split, and for splits of a recipe."""
     endpoint: str
+    has_preview: bool = False
 
     @property
     def total(self) -> int:
         """Number of garments."""
-        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
+        return sum(self.manifest.counts.values())
 
     @property
-    def title(self) -> str:
-        return self.repo.rpartition("/")[2].replace("-", " ").replace("_", " ")
+    def splits(self) -> dict[str, SplitRecord]:
+        """The splits, in the order of a training."""
+        known = ("train", "validation", "test")
+        names = sorted(self.manifest.splits, key=lambda name: (known.index(name) if name in known else 3, name))
+        return {name: self.manifest.splits[name] for name in names}
+
+    @property
+    def has_views(self) -> bool:
+        """Whether there are tars of pictures."""
+        return any(map(is_picture, self.members))
 
 
 def card(release: Release) -> str:
     """``README.md``: YAML metadata for the Hub, then text."""
     from huggingface_hub import DatasetCardData
 
-    paths = [{"split": name, "path": f"{name}-*.tar"} for name in release.manifest.splits]
+    title = release.repo.rpartition("/")[2].replace("-", " ").replace("_", " ")
     metadata = DatasetCardData(
         license=release.license,
-        pretty_name=release.title,
+        pretty_name=title,
         task_categories=["image-to-3d", "other"],
         tags=TAGS,
         size_categories=[next((text for limit, text in SIZES if release.total < limit), "n>1M")],
-        configs=[{"config_name": "default", "default": True, "data_files": paths}],
+        configs=_configs(release),
     )
-    text = CARD_TEXT.format(
-        title=release.title,
-        repo=release.repo,
-        total=release.total,
-        generator=release.manifest.generator,
-        manifest=MANIFEST,
-        splits="\n".join(_split_rows(release)),
-        promise=_separation(release),
-        fields="\n".join(
-            f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
-        ),
-        made="\n".join(_recipe_lines(release.manifest)),
+    text = (
+        (TEXTS / "card.md")
+        .read_text("utf-8")
+        .format(
+            title=title,
+            repo=release.repo,
+            total=release.total,
+            generator=release.manifest.generator,
+            manifest=MANIFEST,
+            splits="\n".join(_split_row(release, name, split) for name, split in release.splits.items()),
+            promise=_separation(release),
+            bare=" --no-views" if release.has_views else "",
+            pictures=PICTURES if release.has_views else "",
+            preview=PREVIEWED if release.has_preview else "",
+            fields="\n".join(
+                f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
+            ),
+            made=_origin(release.manifest),
+        )
     )
     return f"---\n{metadata.to_yaml()}\n---\n{text}"
+
+
+def _configs(release: Release) -> list[dict[str, Any]]:
+    """The configurations of the card: tars, and tars of the pictures. ``datasets`` reads all with one builder."""
+    folders = {"default": "", **({"views": "views/"} if release.has_views else {})}
+    return [
+        {
+            "config_name": name,
+            "data_files": [{"split": split, "path": f"{folder}{split}-*.tar"} for split in release.splits],
+            "default": name == "default",
+        }
+        for name, folder in folders.items()
+    ]
 
 
 def _describe(field: str) -> str:
@@ -154,151 +137,73 @@ def _describe(field: str) -> str:
     return FIELD_DESCRIPTIONS[field]
 
 
-def _split_rows(release: Release) -> list[str]:
-    rows = []
-    for name, split in release.manifest.splits.items():
-        count, size = sum(shard.count for shard in split.shards), sum(shard.size for shard in split.shards)
-        rows.append(f"| {name} | {count} | {release.settled[name]} | {len(split.shards)} | {size / 1e6:.1f} MB |")
-    return rows
+def _split_row(release: Release, name: str, split: SplitRecord) -> str:
+    size = sum(shard.size + shard.views_size for shard in split.shards) / 1e6
+    return f"| {name} | {split.count} | {release.settled[name]} | {len(split.shards)} | {size:.1f} MB |"
 
 
 def _separation(release: Release) -> str:
     """A sentence about the designs and bodies that splits have in common."""
-    splits = release.manifest.splits
-    if len(splits) < 2:
+    if len(release.splits) < 2:
         return "There is one split."
     separated = "No design, and no body but the neutral one," if release.divided else "No design"
-    failed = f"; `{FAILED}` holds failed drapes of designs of any split" if FAILED in splits else ""
+    failed = f"; `{FAILED}` holds failed drapes of designs of any split" if FAILED in release.splits else ""
     return f"{separated} is in two splits{failed}."
 
 
-def _recipe_lines(manifest: Manifest) -> list[str]:
-    """One line for each seed and recipe, with the splits generated by it."""
-    recipes: dict[str, list[str]] = {}
-    for name, split in manifest.splits.items():
-        options = {option: value for option, value in split.recipe.items() if option != "part"}
-        recipes.setdefault(f"seed {split.seed}, recipe `{json.dumps(options, sort_keys=True)}`", []).append(name)
-    return [*_published_recipe(manifest), *(f"- {', '.join(names)}: {recipe}" for recipe, names in recipes.items())]
-
-
-def _published_recipe(manifest: Manifest) -> list[str]:
-    """A line for the published recipe, if the data set follows one."""
-    recipe = manifest.recipe
-    if recipe is None:
-        return []
-    hashes = f"- recipe `{recipe.name}` of sha256 `{recipe.sha256}`, patterns `{recipe.patterns}`"
-    return [f"{hashes}: `gcd verify FOLDER --recipe {recipe.name}` compares"]
+def _origin(manifest: Manifest) -> str:
+    """Seed and recipe, and the published recipe if the data set follows one."""
+    plan, named = next(iter(manifest.splits.values())).plan, manifest.recipe
+    options = json.dumps({name: value for name, value in plan.recipe.items() if name != "part"}, sort_keys=True)
+    lines = [f"- seed {plan.seed}, recipe `{options}`"]
+    if named is not None:
+        hashes = f"- recipe `{named.name}` of sha256 `{named.sha256}`, patterns `{named.patterns}`"
+        lines.append(f"{hashes}: `gcd verify FOLDER --recipe {named.name}` compares")
+    return "\n".join(lines)
 
 
 def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[str, Any]:
     """The description in Croissant 1.0 (MLCommons); ``files``: path to size [bytes] and SHA-256."""
     url = f"{release.endpoint}/datasets/{release.repo}"
     objects = [
-        {
-            "@type": "cr:FileObject",
-            "@id": name,
-            "name": name,
-            "contentUrl": f"{url}/resolve/main/{name}",
-            "contentSize": f"{size} B",
-            "encodingFormat": _format(name),
-            "sha256": digest,
-        }
+        _thing("cr:FileObject", name, contentUrl=f"{url}/resolve/main/{name}", contentSize=f"{size} B", sha256=digest)
+        | {"encodingFormat": FORMATS.get(name.rpartition(".")[2], BYTES)}
         for name, (size, digest) in files.items()
     ]
     return {
-        "@context": _CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        **json.loads((TEXTS / "croissant.json").read_text("utf-8")),  # the context of its specification
         "name": release.repo.rpartition("/")[2],
         "description": f"{release.total} garments with their sewing patterns, on bodies, at rest.",
         "url": url,
         "license": release.license,
-        "version": "1.0.0",
         "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
-        "distribution": objects + [_file_set(name, split) for name, split in release.manifest.splits.items()],
-        "recordSet": [_records(name, release) for name in release.manifest.splits],
+        "distribution": objects + [_file_set(name, split) for name, split in release.splits.items()],
+        "recordSet": [_records(name, release) for name in release.splits],
     }
+
+
+def _thing(kind: str, name: str, **properties: Any) -> dict[str, Any]:
+    return {"@type": kind, "@id": name, "name": name, **properties}
 
 
 def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
     """The ``FileSet`` of all files in the shards of a split."""
-    return {
-        "@type": "cr:FileSet",
-        "@id": f"{split}-files",
-        "name": f"{split}-files",
-        "containedIn": [{"@id": shard.name} for shard in record.shards],
-        "encodingFormat": "application/octet-stream",
-        "includes": "*.*",  # not "*": mlcroissant would take the folder of an extracted shard for a file
-    }
+    tars = [{"@id": shard.name(split)} for shard in record.shards]
+    # Not "*": mlcroissant would take the folder of an extracted shard for a file.
+    return _thing("cr:FileSet", f"{split}-files", containedIn=tars, encodingFormat=BYTES, includes="*.*")
 
 
 def _records(split: str, release: Release) -> dict[str, Any]:
     """The ``RecordSet`` of a split: one record per file; the description lists the members."""
     members = "; ".join(f"{member}: {_describe(field)}" for field, member in fields_of(release.members).items())
-    return {
-        "@type": "cr:RecordSet",
-        "@id": split,
-        "name": split,
-        "description": f"The files of each garment, KEY.MEMBER. {members}",
-        "field": [
-            _field(split, "file", "Key and member.", "filename"),
-            _field(split, "content", "The file's bytes.", "content"),
+    fields = (("file", "Key and member.", "filename"), ("content", "The file's bytes.", "content"))
+    return _thing(
+        "cr:RecordSet",
+        split,
+        description=f"The files of each garment, KEY.MEMBER. {members}",
+        field=[
+            _thing("cr:Field", f"{split}/{name}", description=text, dataType="sc:Text")
+            | {"source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": file_property}}}
+            for name, text, file_property in fields
         ],
-    }
-
-
-def _field(split: str, name: str, description: str, file_property: str) -> dict[str, Any]:
-    return {
-        "@type": "cr:Field",
-        "@id": f"{split}/{name}",
-        "name": f"{split}/{name}",
-        "description": description,
-        "dataType": "sc:Text",
-        "source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": file_property}},
-    }
-
-
-def _format(name: str) -> str:
-    endings = {"tar": "application/x-tar", "npz": "application/zip", "json": "application/json"}
-    return endings[name.rpartition(".")[2]]
-
-
-_CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
-    "conformsTo": "dct:conformsTo",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "equivalentProperty": "cr:equivalentProperty",
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileObject": "cr:fileObject",
-    "fileProperty": "cr:fileProperty",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "samplingRate": "cr:samplingRate",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
-}
-"""The JSON-LD context of Croissant 1.0, as listed in its specification."""
+    )

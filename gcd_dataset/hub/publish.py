@@ -1,43 +1,44 @@
-"""Publishes a data set on the Hub: divides it into splits, describes and uploads it."""
+"""Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
 import hashlib
+import io
 import json
 import logging
 import re
-import sys
-from collections.abc import Collection, Iterator, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import groupby
 from pathlib import Path
+from typing import Any
 
-from gcd_dataset.errors import ConfigError, RemoteError, did_you_mean, shown
-from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.hub.card import LICENSES, Release, card, croissant
-from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
-from gcd_dataset.hub.retry import first_line
-from gcd_dataset.hub.site import hub_endpoint
+from gcd_dataset.errors import ConfigError, RemoteError, ShardError, did_you_mean, shown
+from gcd_dataset.files import drafted, make_folder
+from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
+from gcd_dataset.hub.download import remove_others, tars_of, write_changed
+from gcd_dataset.hub.fetch import first_line
+from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
+from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
-from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.contents import splits_in
-from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.job_parts import require_merged
-from gcd_dataset.shards.layout import FAILED, FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
+from gcd_dataset.shards.access import REMEDY, locked, reading
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import index_name
+from gcd_dataset.shards.layout import FAILED
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
+from gcd_dataset.shards.notes import META, gather, hashed, note_name, note_of
+from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.shards.unfinished import unfinished
-
-__all__ = ["Staged", "stage", "upload"]
+from gcd_dataset.shards.tar import END
+from gcd_dataset.shards.writer import shard_size_of
 
 CARD, CROISSANT = "README.md", "croissant.json"
-CLIENTS = ("httpx2", "httpx", "requests")  # HTTP libraries of huggingface_hub 2, 1 and 0.36
-ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
-LICENSE_LIST = "huggingface.co/docs/hub/repositories-licenses"
+ANY_ENDPOINT = "1.31"  # first tested version of huggingface_hub that publishes to any endpoint
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
-REPLACED = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
+REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """Other names of splits to the Hub's names."""
+PREVIEWED = 100  # garments
+TEXTS, FRONT = ("caption.txt", "measures.json", "design.txt"), "front.jpg"
 
 log = logging.getLogger(__name__)
 
@@ -50,20 +51,41 @@ class Staged:
     manifest: Manifest
     files: Mapping[str, int]
     """Path to size [bytes] of the files to upload."""
+    commit: str | None = None
+    """Commit of the repository once they are uploaded."""
 
     @property
     def garments(self) -> int:
         """Number of garments in all splits."""
-        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
+        return sum(self.manifest.counts.values())
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """The samples of one published split."""
+def publish(
+    dataset: Path | str,
+    repo: str,
+    *,
+    out: Path | str | None = None,
+    shares: Mapping[str, float] = SHARES,
+    license: str = "unknown",  # noqa: A002 - the Hub's word
+    partial: bool = False,
+    private: bool = False,
+    dry_run: bool = False,
+    endpoint: str | None = None,
+    token: str | None = None,
+    on_staged: Callable[[Staged], None] = lambda staged: None,
+) -> Staged:
+    """Upload a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
 
-    reader: ShardReader
-    record: SplitRecord
-    positions: list[int]
+    ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
+    resumed. ``on_staged`` is called with the staged files before anything is sent; with ``dry_run`` nothing is sent.
+    ``stage`` and ``upload`` describe the other options and the errors.
+    """
+    folder = Path(dataset) / "published" if out is None else Path(out)
+    staged = stage(Path(dataset), repo, folder, shares=shares, license=license, endpoint=endpoint, partial=partial)
+    on_staged(staged)
+    if dry_run:
+        return staged
+    return replace(staged, commit=upload(staged, repo, endpoint=endpoint, token=token, private=private))
 
 
 def stage(
@@ -80,39 +102,35 @@ def stage(
 
     A data set of one split is divided by ``shares`` into splits that share no design, body or pattern; several splits
     are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for a license that the Hub
-    does not know, splits that share designs, foreign tars, an unfinished data set, parts that are not merged, and for a
-    staging folder that holds other files.
+    does not know, splits that share designs, an unfinished data set, and for a staging folder that holds other files;
+    ``ShardError`` for a damaged sample.
     """
-    if not isinstance(parse_source(repo), Repo):
-        raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
-    license = _license(license)  # noqa: A001
-    require_merged(dataset, ConfigError)
-    for split in splits_in(dataset):
-        if not partial and (problem := unfinished(dataset, split)) is not None:
-            raise ConfigError(f"{dataset}: split {split} is not whole: {problem}, or publish it with --partial")
-    plans = _plans(dataset, shares)
+    _repo_name(repo)
+    license, store = _license(license), FolderStore(dataset)  # noqa: A001
+    source = store.manifest()
+    if not partial and (problem := next(filter(None, map(store.unfinished, source.splits)), None)) is not None:
+        raise ConfigError(f"{dataset}: not whole: {problem}, or publish it with --partial")
+    readers = {split: ShardReader(store, split) for split, record in source.splits.items() if record.count}
+    divided = _divided(dataset, readers)
     _prepare(folder)
-    splits: dict[str, SplitRecord] = {}
-    settled: dict[str, int] = {}
-    members: tuple[str, ...] = ()
-    for name, plan in plans.items():
-        with locked(folder / lock_name(name), f"writing split {name}"):
-            splits[name] = _write_split(folder, name, plan)
-        settled[name] = int(plan.reader.index.table.settled[plan.reader.rows(plan.positions)].sum())
-        members = plan.reader.layout.members
-    source_manifest = next(iter(plans.values())).reader.manifest or Manifest()
-    manifest = replace(source_manifest, splits=splits)
-    _remove_unlisted(folder, manifest)
-    manifest.write(folder)
-    is_divided = _only_split(splits_in(dataset)) is not None or manifest.recipe is not None
-    release = Release(repo, manifest, settled, members, license, is_divided, hub_endpoint(endpoint))
-    write_whole(folder / CARD, card(release).encode())
-    listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
-    listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}
-    description = croissant(release, listed)
-    write_whole(folder / CROISSANT, (json.dumps(description, indent=1) + "\n").encode())
-    names = [CARD, CROISSANT, *listed]
-    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in names})
+    with locked(folder / ".staging.lock", "staging it"):
+        manifest = _copied(folder, readers) if divided is None else _divide(folder, readers, divided, shares)
+        write_changed(folder / MANIFEST, manifest.to_bytes())
+    tars = tars_of(manifest.splits)
+    staged = {split: ShardReader(folder, split) for split in manifest.splits}
+    settled = {split: int(reader.index.settled.sum()) for split, reader in staged.items()}
+    first = staged.get("train", next(iter(staged.values())))
+    preview = _preview(first)
+    if preview is not None:
+        write_changed(folder / PREVIEW, preview)
+    others = [MANIFEST, *map(index_name, staged), *([PREVIEW] if preview else [])]
+    is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
+    release = Release(repo, manifest, settled, first.layout.members, license, is_divided, hub, preview is not None)
+    described = croissant(release, {**{name: hashed(folder / name) for name in others}, **tars})
+    write_changed(folder / CARD, card(release).encode())
+    write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
+    listed = [CARD, CROISSANT, *others, *sorted(tars)]
+    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in listed})
 
 
 def upload(
@@ -120,29 +138,35 @@ def upload(
 ) -> str:
     """Upload a staged folder to the Hub, creating the repository if needed; the commit's hash.
 
-    All files are in one commit, so readers see either the previous version or the whole new one. Raises ``RemoteError``
-    if the Hub does not answer, or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub``
-    cannot publish to.
+    New tars are sent first, by the upload of large folders; the last commit replaces changed files and the manifest:
+    readers see the previous version or the new one. Raises ``RemoteError`` if the Hub does not answer, or refuses.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
-    api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
-    name = _repo_name(repo)
+    api, name = HfApi(endpoint=hub_endpoint(endpoint), token=token), _repo_name(repo)
     _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
-        added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
-        api.preupload_lfs_files(name, added, repo_type="dataset")
-        # Listed after the upload, which may take hours.
         present = api.list_repo_files(name, repo_type="dataset")
-        stale = [path for path in present if _is_replaced(path) and path not in staged.files]
-        commit = api.create_commit(
-            name,
-            [*added, *map(CommitOperationDelete, stale)],
-            repo_type="dataset",
-            commit_message=f"{staged.garments} garments",
-        )
+        if new := [path for path in staged.files if path.endswith(".tar") and path not in present]:
+            wanted = new if any(path.endswith(".tar") for path in present) else "*.tar"
+            folder, message = staged.folder, f"Tars of {staged.garments} garments"
+            api.upload_folder(
+                repo_id=name, folder_path=folder, repo_type="dataset", allow_patterns=wanted, commit_message=message
+            )
+        rest = [CommitOperationAdd(path, staged.folder / path) for path in staged.files if path not in new]
+        stale = [path for path in present if REPLACED.fullmatch(path) and path not in staged.files]
+        operations: list[CommitOperationAdd | CommitOperationDelete] = [*rest, *map(CommitOperationDelete, stale)]
+        message = f"{staged.garments} garments"
+        commit = api.create_commit(name, operations, repo_type="dataset", commit_message=message)
     return str(commit.oid)
+
+
+def _repo_name(repo: str) -> str:
+    source = parse_source(repo)
+    if not isinstance(source, Repo):
+        raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
+    return source.name
 
 
 def _license(name: str) -> str:
@@ -152,7 +176,8 @@ def _license(name: str) -> str:
     if known not in LICENSES:
         raise ConfigError(
             f"license {shown(name)}: unknown to the Hub: give cc-by-4.0, cc0-1.0, odc-by, cdla-permissive-2.0, "
-            f"apache-2.0, another that {LICENSE_LIST} lists, or other{did_you_mean(name.lower(), LICENSES)}"
+            "apache-2.0, another that huggingface.co/docs/hub/repositories-licenses lists, or other"
+            f"{did_you_mean(name.lower(), LICENSES)}"
         )
     return known
 
@@ -160,55 +185,96 @@ def _license(name: str) -> str:
 def _prepare(folder: Path) -> None:
     """Make the staging folder. Raises ``ConfigError`` for a folder that holds anything else."""
     make_folder(folder)
-    if not (folder / STAGED).exists():
-        if splits_in(folder):
-            raise ConfigError(f"{folder}: holds a data set, whose shards would be replaced: choose another folder")
-        with reading(folder):
-            others = sorted(path.name for path in folder.iterdir())
-        if others:
-            raise ConfigError(f"{folder}: holds {shown(others[0])}: choose another folder, or an empty one")
-        write_whole(folder / STAGED, b"")
+    with reading(folder):
+        others = sorted(path.name for path in folder.iterdir()) if not (folder / STAGED).exists() else []
+    if others:
+        raise ConfigError(f"{folder}: holds {shown(others[0])}, not files to publish: choose another folder")
+    write_changed(folder / STAGED, b"")
 
 
-def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
-    """Published split to its samples. Raises ``ConfigError`` as ``stage`` does."""
-    readers = {split: ShardReader(dataset, split) for split in splits_in(dataset)}
+def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
+    """The split to divide: the only one besides ``failed``; ``None`` for several. Raises ``ConfigError``."""
     if not readers:
-        raise ConfigError(f"{dataset}: no shards: give a folder made by gcd generate")
-    for split, reader in readers.items():
-        if reader.layout.kind == FOREIGN or reader.manifest is None or split not in reader.manifest.splits:
-            raise ConfigError(f"{dataset}: {MANIFEST} has no recipe of split {split}: run gcd generate again")
-        if missing := [field for field in (DESIGN, BODY) if field not in fields_of(reader.layout.members)]:
-            raise ConfigError(
-                f"{dataset}: its garments have no {missing[0]} to divide them by: publish a data set with all fields"
-            )
+        raise ConfigError(f"{dataset}: no samples: give a folder made by gcd generate")
+    for reader in readers.values():
+        if DESIGN not in reader.layout.members:
+            raise ConfigError(f"{dataset}: its garments have no {DESIGN} to divide them by: publish whole garments")
     if shared := leaks(readers):
         raise ConfigError(
             f"{dataset}: {shared[0]}: publish it as one split, which is then divided, or generate them again"
         )
-    divided = _only_split(readers)
-    plans = {
-        HUB_NAMES.get(split, split): _Plan(reader, reader.manifest.splits[split], list(range(len(reader))))
-        for split, reader in readers.items()
-        if reader.manifest is not None and split != divided
-    }
-    return plans if divided is None else _divided(dataset, readers[divided], shares) | plans
-
-
-def _divided(dataset: Path, reader: ShardReader, shares: Mapping[str, float]) -> dict[str, _Plan]:
-    assert reader.manifest is not None
-    record, parts = reader.manifest.splits[reader.split], partition(reader, shares)
-    _warn_of_empty_splits(dataset, shares, parts)
-    return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
-
-
-def _only_split(splits: Collection[str]) -> str | None:
-    """The split to divide: the only one besides ``failed``; ``None`` for several."""
-    others = [split for split in splits if split != FAILED] or [*splits]
+    others = [split for split in readers if split != FAILED] or [*readers]
     return others[0] if len(others) == 1 else None
 
 
-def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+def _copied(folder: Path, readers: Mapping[str, ShardReader]) -> Manifest:
+    """Copy the splits of a data set that has several, under the Hub's names; the manifest."""
+    splits = {}
+    for split, reader in readers.items():
+        name, content = HUB_NAMES.get(split, split), reader.index.to_bytes()
+        splits[name] = replace(reader.record, index_sha256=hashlib.sha256(content).hexdigest())
+        write_changed(folder / index_name(name), content)
+        tars = tars_of({name: reader.record})
+        for tar, copy in zip(tars_of({split: reader.record}), tars, strict=True):
+            _copy(Path(reader.store.location(tar)), folder / copy, tars[copy])
+    remove_others(folder, tars_of(splits))
+    return replace(next(iter(readers.values())).manifest, splits=splits)
+
+
+def _copy(path: Path, target: Path, expected: tuple[int, str]) -> None:
+    """Copy a tar of this size and hash, unless it is there. Raises ``ShardError`` for a damaged original."""
+    if target.exists() and hashed(target) == expected:
+        return
+    make_folder(target.parent)
+    with drafted(target) as draft:
+        shutil.copyfile(path, draft)
+        if hashed(draft) != expected:
+            raise ShardError(f"{path}: its hash differs from {MANIFEST}: {REMEDY}")
+
+
+def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shares: Mapping[str, float]) -> Manifest:
+    """Write the parts of a split, and ``failed``, with their notes and indices; the manifest."""
+    parts = {name: (readers[divided], own) for name, own in partition(readers[divided], shares).items()}
+    _warn_of_empty_splits(readers[divided].store.location(), shares, parts)
+    parts |= {split: (reader, [*range(len(reader))]) for split, reader in readers.items() if split != divided}
+    source, names = readers[divided].manifest, set[str]()
+    is_whole = not any(map(source.missing, source.splits))
+    garments = sum(len(own) for _, own in parts.values())
+    for split, (reader, own) in parts.items():
+        plan, size = reader.record.plan, shard_size_of(len(own))
+        recipe = {**plan.recipe, "part": {"of": dict(shares)}}
+        plan = replace(plan, recipe=recipe, count=garments if is_whole else plan.count, shard_size=size)
+        for number in range(-(-len(own) // size)):
+            names |= _write_shard(folder, split, number, reader, own[number * size : (number + 1) * size], plan)
+    remove_others(folder, names)
+    gathered = gather(FolderPlace(folder))
+    for split, index in gathered.indices.items():
+        write_changed(folder / index_name(split), index.to_bytes())
+    return replace(gathered.manifest, recipe=source.recipe, generator=source.generator)
+
+
+def _write_shard(
+    folder: Path, split: str, number: int, reader: ShardReader, positions: Sequence[int], plan: Plan
+) -> set[str]:
+    """Write a shard of checked samples, its pictures and its note; the names of the tars. Raises ``ShardError``."""
+    record, index, shards = ShardRecord(number, 0, 0, ""), reader.index, reader.record.shards
+    rows, names = list(positions), []
+    for position in positions:
+        reader.check(position)
+    for views in (False, True) if index.has_views else (False,):
+        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
+        spans = zip(index.shard[rows].tolist(), starts[rows].tolist(), ends[rows].tolist(), strict=True)
+        samples = [reader.store.part(reader.split, shards[shard], *span, views=views) for shard, *span in spans]
+        names.append(record.name(split, views=views))
+        make_folder((folder / names[-1]).parent)
+        write_changed(folder / names[-1], b"".join([*samples, bytes(END)]))
+    views_path = folder / names[1] if index.has_views else None
+    note = note_of(folder / names[0], views_path, split, number, plan)
+    write_changed(folder / note_name(split, number), note.to_bytes())
+    return {*names}
+
+
+def _warn_of_empty_splits(dataset: str, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
     """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
@@ -220,98 +286,52 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
         )
 
 
-def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
-    """The record of a part of a split; its shards hold about as many samples as the shards of the undivided split."""
-    cut = {"of": {split: round(share, 6) for split, share in shares.items()}, "name": name}
-    return replace(
-        record, recipe={**record.recipe, "part": cut}, shard_size=round(record.shard_size / max(shares[name], 0.01))
-    )
-
-
-def _write_split(folder: Path, name: str, plan: _Plan) -> SplitRecord:
-    """Write shards and index of a split; its record."""
-    sample = plan.reader.index.table.sample[plan.reader.rows(plan.positions)]
-    numbered = zip((sample // plan.record.shard_size).tolist(), plan.positions, strict=True)
-    records, tables = [], {}
-    for number, group in groupby(sorted(numbered), key=lambda entry: entry[0]):
-        path = folder / shard_name(name, number)
-        positions = [position for _, position in group]
-        record, tables[path.name] = copy_shard(path, plan.reader, positions, plan.reader.layout, lambda size: None)
-        records.append(record)
-    ShardIndex.of(folder, tables, plan.reader.layout).write(folder / index_name(name))
-    return replace(plan.record, shards=tuple(records))
-
-
-def _remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Remove shards of an earlier call that the manifest does not list."""
-    listed = {shard.name for split in manifest.splits.values() for shard in split.shards}
-    for split in splits_in(folder):
-        for path in shards_in(folder, split):
-            if path.name not in listed:
-                with writing(path):
-                    path.unlink()
-
-
-def _is_replaced(path: str) -> bool:
-    """Whether a file of a repository is a shard or an index, which an upload replaces."""
-    return REPLACED.fullmatch(path) is not None
-
-
-def _size_and_hash(path: Path) -> tuple[int, str]:
-    content = path.read_bytes()
-    return len(content), hashlib.sha256(content).hexdigest()
-
-
-def _repo_name(repo: str) -> str:
-    source = parse_source(repo)
-    assert isinstance(source, Repo)
-    return source.name
-
-
-@contextmanager
-def _asking_hub(repo: str) -> Iterator[None]:
-    """Turn errors of ``huggingface_hub`` into ``RemoteError``."""
-    from huggingface_hub.errors import HfHubHTTPError
-
-    connection_errors: tuple[type[Exception], ...] = (
-        ConnectionError,
-        *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"),
-    )
-    request_errors: tuple[type[Exception], ...] = (
-        HfHubHTTPError,
-        RuntimeError,
-        ValueError,
-        *_errors_of_clients("HTTPError", "RequestException"),
-    )
+def _preview(reader: ShardReader) -> bytes | None:
+    """A table of the first garments of a split, which the Hub shows; ``None`` without ``pyarrow``."""
     try:
-        yield
-    except connection_errors as error:
-        raise _publish_error(repo, error, "check the network and HF_ENDPOINT") from error
-    except request_errors as error:
-        # huggingface_hub raises RuntimeError or ValueError for a failed upload.
-        raise _publish_error(repo, error, "check the token (hf auth login) and your rights") from error
-
-
-def _errors_of_clients(*names: str) -> tuple[type[Exception], ...]:
-    """The exceptions of these names in the HTTP clients that are loaded."""
-    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
-    return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        log.warning("without a preview, which needs pyarrow: pip install 'gcd-dataset[publish]'")
+        return None
+    members = [member for member in (META, *TEXTS, FRONT) if member in reader.layout.members]
+    rows, positions = [], range(min(PREVIEWED, len(reader)))
+    for position, found in zip(positions, reader.read_many(positions, members), strict=True):
+        meta = json.loads(bytes(found[META]))
+        row = {"key": reader.key(position), "grade": meta["grade"], "outcome": (meta["drape"] or {}).get("outcome")}
+        row |= {member.partition(".")[0]: bytes(found[member]).decode() for member in TEXTS if member in found}
+        rows.append(row | ({"front": {"bytes": bytes(found[FRONT])}} if FRONT in found else {}))
+    text, picture = pyarrow.string(), pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+    schema = pyarrow.schema({name: picture if name == "front" else text for name in rows[0]})
+    kinds = {name: {"_type": "Image"} if name == "front" else {"_type": "Value", "dtype": "string"} for name in rows[0]}
+    schema, output = schema.with_metadata({"huggingface": json.dumps({"info": {"features": kinds}})}), io.BytesIO()
+    parquet.write_table(pyarrow.Table.from_pylist(rows, schema), output)
+    return output.getvalue()
 
 
 def _require_endpoint(endpoint: str) -> None:
     """Raise ``ConfigError`` for an endpoint other than ``HF_ENDPOINT`` where huggingface_hub cannot publish to it."""
-    import huggingface_hub
+    from huggingface_hub import __version__ as version
+    from huggingface_hub import constants
+    from packaging.version import Version  # a requirement of huggingface_hub
 
-    major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
-    if (major, minor) < ANY_ENDPOINT and endpoint != huggingface_hub.constants.ENDPOINT:
+    if Version(version) < Version(ANY_ENDPOINT) and endpoint != constants.ENDPOINT:
         raise ConfigError(
-            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT only: set "
-            f"it, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
+            f"--endpoint {endpoint}: huggingface_hub {version} publishes to HF_ENDPOINT only: set it, or install "
+            f"huggingface_hub {ANY_ENDPOINT} or later"
         )
 
 
-def _publish_error(repo: str, error: Exception, remedy: str) -> RemoteError:
-    return RemoteError(
-        f"{repo}: cannot be published ({first_line(error)}): {remedy}, then run it again: uploaded files are not sent "
-        "again"
-    )
+@contextmanager
+def _asking_hub(repo: str) -> Iterator[None]:
+    """Turn errors of ``huggingface_hub``, and of the HTTP client that it uses, into ``RemoteError``."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    client: Any = HfHubHTTPError.__bases__  # httpx.HTTPError, or OSError of requests
+    try:
+        yield
+    except (*client, OSError, RuntimeError, ValueError) as error:
+        raise RemoteError(
+            f"{repo}: cannot be published ({first_line(error)}): check the network, HF_ENDPOINT, the token (hf auth "
+            "login) and your rights, then run it again: uploaded files are not sent again"
+        ) from error

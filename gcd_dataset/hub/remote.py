@@ -1,230 +1,309 @@
-"""Reads a data set on a server sample by sample: only the requested members, verified and cached."""
+"""Data sets on servers: pinned to a revision, read by shards that lie in the cache, or by ranges of single samples.
+
+sets/NAME-HASH/refs/main           the revision of a branch, or of a URL, when it was last read
+sets/NAME-HASH/REVISION/…          manifest and indices
+shards/SHA256/{tar,views}          whole shards
+"""
 
 import contextlib
 import hashlib
-import io
+import logging
+import math
+import os
 import re
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import BinaryIO, TypeVar
+from pathlib import Path
+from typing import TypeVar
+from urllib.parse import quote
 
-from gcd_dataset.errors import MissingError, RemoteError, ShardError, did_you_mean, shown
-from gcd_dataset.hub.cache import Cache, CachedMember
-from gcd_dataset.hub.foreign_tars import read_foreign_index
-from gcd_dataset.hub.site import Site
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
-from gcd_dataset.shards.limits import LARGEST_MANIFEST
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest
-from gcd_dataset.shards.store import MemberLocation, Store, runs
-from gcd_dataset.shards.unfinished import note_name, unfinished_by
-
-__all__ = ["RemoteStore"]
+from gcd_dataset.errors import (
+    ConfigError,
+    GcdError,
+    MissingError,
+    OutputError,
+    RefusedError,
+    RemoteError,
+    ShardError,
+    did_you_mean,
+)
+from gcd_dataset.files import make_folder, user_path, write_whole
+from gcd_dataset.hub.fetch import WEB, Files, fetch
+from gcd_dataset.hub.source import COMMIT, Folder, Repo, Url, parse_source
+from gcd_dataset.names import safe_name
+from gcd_dataset.shards import cache
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import SplitIndex, index_name
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
+from gcd_dataset.shards.store import Store
 
 T = TypeVar("T")
 
-GAP = 1 << 17  # bytes: transferring a gap takes about as long as another request, and servers limit requests
-SHA256 = re.compile(r"[0-9a-f]{64}")
+LARGEST_MANIFEST = 1 << 24  # bytes: ten million garments; parsed it takes twenty times as many
+LARGEST_SAMPLE = 1 << 26  # bytes; a dress meshed at 0.2 cm takes 25 MB, uncompressed
+MOST_SAMPLES = 12_000_000  # of a split; checking their index takes .8 GB of memory
+PARALLEL, REQUESTS = 4, 8  # downloads, and requests of single samples, at a time
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
-PARALLEL_REQUESTS = 8
-LARGEST_MEMBER = 1 << 28  # bytes: a hundred times the largest member of a garment
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Remote:
+    """Options of access to servers, and of the cache."""
+
+    revision: str | None = None
+    cache_dir: str | Path | None = None
+    max_cache_size: int | str | None = cache.SIZE
+    endpoint: str | None = None
+    token: str | None = None
+    allowed: bool = True
+    """Whether servers may be contacted."""
+    patience: float | None = None
+    """Seconds since the last received byte after which a request is given up; ``None`` for ``fetch.PATIENCE``."""
+
+    def __post_init__(self) -> None:
+        if self.patience is not None and not 0 <= self.patience <= math.inf:
+            raise ConfigError(f"patience={self.patience!r}: give seconds, 0 or more; inf waits forever")
+        cache.size_in_bytes(self.max_cache_size)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the cache."""
+        return cache.default_cache(self.cache_dir)
+
+    def address(self, source: Repo | Url) -> str:
+        """The URL of a repository, or of a folder of files."""
+        return f"{hub_endpoint(self.endpoint)}/datasets/{source.name}" if isinstance(source, Repo) else source.url
+
+    def files(self, source: Repo | Url) -> Files:
+        """The files of a source. Raises ``ConfigError`` for an option of the Hub with the URL of an object store."""
+        if isinstance(source, Repo):
+            from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
+
+            headers = partial(build_hf_headers, token=self.token, library_name="gcd_dataset")
+            url = f"{self.address(source)}/resolve/{quote(source.revision, safe='')}"
+            return Files(url, headers=headers, patience=self.patience)
+        if not source.url.startswith(WEB) and (self.endpoint, self.token) != (None, None):
+            raise ConfigError(f"endpoint and token are for the Hub, not for {source}: set the variables of its store")
+        return Files(source.url, patience=self.patience)
+
+
+def hub_endpoint(endpoint: str | None) -> str:
+    """The URL of the Hub: ``endpoint``, else ``HF_ENDPOINT``, else the default."""
+    from huggingface_hub import constants
+
+    return (endpoint or constants.ENDPOINT).rstrip("/")
+
+
+def open_store(
+    source: str | Path, remote: Remote | None = None, *, root: str | Path | None = None, splits: Sequence[str] = ()
+) -> Store:
+    """The store of a folder, a URL or a repository; ``root``: a folder to download ``splits`` into, and to read.
+
+    Raises ``ConfigError`` for any other source, and for options that do not apply to it; else as ``Store``.
+    """
+    from gcd_dataset.hub.download import download, is_downloaded
+
+    remote = remote or Remote()
+    parsed = parse_source(source, remote.revision)
+    if isinstance(parsed, Folder):
+        given = {"root": root, "endpoint": remote.endpoint, "token": remote.token, "patience": remote.patience}
+        if named := [name for name, value in given.items() if value is not None]:
+            raise ConfigError(f"{named[0]} is for URLs and the Hub, and {parsed} is a folder: leave it out")
+        root = parsed.path
+    elif root is None:
+        return RemoteStore(parsed, remote)
+    elif not is_downloaded(folder := user_path(root), parsed, splits, offline=not remote.allowed):
+        download(parsed, folder, remote, splits=splits)
+    return FolderStore(root, cache_dir=remote.cache_dir)
 
 
 class RemoteStore(Store):
-    """The samples of a site. ``cache`` keeps the members that are read; ``None`` disables caching."""
+    """A repository at a commit, or a URL at a hash of its manifest. The revision is looked up once.
+
+    If the server is unreachable, the last revision seen is used, limited to the cached files. Raises ``MissingError``
+    where the server has no such data set, ``RemoteError`` where it is unreachable and nothing is cached.
+    """
 
     remedy = "try again later, or tell its publisher"
 
-    def __init__(self, site: Site, cache: Cache | None) -> None:
-        self.site, self._cache, self.source = site, cache, site.source
-        self._shards: dict[str, _RemoteShard] = {}
+    def __init__(self, source: Repo | Url, remote: Remote) -> None:
+        self._asked, self._remote = source, remote
+        self._manifest: Manifest | None = None
+        address = remote.address(source)
+        digest = hashlib.sha256(address.encode()).hexdigest()[:16]
+        self._folder = remote.folder / "sets" / safe_name(f"{address.rpartition('/')[2]}-{digest}")
+        self.revision = source.revision if isinstance(source, Repo) and source.is_pinned else self._look_up()
+        if isinstance(source, Repo):
+            source = replace(source, revision=self.revision)
+        self.source = str(source) if isinstance(source, Repo) else f"{source}@{self.revision}"
+        self.files = remote.files(source)
+        self.manifest()
 
     def location(self, name: str = "") -> str:
-        return f"{self.source}/{shown(name)}" if name else str(self.source)
+        return f"{self.source}/{name}" if name else str(self.source)
 
-    def manifest(self) -> Manifest | None:
-        try:
-            return parse_manifest(self.site.small_file(MANIFEST), self.location(MANIFEST), self.remedy)
-        except MissingError:
-            return None
-        except ShardError:
-            self.site.forget(MANIFEST)  # the next call asks the server again
-            raise
+    @property
+    def cache(self) -> Path:
+        return self._remote.folder / "shards"
 
-    def index(self, split: str, layout: Layout) -> ShardIndex:
-        manifest, name = self.manifest(), index_name(split)
-        if manifest is not None and split not in manifest.splits:
-            available = f"choose from {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
+    def manifest(self) -> Manifest:
+        if self._manifest is None:
+            self._manifest = self._cached(MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+        return self._manifest
+
+    def index(self, split: str) -> SplitIndex:
+        splits, name = self.manifest().splits, index_name(split)
+        if split not in splits or not splits[split].count:
+            available = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
             raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
+        record, location = splits[split], self.location(name)
+        if record.count > MOST_SAMPLES:
+            raise RemoteError(f"{self.location()}: {record.count} samples in a split, over the limit of {MOST_SAMPLES}")
+
+        def parse(content: bytes) -> SplitIndex:
+            if hashlib.sha256(content).hexdigest() != record.index_sha256:
+                raise RemoteError(f"{location}: received bytes do not match the published hash: {REPUBLISH}")
+            return SplitIndex.from_bytes(content, record, location, REPUBLISH)
+
         try:
-            content = self.site.small_file(name)
-            index = ShardIndex.parse(content, self.location(name), layout, partial=True, remedy=REPUBLISH)
-            self._require_listed(index, split, manifest)
+            return self._cached(name, 16 * record.count + (1 << 12), parse)
         except MissingError as error:
-            if manifest is not None or layout != GARMENTS:
-                raise RemoteError(f"{error}: {REPUBLISH}") from error
-            index = read_foreign_index(self.site, split)
-        except ShardError:
-            self.site.forget(name)  # its publisher may be replacing files just now
-            raise
-        first = 0
-        for shard, table in index.tables().items():
-            self._shards[shard] = _RemoteShard(self._key(shard, split, manifest), len(table), first, index)
-            first += len(table)
-        return index
+            raise MissingError(f"{error}: {REPUBLISH}") from error
 
-    def unfinished(self, split: str) -> str | None:
-        name = note_name(split)
+    def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
+        folder, kind = self.cache / shard.sha256, "views" if views else "tar"
+        size, sha256 = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
+        name = shard.name(split, views=views)
+        if not (folder / kind).exists():
+            self._require_allowed(name)
+            if not size:
+                raise ShardError(f"{self.location(name)}: these garments have no pictures: leave their fields out")
+            cache.make_room(self.cache, size, cache.size_in_bytes(self._remote.max_cache_size))
+            fetch(self.files, name, folder / kind, size, sha256, part=self.cache / f".{shard.sha256}.{kind}.part")
+        cache.touch(folder)
+        return folder / kind
 
-        def ask() -> bytes:
-            with contextlib.suppress(MissingError):
-                return self.site.web.get(name, LARGEST_MANIFEST)
-            return b""
-
-        with contextlib.suppress(RemoteError):  # without an answer
-            return unfinished_by(self.site.cached(name.removeprefix("."), ask), self.manifest() or Manifest(), split)
-        return None
-
-    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
-        return self.read_many([(shard, number, parts)])[0]
-
-    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> list[dict[int, memoryview]]:
-        content: dict[tuple[str, int], memoryview] = {}
-        requested: dict[str, dict[int, MemberLocation]] = {}
-        for shard, number, parts in wanted:
-            flags = requested.setdefault(shard, {})
-            flags |= {self._shards[shard].flag(number, part.column): part for part in parts}
-        jobs: list[Callable[[], dict[tuple[str, int], memoryview]]] = []
-        for shard, flags in requested.items():
-            cached = self._read_cache(shard, flags)
-            content |= {(shard, flag): data for flag, data in cached.items()}
-            missing = [part._replace(column=flag) for flag, part in flags.items() if flag not in cached]
-            missing.sort(key=lambda part: part.offset)
-            jobs += [partial(self._fetch, shard, run) for run in runs(missing, GAP)]
-        for fetched in _run_parallel(jobs):
-            content |= fetched
-        returned: set[tuple[str, int]] = set()
-        samples = []
-        for shard, number, parts in wanted:
-            keys = {part.column: (shard, self._shards[shard].flag(number, part.column)) for part in parts}
-            # A sample may be requested twice, and the caller owns each buffer.
-            samples.append({c: _copy(content[key]) if key in returned else content[key] for c, key in keys.items()})
-            returned.update(keys.values())
-        return samples
-
-    def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
-        remote_shard = self._shards[shard]
-        flag = remote_shard.flag(number, part.column)
-        if self._cache is not None:
-            self._cache.drop(remote_shard.key, remote_shard.count, flag, part.size)
-        return self._fetch(shard, [part._replace(column=flag)])[shard, flag]
-
-    def stream(self, shard: str) -> BinaryIO:
-        self.site.require_allowed(f"a stream of {shard}")
-        return io.BufferedReader(_Pieces(self.site.web.pieces(shard)), 1 << 20)
-
-    def _read_cache(self, shard: str, flags: dict[int, MemberLocation]) -> dict[int, memoryview]:
-        if self._cache is None:
-            return {}
-        remote_shard = self._shards[shard]
-        wanted = sorted(flags.items(), key=lambda entry: entry[1].offset)
-        return self._cache.read(remote_shard.key, remote_shard.count, wanted)
-
-    def _fetch(self, shard: str, run: Sequence[MemberLocation]) -> dict[tuple[str, int], memoryview]:
-        """Fetch neighbouring members by one range request and cache them; here ``column`` of a part is its flag.
-
-        Raises ``RemoteError`` with sample and member after two CRC-32 mismatches.
-        """
-        remote_shard = self._shards[shard]
-        self.site.require_allowed(f"{shard}, {remote_shard.name_of(run[0].column)}")
-        for part in run:
-            if part.size > LARGEST_MEMBER:
-                raise RemoteError(
-                    f"{self.location(shard)}: {remote_shard.name_of(part.column)}: has {part.size} bytes according to "
-                    f"its index, over the limit of {LARGEST_MEMBER} for servers: leave this field out, or tell its "
-                    "publisher"
-                )
-        wrong = None
-        for _ in range(2):
-            buffer = self.site.web.read(shard, run[0].offset, run[-1].end)
-            data = {part: buffer[part.offset - run[0].offset : part.end - run[0].offset] for part in run}
-            wrong = next((part for part, content in data.items() if zlib.crc32(content) != part.crc), None)
-            if wrong is None:
-                break
-        else:
-            assert wrong is not None
+    def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> bytes:
+        cached = self.cache / shard.sha256 / ("views" if views else "tar")
+        with contextlib.suppress(OSError), cached.open("rb") as file:
+            if len(content := os.pread(file.fileno(), end - start, start)) == end - start:
+                return content
+        name = shard.name(split, views=views)
+        self._require_allowed(name)
+        if end - start > LARGEST_SAMPLE:
             raise RemoteError(
-                f"{self.location(shard)}: {remote_shard.name_of(wrong.column)}: received bytes do not match the "
-                f"published CRC-32; none are kept: {self.remedy}"
+                f"{self.location(name)}: a sample of {end - start} bytes, over the limit of {LARGEST_SAMPLE}: tell its "
+                "publisher"
             )
-        if self._cache is not None:
-            pieces = [CachedMember(part.column, part.offset, content) for part, content in data.items()]
-            self._cache.keep(remote_shard.key, remote_shard.count, pieces)
-        return {(shard, part.column): content for part, content in data.items()}
+        return self.files.read(name, start, end, limit=LARGEST_SAMPLE)[0]
 
-    def _require_listed(self, index: ShardIndex, split: str, manifest: Manifest | None) -> None:
-        """Raise ``RemoteError`` unless index and manifest list the same shards."""
-        if manifest is None:
-            return
-        listed = {shard.name: (shard.size, shard.count) for shard in manifest.splits[split].shards}
-        counts = [len(table) for table in index.tables().values()]
-        found = dict(zip(index.shards, zip(index.length.tolist(), counts, strict=True), strict=True))
-        if found != listed:
-            odd = sorted(name for name, _ in listed.items() ^ found.items())[0]
-            raise RemoteError(f"{self.location()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
+    def parts(self, split: str, wanted: Sequence[tuple[ShardRecord, int, int, bool]]) -> Iterable[bytes]:
+        with ThreadPoolExecutor(REQUESTS) as pool:
+            for first in range(0, len(wanted), REQUESTS):  # not all at once: a stranger says how long samples are
+                some = wanted[first : first + REQUESTS]
+                yield from pool.map(lambda one: self.part(split, *one[:3], views=one[3]), some)
 
-    def _key(self, shard: str, split: str, manifest: Manifest | None) -> str:
-        """The cache key of a shard: its published hash, so that data sets and revisions share equal shards."""
-        records = manifest.splits[split].shards if manifest is not None else ()
-        known = {record.name: record.sha256 for record in records if SHA256.fullmatch(record.sha256)}
-        return known.get(shard) or hashlib.sha256(self.location(shard).encode()).hexdigest()
+    def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:
+        """Fetch whole tars of several shards into the cache, in parallel. Raises as ``path`` does."""
+        store = copy(self)
+        store.files = copy(self.files)  # stopped after an error
+        run_all(store.files, partial(store.path, split, views=views), shards)
+
+    def _parse_manifest(self, content: bytes) -> Manifest:
+        return parse_manifest(content, f"{self._asked}/{MANIFEST}", self.remedy)
+
+    def _look_up(self) -> str:
+        """The revision of a branch, tag or URL: the server's, else the last one seen."""
+        reference = self._folder / "refs" / safe_name(self._asked.revision if isinstance(self._asked, Repo) else "now")
+        files = self._remote.files(self._asked)
+        if reference.exists():
+            files.patience = 0.0  # there is a revision to read
+        try:
+            self._require_allowed(MANIFEST)
+            # The Hub names the commit in the answer.
+            self._manifest, content, headers = _read(files, MANIFEST, LARGEST_MANIFEST, self._parse_manifest)
+            revision = hashlib.sha256(content).hexdigest()
+            if isinstance(self._asked, Repo) and COMMIT.fullmatch(revision := headers.get("X-Repo-Commit", "")) is None:
+                raise RemoteError(f"{self._asked}: {ascii(revision)[:80]} is not a commit of the Hub: check endpoint")
+        except RefusedError:
+            raise
+        except MissingError as error:
+            raise MissingError(f"{error}; a data set becomes visible when its upload is complete") from error
+        except RemoteError as error:
+            with contextlib.suppress(OSError, ValueError):
+                if re.fullmatch(r"[0-9a-f]{40,64}", known := reference.read_text()):
+                    if self._remote.allowed:
+                        log.warning("%s; continuing with the cached revision %s", error, known)
+                    return known
+            raise
+        _write_cache(reference, revision.encode())
+        _write_cache(self._folder / revision / MANIFEST, content)
+        return revision
+
+    def _cached(self, name: str, limit: int, parse: Callable[[bytes], T]) -> T:
+        """A small file of this revision, from the cache; a missing or damaged one is fetched."""
+        path = self._folder / self.revision / name
+        with contextlib.suppress(OSError, ShardError):
+            return parse(path.read_bytes())
+        self._require_allowed(name)
+        parsed, content, _ = _read(self.files, name, limit, parse)
+        _write_cache(path, content)
+        return parsed
+
+    def _require_allowed(self, name: str) -> None:
+        """Raise ``RemoteError`` if servers may not be contacted; ``name``: the file that is missing in the cache."""
+        from huggingface_hub import constants
+
+        if not self._remote.allowed:
+            raise RemoteError(f"{self._asked}: {name} is not in the cache, and download=False: allow downloads")
+        if constants.HF_HUB_OFFLINE and isinstance(self._asked, Repo):
+            raise RemoteError(f"{self._asked}: {name} is not in the cache, and HF_HUB_OFFLINE is set: unset it")
 
 
-class _RemoteShard:
-    """One shard. Its members are numbered sample by sample; the number is the flag in the cache."""
-
-    def __init__(self, key: str, samples: int, first: int, index: ShardIndex) -> None:
-        self.key, self._first, self._index = key, first, index
-        self._members = len(index.layout.members)
-        self.count = samples * self._members
-
-    def flag(self, number: int, column: int) -> int:
-        return number * self._members + column
-
-    def name_of(self, flag: int) -> str:
-        """Sample and member of a flag, for messages."""
-        number, column = divmod(flag, self._members)
-        return f"sample {self._index.key(self._first + number)}, member {self._index.layout.members[column]}"
+def _read(files: Files, name: str, limit: int, parse: Callable[[bytes], T]) -> tuple[T, bytes, Mapping[str, str]]:
+    """A small file, parsed and as received, and the headers of the answer; a damaged one is asked for again once."""
+    content, headers = files.read(name, limit=limit)
+    try:
+        return parse(content), content, headers
+    except ShardError:
+        again, headers = files.read(name, limit=limit)
+        if again == content:
+            raise
+        return parse(again), again, headers
 
 
-class _Pieces(io.RawIOBase):
-    """A readable file over an iterator of bytes."""
+def run_all(files: Files, task: Callable[[T], object], shards: Iterable[T]) -> None:
+    """Run ``task`` for all shards, ``PARALLEL`` at a time; the first error stops the requests of ``files``."""
+    errors: list[GcdError] = []
 
-    def __init__(self, pieces: Iterator[bytes]) -> None:
-        self._pieces, self._rest = pieces, memoryview(b"")
+    def run(shard: T) -> None:
+        try:
+            if not errors:
+                task(shard)
+        except GcdError as error:
+            errors.append(error)
+            files.stopped = True  # before this thread takes the next shard
 
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        if not self._rest:
-            self._rest = memoryview(next(self._pieces, b""))
-        count = min(len(buffer), len(self._rest))
-        buffer[:count] = self._rest[:count]
-        self._rest = self._rest[count:]
-        return count
-
-
-def _copy(data: memoryview) -> memoryview:
-    return memoryview(bytearray(data))
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        try:
+            list(pool.map(run, shards))
+        except BaseException:
+            files.stopped = True
+            pool.shutdown(cancel_futures=True)
+            raise
+    if errors:
+        raise errors[0]
 
 
-def _run_parallel(jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
-    """The results of jobs in order; up to ``PARALLEL_REQUESTS`` run at a time."""
-    if len(jobs) < 2:
-        yield from (job() for job in jobs)
-        return
-    with ThreadPoolExecutor(min(PARALLEL_REQUESTS, len(jobs))) as pool:
-        yield from pool.map(lambda job: job(), jobs)
+def _write_cache(path: Path, content: bytes) -> None:
+    """Write a file of the cache; logs a warning where that fails."""
+    try:
+        make_folder(path.parent)
+        write_whole(path, content)
+    except OutputError as error:
+        log.warning("%s; continuing without caching", error)

@@ -8,19 +8,14 @@ Repo(name='org/garments', revision='v1.0')
 'https://example.org/garments'
 """
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import user_path
-from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
-
-__all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target", "slug"]
 
 MAIN = "main"
 WEB = ("http://", "https://")
@@ -46,18 +41,6 @@ class Url:
     """A folder of a web server, or a prefix in an object store."""
 
     url: str
-    revision: str = ""
-    """SHA-256 of its manifest; empty for the current one."""
-
-    @property
-    def is_web(self) -> bool:
-        """Whether this is a web server, not an object store."""
-        return self.url.startswith(WEB)
-
-    @property
-    def slug(self) -> str:
-        """Name of its cache folder."""
-        return slug(re.sub(r"[^\w.-]+", "-", self.url)[:80], self.url)
 
     def __str__(self) -> str:
         return self.url
@@ -80,10 +63,7 @@ class Repo:
         return f"hf://datasets/{self.name}@{self.revision}"
 
 
-Source: TypeAlias = Folder | Url | Repo
-
-
-def parse_source(source: str | Path, revision: str | None = None) -> Source:
+def parse_source(source: str | Path, revision: str | None = None) -> Folder | Url | Repo:
     """Parse a source. A local folder takes precedence over a repository of the same name.
 
     Raises ``ConfigError`` for anything else, and for a revision of a folder or URL.
@@ -93,20 +73,18 @@ def parse_source(source: str | Path, revision: str | None = None) -> Source:
     with reading(Path(source)):
         is_path = "://" not in str(source)
         is_folder, is_file = is_path and Path(source).is_dir(), is_path and Path(source).is_file()
-    if is_folder:
-        return _without_revision(Folder(Path(source)), revision)
     text = str(source)
+    found: Folder | Url | None = Folder(Path(source)) if is_folder else None
     if is_file:
-        raise ConfigError(
-            f"{shown(text)}: a file, not a folder of shards: give a folder; Hdf5Garments reads HDF5 files"
-        )
+        raise ConfigError(f"{shown(text)}: a file, not a folder of shards; Hdf5Garments reads HDF5 files")
     if text.startswith(LOCAL):
         return parse_source(Path(unquote(urlsplit(text).path)), revision)
-    if text.startswith(WEB) and text.isprintable():
-        _require_address(text)
-        return _without_revision(Url(text.rstrip("/")), revision)
-    if _is_store_url(text):
-        return _without_revision(Url(text.rstrip("/")), revision)
+    if found is None and _is_url(text):
+        found = Url(text.rstrip("/"))
+    if found is not None and revision is not None:
+        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, not for {found}: leave it out")
+    if found is not None:
+        return found
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:
         raise ConfigError(
@@ -121,46 +99,23 @@ def parse_source(source: str | Path, revision: str | None = None) -> Source:
     return Repo(match["name"], wanted)
 
 
-def parse_target(out: str | Path) -> Folder | Url:
-    """Parse the output of a run: a folder, which need not exist, or the URL of a store. Raises ``ConfigError``."""
-    text = str(out)
-    if text.startswith(LOCAL):
-        return Folder(Path(unquote(urlsplit(text).path)))
-    if _is_store_url(text):
-        return Url(text.rstrip("/"))
-    if "://" in text:
-        raise ConfigError(f"{shown(text)}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX")
-    return Folder(user_path(out))
+def _is_url(text: str) -> bool:
+    """Whether this is the URL of a web server or an object store; not for ``a::b://c``, which invokes other protocols.
 
-
-def slug(name: str, address: str) -> str:
-    """A folder name: ``name`` with a hash of the address, so that equal names at other addresses differ."""
-    return safe_name(f"{name}-{hashlib.sha256(address.encode()).hexdigest()[:8]}")
-
-
-def _without_revision(source: Folder | Url, revision: str | None) -> Folder | Url:
-    """``source``. Raises ``ConfigError`` if a revision is given."""
-    if revision is not None:
-        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, not for {source}: leave it out")
-    return source
-
-
-def _is_store_url(text: str) -> bool:
-    """Whether this is the URL of an object store; not for chained URLs, ``a::b://c``: they invoke other protocols."""
-    from gcd_dataset.hub.objects import is_store
-
-    match = STORE.fullmatch(text)
-    if match is None or text.startswith((*WEB, "hf://")) or "::" in text or not text.isprintable():
+    Raises ``ConfigError`` for a web server without a valid host and port.
+    """
+    if not text.isprintable():
         return False
-    return is_store(match["protocol"])
+    if not text.startswith(WEB):
+        import fsspec
 
-
-def _require_address(url: str) -> None:
-    """Raise ``ConfigError`` for a URL without a valid host and port."""
+        match = STORE.fullmatch(text)
+        is_store = match is not None and match["protocol"] in fsspec.available_protocols()
+        return is_store and "::" not in text and not text.startswith("hf://")
     try:
-        parts = urlsplit(url)
-        is_address = bool(parts.hostname) and " " not in parts.netloc and parts.port != 0
+        parts = urlsplit(text)
+        if parts.hostname and " " not in parts.netloc and parts.port != 0:
+            return True
     except ValueError:  # brackets that do not close, a port beyond 65535
-        is_address = False
-    if not is_address:
-        raise ConfigError(f"{shown(url)}: not a server address: check host and port")
+        pass
+    raise ConfigError(f"{shown(text)}: not a server address: check host and port")

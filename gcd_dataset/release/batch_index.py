@@ -5,12 +5,12 @@ import logging
 from pathlib import Path
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.filekinds import find_batches, is_batch
 from gcd_dataset.files import user_path
 from gcd_dataset.release.garment_folder import GarmentFiles, open_batch
 from gcd_dataset.release.properties import Properties, read_properties
 from gcd_dataset.release.published_names import SPLIT_FILE, batch_order, body_folders, properties_name
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.published import find_batches, is_batch
 
 __all__ = ["PublishedBatches"]
 

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 
 from gcd_dataset.errors import ConfigError, did_you_mean
-from gcd_dataset.shards.published import BODY_FOLDERS
+from gcd_dataset.filekinds import BODY_FOLDERS
 
 __all__ = [
     "BODY_FOLDERS",

@@ -1,4 +1,4 @@
-"""Data sets on disk: tars of plain arrays, JSON and pictures, with an index for random access.
+"""Data sets on disk: tars of compact members, JSON and pictures, with an index for random access.
 
 The same tars are read by ``webdataset`` and by ``datasets.load_dataset("webdataset", …)``.
 """
@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 from gcd_dataset.lazy import lazy_names
 from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
-from gcd_dataset.shards.contents import read_index, rebuild_index
-from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA, Layout
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
-from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.manifest import Manifest, Plan, ShardRecord, SplitRecord, read_manifest
 
 if TYPE_CHECKING:
     from gcd_dataset.shards.body_set import BodyWriter
+    from gcd_dataset.shards.reader import ShardReader
     from gcd_dataset.shards.writer import ShardWriter
 
 __all__ = [
@@ -26,19 +25,18 @@ __all__ = [
     "BodyWriter",
     "Layout",
     "Manifest",
-    "ShardIndex",
+    "Plan",
     "ShardReader",
     "ShardRecord",
     "ShardWriter",
+    "SplitIndex",
     "SplitRecord",
     "decode_fields",
     "decode_sample",
     "encode_sample",
-    "read_index",
     "read_manifest",
-    "rebuild_index",
 ]
 
-_NAMES_OF_MODULE = {"body_set": ("BodyWriter",), "writer": ("ShardWriter",)}
+_NAMES_OF_MODULE = {"body_set": ("BodyWriter",), "reader": ("ShardReader",), "writer": ("ShardWriter",)}
 
 __getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

@@ -3,14 +3,13 @@
 import contextlib
 import errno
 import fcntl
+import mmap
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import open_regular
-
-__all__ = ["REMEDY", "locked", "read_file", "read_limited", "reading", "writing"]
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
 """Remedy for a damaged shard: the next writer makes the missing samples again."""
@@ -33,19 +32,21 @@ class reading:  # noqa: N801 -- a context manager, named as functions are
             raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_remedy(error)}") from error
 
 
-def read_file(path: Path) -> bytes:
-    """The content of a file. Raises ``ShardError``."""
-    with reading(path), open_regular(path) as file:
-        return file.read()
-
-
-def read_limited(path: Path, limit: int) -> bytes:
-    """The content of a file. Raises ``ShardError`` for more than ``limit`` bytes, before any is read."""
+def read_file(path: Path, limit: int | None = None) -> bytes:
+    """The content of a file. Raises ``ShardError``, for more than ``limit`` bytes before any is read."""
     with reading(path), open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        if size > limit:
+        if limit is not None and size > limit:
             raise ShardError(f"{path}: {size} bytes, over the limit of {limit}: {REMEDY}")
         return file.read()
+
+
+def mapped(path: Path) -> memoryview:
+    """The content of a file that no process changes, mapped. Raises ``ShardError``."""
+    with reading(path), open_regular(path) as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def _remedy(error: OSError) -> str:
@@ -63,8 +64,9 @@ def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        is_link = error.errno == errno.ELOOP
-        remedy = "remove this link" if is_link else "make room there and start again to continue"
+        locked_out = error.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+        remedy = "make it writable" if locked_out else "make room there"
+        remedy = "remove this link" if error.errno == errno.ELOOP else f"{remedy} and start again to continue"
         raise OutputError(f"{path}: cannot be written ({error.strerror}){note}: {remedy}") from error
 
 
@@ -73,41 +75,56 @@ def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
     """Hold an ``flock`` on the file ``path`` during the block. The file is removed at the end; a kill frees the lock.
 
     ``task``: the work under the lock, for messages. Raises ``OutputError`` where another process holds the lock, unless
-    ``wait``; for a folder that cannot be written; on a file system without locks.
+    ``wait`` (caused by ``BlockingIOError``); for a folder that cannot be written; on a file system without locks.
     """
-    file, owner = _lock(path, task, wait), os.getpid()
+    file, owner = lock_file(path, wait=wait), os.getpid()
+    if file is None:
+        raise OutputError(
+            f"{path.parent}: another process is {task}, or a writer in this process was not closed: wait for it, or "
+            "choose another folder"
+        ) from BlockingIOError(path)
     try:
         yield
     finally:
         if os.getpid() == owner:  # not in a forked child, which shares the lock
             with contextlib.suppress(OSError):
                 path.unlink()
-            # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
-            fcntl.flock(file, fcntl.LOCK_UN)
-        os.close(file)
+            unlock(file)
+        else:
+            os.close(file)
 
 
-def _lock(path: Path, task: str, wait: bool) -> int:
-    """The locked file's descriptor."""
+def lock_file(path: Path, *, wait: bool) -> int | None:
+    """The descriptor of a locked file, created if missing; ``None`` if another process holds the lock, unless ``wait``.
+
+    Raises ``OutputError`` for a folder that cannot be written, and on a file system without locks.
+    """
     while True:
         file = _open(path)
         try:
             fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(file).st_nlink:
-                return file
-        except BlockingIOError as error:
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file), path.stat()):
+                    return file
+        except BlockingIOError:
             os.close(file)
-            raise OutputError(
-                f"{path.parent}: another process is {task}, or a writer in this process was not closed: wait for it, "
-                "or choose another folder"
-            ) from error
+            return None
         except OSError as error:
             os.close(file)
             raise OutputError(
                 f"{path}: cannot be locked ({error.strerror}): mount this file system with locks (Lustre: -o flock), "
                 "or write to a local disk and copy the folder"
             ) from error
-        os.close(file)  # the last holder has just unlinked this file: lock the new file of that name
+        except BaseException:  # Ctrl-C while waiting
+            os.close(file)
+            raise
+        os.close(file)  # its last holder has renamed or removed it: lock the new file of that name
+
+
+def unlock(file: int) -> None:
+    """Release the lock of a descriptor, and close it."""
+    fcntl.flock(file, fcntl.LOCK_UN)  # a child forked meanwhile has the file open too, and would keep the lock
+    os.close(file)
 
 
 def _open(path: Path) -> int:

@@ -6,22 +6,21 @@
                    ``gcd_dataset.shards.meta``
 ``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file; -1.0 for
                    a missing measure
-``body.npy``       f64 [k]: weights of the body's shape components [standard deviations]
-``straight.npy``   f32 [v, 3]: vertex positions with the legs straight [cm]
-``apart.npy``      f32 [v, 3]: the same vertices with the legs apart
+``person.z``       sections ``shape``, f8 [k]: weights of the body's shape components [standard deviations];
+                   ``straight`` and ``apart``, [v, 3]: vertex positions with the legs straight, and apart [cm]
 =================  =====================================================================================================
 
-``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and body parts, u8 [v], or u8 [0] without a segmentation. Its hash is
-part of the recipe, so a set cannot be continued on another mesh.
+Positions are multiples of 2⁻⁹ cm, float32: those of a person are stored within 1e-3 cm. ``mesh-train.z`` has the
+sections ``faces`` [f, 3] and ``parts``, u1 [v], or u1 [0] without a segmentation. Its hash is part of the recipe, so a
+set cannot be continued on another mesh.
 
-Vertices are stored (600 kB per person): reading them takes 0.3 ms. Rebuilding them from the weights takes 8 ms of CPU
-time and needs the body model of the version that wrote the shards.
+Vertices are stored: rebuilding them from the weights takes 8 ms of CPU time, and needs the body model of the version
+that wrote the shards.
 """
 
-import contextlib
-import io
+import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -32,38 +31,30 @@ from gcd_dataset import __version__
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
-from gcd_dataset.records import BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, read_limited, reading
-from gcd_dataset.shards.arrays import Column, read_arrays
+from gcd_dataset.records import POSITION_STEP, BodyShape, Measurements
+from gcd_dataset.shards.access import REMEDY, read_file
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
-from gcd_dataset.shards.meta import read_meta, write_meta
-from gcd_dataset.shards.npy import read_npy, write_npy
-from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
-
-__all__ = ["MEMBER_OF", "BodyWriter", "decode_body_fields", "decode_person", "encode_person", "read_set_mesh"]
+from gcd_dataset.shards.meta import json_text, read_meta, sealed
+from gcd_dataset.shards.sections import Coding, pack, unpack
+from gcd_dataset.shards.writer import ShardWriter
 
 MEMBER_OF: Mapping[str, str] = {
-    "name": "meta.json",
-    "arm_angle": "meta.json",
-    "measures": "measures.json",
-    "shape": "body.npy",
-    "straight": "straight.npy",
-    "apart": "apart.npy",
-}
+    "name": "meta.json", "arm_angle": "meta.json", "measures": "measures.json"
+} | dict.fromkeys(("shape", *POSES), "person.z")  # fmt: skip
 """Field of a loaded person to the member it comes from."""
-JSON_READERS = {"meta.json": read_meta, "measures.json": read_measures}
+READERS: Mapping[str, Callable[[Bytes], Any]] = {
+    "meta.json": read_meta, "measures.json": read_measures, "person.z": unpack
+}  # fmt: skip
+POSITION = Coding(2, step=round(math.log2(POSITION_STEP)))
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
 
 
 class BodyWriter:
-    """Writes the people of one split, all on one mesh, into a folder; used like ``ShardWriter``.
-
-    Raises as ``ShardWriter`` does, and ``ConfigError`` for a folder of people on another mesh.
-    """
+    """Writes the people of a new split, all on one mesh, into a folder; used like ``ShardWriter``."""
 
     def __init__(
         self,
@@ -74,34 +65,28 @@ class BodyWriter:
         seed: int,
         recipe: Mapping[str, Any],
         versions: Mapping[str, str] | None = None,
-        shard_size: int = SHARD_SIZE,
+        count: int | None = None,
+        shard_size: int | None = None,
     ) -> None:
-        self._mesh, self._recipe = mesh, {**recipe, "mesh": mesh.sha256}
+        self._path, self._mesh, self._recipe = Path(folder) / mesh_name(split), mesh, {**recipe, "mesh": mesh.sha256}
         self._origin = {"seed": seed, "versions": {"gcd_dataset": __version__, **(versions or {})}}
-        with contextlib.ExitStack() as on_error:
-            self._shards = on_error.enter_context(
-                ShardWriter(folder, split=split, seed=seed, recipe=self._recipe, shard_size=shard_size, layout=BODIES)
-            )
-            _write_mesh(Path(folder) / mesh_name(split), mesh)
-            on_error.pop_all()
-
-    @property
-    def done(self) -> frozenset[int]:
-        """Indices of the people on disk."""
-        return self._shards.done
+        self._shards = ShardWriter(
+            folder, split=split, seed=seed, recipe=self._recipe, count=count, shard_size=shard_size, layout=BODIES
+        )
 
     def write(self, index: int, person: Person) -> None:
         """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
         for pose in POSES:
-            if len(getattr(person, pose)) != self._mesh.n_vertices:
+            if (count := len(getattr(person, pose))) != self._mesh.n_vertices:
                 raise ShardError(
-                    f"person {person.name} cannot be stored: {len(getattr(person, pose))} vertices in pose {pose}, "
-                    f"but the mesh of this set has {self._mesh.n_vertices}"
+                    f"person {person.name} cannot be stored: {count} vertices in pose {pose}, but the mesh of this set "
+                    f"has {self._mesh.n_vertices}"
                 )
         self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
 
     def close(self) -> None:
-        """Finish the open shards and write the index. Raises ``OutputError``."""
+        """Write the mesh, finish the shards, and write manifest and index. Raises ``OutputError``."""
+        write_whole(self._path, mesh_bytes(self._mesh))
         self._shards.close()
 
     def __enter__(self) -> Self:
@@ -110,7 +95,10 @@ class BodyWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._shards.__exit__(kind, error, trace)
+        if kind is None:
+            self.close()
+        else:
+            self._shards.__exit__(kind, error, trace)
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
@@ -124,36 +112,34 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
             "schema": SCHEMA,
             "key": key_of(origin["index"]),
             **origin,
+            "versions": json_text(origin["versions"]),
+            "recipe": json_text(origin["recipe"]),
             "recipe_sha256": recipe_hash(origin["recipe"]),
             "name": person.name,
             "arm_angle": float(person.shape.arm_angle),
             "crc32": {member: zlib.crc32(data) for member, data in content.items()},
         }
-        return {"meta.json": write_meta(meta), **content}
+        return {"meta.json": sealed(meta), **content}
     except (ShardError, ValueError) as error:
         raise ShardError(f"person {person.name} cannot be stored: {error}") from error
 
 
 def _content(person: Person) -> dict[str, bytes]:
     """All members except ``meta.json``."""
-    arrays = {"body": np.asarray(person.shape.weights, float)}
-    arrays |= {pose: np.asarray(getattr(person, pose), np.float32) for pose in POSES}
+    arrays = {"shape": np.asarray(person.shape.weights, float)} | {pose: getattr(person, pose) for pose in POSES}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise ShardError(f"{name} holds NaN or infinity")
-    content = {f"{name}.npy": write_npy(array) for name, array in arrays.items()}
-    return {"measures.json": measures_json(person.measurements), **content}
+    return {
+        "measures.json": measures_json(person.measurements),
+        "person.z": pack(arrays, dict.fromkeys(POSES, POSITION)),
+    }
 
 
-def _write_mesh(path: Path, mesh: BodyMesh) -> None:
-    """Write the mesh to ``path`` unless the file holds it already. Raises ``OutputError``."""
-    file = io.BytesIO()
-    faces = np.asarray(mesh.faces, np.uint16 if mesh.n_vertices <= 1 << 16 else np.uint32)
-    np.savez(file, faces=faces, parts=np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts)
-    with reading(path):
-        before = path.read_bytes() if path.exists() else b""
-    if before != file.getvalue():
-        write_whole(path, file.getvalue())
+def mesh_bytes(mesh: BodyMesh) -> bytes:
+    """The content of the file ``mesh_name``."""
+    parts = np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts
+    return pack({"faces": np.asarray(mesh.faces), "parts": parts}, {"faces": Coding(1)})
 
 
 # -------------------------------------------------------------------------------------------------------------- reading
@@ -166,7 +152,7 @@ def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> d
     """
     found = {member: _decoded(member, members[member]) for member in {MEMBER_OF[field] for field in fields}}
     values = {field: found[MEMBER_OF[field]] for field in fields}
-    for field in values.keys() & {"name", "arm_angle"}:
+    for field in values.keys() - {"measures"}:
         values[field] = values[field][field]
     if "measures" in values:
         values["measures"] = measure_row(Measurements.from_file_values(values["measures"]))
@@ -189,9 +175,9 @@ def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
     """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or where its hash is not ``sha256``."""
     path = folder / mesh_name(split)
     try:
-        file = read_arrays(read_limited(path, LARGEST_SAMPLE), {"faces": Column("iu", 2), "parts": Column("u", 1)})
-        faces, parts = file["faces"].astype(np.int32), file["parts"].astype(np.uint8)
-        mesh = BodyMesh(faces, parts if len(parts) else None)
+        sections = unpack(read_file(path, LARGEST_SAMPLE))
+        _require_forms(sections, {"faces": ("i4", (3,)), "parts": ("u1", ())})
+        mesh = BodyMesh(sections["faces"], sections["parts"] if len(sections["parts"]) else None)
     except (ShardError, ValueError) as error:
         if str(error).startswith(str(path)):
             raise
@@ -203,6 +189,18 @@ def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
 
 def _decoded(member: str, data: Bytes) -> Any:
     try:
-        return JSON_READERS[member](data) if member in JSON_READERS else read_npy(data)
+        value = READERS[member](data)
+        if member == "person.z":
+            _require_forms(value, {"shape": ("f8", ()), "straight": ("f4", (3,)), "apart": ("f4", (3,))})
+        return value
     except ShardError as error:
         raise ShardError(f"member {member}: {error}: {REMEDY}") from error
+
+
+def _require_forms(sections: Mapping[str, np.ndarray], forms: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
+    """Raise ``ShardError`` unless every section has its type and the shape of its rows."""
+    for name, (kind, row) in forms.items():
+        if name not in sections:
+            raise ShardError(f"section {name} is missing")
+        if (array := sections[name]).dtype != kind or array.shape[1:] != row:
+            raise ShardError(f"section {name}: {array.dtype} of shape {array.shape}, expected {kind}, rows {row}")

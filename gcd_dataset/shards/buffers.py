@@ -10,53 +10,55 @@ garment into it 0.2 ms.
 True
 """
 
-import ctypes
-import weakref
+import sys
 from collections import defaultdict
 
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["read_buffer"]
-
 SMALL = 1 << 16  # bytes: smaller allocations usually reuse touched pages anyway
-MOST_FREE = 1 << 26  # bytes of free buffers kept, of each size
+MOST_KEPT = 1 << 26  # bytes of buffers kept, of each size
+MOST_TRIED = 16  # buffers of a size that are looked at
+
+_kept: dict[int, list[np.ndarray]] = defaultdict(list)
+"""Buffers by size, the one lent last at the end. Views of an array refer to the array that owns the memory."""
 
 
-class _Pool:
-    """Free buffers by size. Safe for threads and forks."""
-
-    def __init__(self) -> None:
-        self._free: dict[int, list[np.ndarray]] = defaultdict(list)
-        # Cached: making a ctypes type takes longer than reading a garment.
-        self._kinds: dict[int, type[ctypes.Array]] = {}
-        self._lent: dict[int, tuple[weakref.ref, np.ndarray]] = {}
-
-    def lend(self, size: int) -> ctypes.Array:
-        """A buffer; its memory returns to the pool with the last array made from it."""
-        try:
-            memory = self._free[size].pop()
-        except IndexError:
-            memory = np.empty(size, np.uint8)
-        kind = self._kinds.get(size) or self._kinds.setdefault(size, ctypes.c_uint8 * size)
-        # Lend a ctypes array: views of a NumPy array refer to its base, so they would keep no wrapper array alive.
-        buffer = kind.from_buffer(memory.data)
-        key = id(memory)
-        self._lent[key] = weakref.ref(buffer, lambda _: self._take_back(key)), memory
-        return buffer
-
-    def _take_back(self, key: int) -> None:
-        _, memory = self._lent.pop(key)
-        free = self._free[memory.size]
-        if (len(free) + 1) * memory.size <= MOST_FREE:
-            free.append(memory)
+def _references(kept: list[np.ndarray]) -> int:
+    """References to the last buffer, taken out as in ``_unused``; their number differs between versions of Python."""
+    memory = kept.pop()
+    return sys.getrefcount(memory)
 
 
-_pool = _Pool()
+UNUSED = _references([np.empty(0, np.uint8)])
+"""References to a buffer that no array views."""
 
 
 def read_buffer(size: int) -> UInt8[np.ndarray, " size"]:
-    """An uninitialised array of ``size`` bytes, from the pool unless it is small."""
+    """An uninitialised array of ``size`` bytes, from the pool unless it is small. Safe for threads and forks."""
     if size < SMALL:
         return np.empty(size, np.uint8)
-    return np.frombuffer(memoryview(_pool.lend(1 << (size - 1).bit_length())), np.uint8, size)
+    room = 1 << (size - 1).bit_length()
+    kept = _kept[room]
+    memory = _unused(kept)
+    if memory is None:
+        memory = np.empty(room, np.uint8)
+    if (len(kept) + 1) * room <= MOST_KEPT:
+        kept.append(memory)
+    return memory[:size]
+
+
+def _unused(kept: list[np.ndarray]) -> np.ndarray | None:
+    """Take out the buffer lent last among those that no array views."""
+    used: list[np.ndarray] = []
+    try:
+        while len(used) < MOST_TRIED:
+            memory = kept.pop()  # no other thread sees it meanwhile
+            if sys.getrefcount(memory) == UNUSED:
+                return memory
+            used.append(memory)
+    except IndexError:
+        pass
+    finally:
+        kept.extend(reversed(used))
+    return None

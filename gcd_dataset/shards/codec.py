@@ -8,39 +8,31 @@
 ``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
 ``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
                      measurement file; -1.0 for a missing measure, omitted from items
-``panels.npy`` …     arrays, one row per panel, edge, seam, vertex, …: ``gcd_dataset.loaders.GarmentFields`` describes
-``verts.npy``        them; f64 for panels and edges, f32 for other floats, ids for rows of other arrays
-``points.npy``       i16 [n, 6]: surface points relative to their centroid, and normals; ``meta.json`` holds scale and
-                     centre; -32768 for missing points of a diverged drape. Items hold f32 points in cm
-``front.jpg``        pictures; one grey pixel if none was rendered
-``back.jpg``
-``caption.txt``      the garment in English, three lines: short, medium } optional: in every sample of a data set,
-                     and full caption, see ``gcd_dataset.captions``     }
-``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none
-``view_K.json``      its camera, light, place and materials             }
+``caption.txt``      optional: the garment in English, three lines: short, medium and full, see ``gcd_dataset.captions``
+``pattern.z``        panels, edges (f64), stitches (i32), body (f32)
+``mesh.z``           faces_of, rows_of: faces and rows of ``uv`` of each panel; corners, uv, uv_vertex, labels, seams
+``verts.z``          verts
+``points.z``         xyz and normals of surface points, in the order of the faces
+``front.jpg``        pictures of a drape, unless ``picture`` is 0; one grey pixel if none could be rendered. In a tar of
+``back.jpg``         their own, see ``layout``
+``view_K.jpg``       a picture from any side, K = 0, 1, …               } optional: in every sample of a data set,
+``view_K.json``      its camera, light, place and materials             } or in none
 ===================  ===================================================================================================
 
-``view_K.json`` of ``gcd generate --views`` has the same keys and types in every sample: ``camera`` with ``k`` (3 x 3,
-pixels), ``rt`` (3 x 4, world to camera, cm), ``focal_mm`` (as on 35 mm film), ``size`` (pixels) and ``convention``;
-``light``, ``place`` and ``appearance``: see ``generator.views.view_facts``. The fields ``views``, ``camera_k`` and
-``camera_rt`` join all views of a sample. A diverged drape has one grey pixel and cameras of zeros.
-
-An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
-loaded fields hold ids as int32. Readers that infer types from the first samples need the same type in the whole data
-set. The types of ids differ only in a data set in which some garments, but not all, exceed 65 536 vertices or 256
-panels.
-
-Samples of schema 1 are decoded too: there specification and design were ``.json`` members, ``measures.json`` held only
-the measures taken, and ``points.npy`` was f16 in cm.
+``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``), one row per panel, edge, seam, vertex,
+…: ``gcd_dataset.loaders.GarmentFields`` describes them, docs/format.md the members and how ``faces``, ``panel_id``,
+``box`` and the order of ``points`` follow from the stored sections. A mesh in which they do not follow has the sections
+``faces``, ``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``,
+normals as octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
+import io
 import math
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -49,6 +41,8 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
 from gcd_dataset.records import (
     MEASURES,
+    POSITION_STEP,
+    UV_STEP,
     BodyShape,
     BoxMesh,
     Drape,
@@ -58,15 +52,15 @@ from gcd_dataset.records import (
     Outcome,
     Pattern,
     Provenance,
+    Rejected,
     Sample,
     Strain,
     View,
+    as_stored,
 )
-from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.layout import (
+    ARRAYS,
     CAPTION,
-    FIELDS,
-    FIRST_NAMES,
     JOINT,
     MEMBERS,
     MOST_VIEWS,
@@ -74,36 +68,35 @@ from gcd_dataset.shards.layout import (
     Bytes,
     fields_of,
     joint_fields,
-    member_content,
+    member_of,
+    members_of,
     recipe_hash,
     select_fields,
 )
+from gcd_dataset.shards.limits import LARGEST_SAMPLE, MOST_PIXELS
 from gcd_dataset.shards.meta import (
-    NO_QUANTIZATION,
-    Quantization,
-    decode_json,
+    COUNTS,
+    NO_DRAPE,
+    NO_FABRIC,
+    NO_POSE,
+    NO_REDRAW,
+    NO_REJECT,
+    NO_STRAIN,
+    STRETCHES,
+    decode_object,
     json_bytes,
+    json_text,
     read_meta,
-    read_quantization,
-    write_meta,
+    read_rejects,
+    reject_entry,
+    sealed,
 )
-from gcd_dataset.shards.npy import read_npy, write_npy
-from gcd_dataset.shards.picture import opened_picture
+from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, StitchColumn, encode_pattern
 
-__all__ = [
-    "NO_PICTURE",
-    "decode_field",
-    "decode_fields",
-    "decode_json",
-    "decode_sample",
-    "encode_partial_sample",
-    "encode_sample",
-    "measures_json",
-    "read_measures",
-    "read_meta",
-]
+if TYPE_CHECKING:
+    from PIL import ImageFile
 
 NO_PICTURE = (
     bytes.fromhex("ffd8ffe000104a46494600010100000100010000ffdb004300")
@@ -114,7 +107,7 @@ NO_PICTURE = (
 """A grey JPEG of one pixel: other readers decode every picture, and cannot decode an empty member."""
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
-"""Fields that hold row numbers."""
+"""Fields that hold row numbers, int32."""
 
 WIDTHS: Mapping[str, tuple[int, ...]] = {
     "panels": (len(PanelColumn),), "edges": (len(EdgeColumn),), "stitches": (len(StitchColumn),), "body": (),
@@ -123,10 +116,31 @@ WIDTHS: Mapping[str, tuple[int, ...]] = {
 }  # fmt: skip
 """Field to the shape of one row of its array."""
 
+SECTIONS: Mapping[str, tuple[str, ...]] = {
+    **{field: (field,) for field in WIDTHS},
+    "faces": ("faces", "corners", "uv_vertex"),
+    "panel_id": ("panel_id", "faces_of"),
+    "box": ("box", "uv", "uv_vertex", "rows_of", "panels"),
+    "points": ("points", "xyz", "normals"),
+}
+"""Field to the sections of ``.z`` members that it is decoded from."""
+
+NORMAL_STEPS = 511  # of an octahedral coordinate, from 0 to 1
+POSITION_POWER, UV_POWER = round(math.log2(POSITION_STEP)), round(math.log2(UV_STEP))
+POSITION = Coding(2, POSITION_POWER)
+MESH_CODINGS = {"corners": Coding(3), "uv": Coding(1, UV_POWER), "box": Coding(1, POSITION_POWER)} | dict.fromkeys(
+    ("uv_vertex", "labels", "seams", "faces", "panel_id"), Coding(1)
+)
+QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
+CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
+LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
+STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
+
+TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION}
+"""The members that are text."""
+
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
-
-INT16_MAX, UNDEFINED = 32767, -32768
 
 
 # ------------------------------------------------------------------------------------------------------------- encoding
@@ -140,17 +154,16 @@ def encode_sample(sample: Sample) -> dict[str, bytes]:
     """
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        content, quantization = _content(sample, tensor)
+        content = _content(sample, tensor)
         crc = {member: zlib.crc32(data) for member, data in content.items()}
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor, quantization) | {"crc32": crc}), **content}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor) | {"crc32": crc}), **content}
 
 
 def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
     """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        content, quantization = _content(sample, tensor)
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor, quantization)), **content}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor)), **_content(sample, tensor)}
 
 
 @contextlib.contextmanager
@@ -161,10 +174,12 @@ def _storing(sample: Sample) -> Iterator[None]:
         raise ShardError(f"sample {sample.key} cannot be stored: {error}") from error
 
 
-def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], Quantization]:
-    """All members except ``meta.json``, in file order, and the quantization of the points."""
-    points, quantization = _points(sample.points)
-    pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
+def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
+    """All members except ``meta.json``, in file order."""
+    pictures, recipe = {}, sample.provenance.recipe
+    is_draped = sample.drape is not None or recipe.get("stage") == "drape"
+    if sample.front or sample.back or (is_draped and recipe.get("picture", 1)):
+        pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
     views = {
         name: data
         for number, view in enumerate(sample.views)
@@ -173,8 +188,7 @@ def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], Q
             (f"view_{number}.json", json_bytes(dict(view.facts))),
         )
     }
-    content = {**_texts(sample), **_arrays(sample, tensor), "points.npy": points, **pictures, **views}
-    return content, quantization
+    return {**_texts(sample), **_arrays(sample, tensor), **pictures, **views}
 
 
 def _texts(sample: Sample) -> dict[str, bytes]:
@@ -192,83 +206,109 @@ def measures_json(measurements: Measurements) -> bytes:
 
 
 def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
-    """The members of all arrays except the points."""
-    mesh = sample.box_mesh
+    """The ``.z`` members."""
+    mesh, drape = sample.box_mesh, sample.drape
     if mesh is not None and mesh.panel_names != tensor.panel_names:
         raise ShardError("its mesh and its pattern have different panels")
-    arrays: dict[str, np.ndarray] = {
+    pattern = {
         "panels": tensor.panels,
         "edges": tensor.edges,
         "stitches": np.asarray(tensor.stitches, np.int32),
-        "body": _floats(None if sample.shape is None else sample.shape.weights, 0),
-        **(_no_mesh() if mesh is None else _mesh_arrays(mesh, tensor.edge_labels)),
-        "verts": _floats(None if sample.drape is None else sample.drape.vertices, 0, 3),
+        "body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32),
     }
-    return {FIELDS[field]: write_npy(array) for field, array in arrays.items()}
-
-
-def _points(points: Float32[np.ndarray, "n 6"] | None) -> tuple[bytes, Quantization]:
-    """The member ``points.npy``, and its quantization."""
-    if points is None or not len(points):
-        return write_npy(np.zeros((0, 6), np.int16)), NO_QUANTIZATION
-    points = np.asarray(points, float)
-    is_whole = np.isfinite(points).all(axis=1)
-    quantization = _quantization(points[is_whole, :3])
-    stored = np.full(points.shape, UNDEFINED, np.int16)
-    position = (points[is_whole, :3] - quantization.centre) / quantization.scale
-    normal = np.clip(points[is_whole, 3:] / quantization.normal, -INT16_MAX, INT16_MAX)
-    stored[is_whole] = np.rint(np.concatenate([position, normal], axis=1))
-    return write_npy(stored), quantization
-
-
-def _quantization(positions: Float32[np.ndarray, "n 3"]) -> Quantization:
-    """Centroid and step of the points. The step is a power of two, so that decoding multiplies without rounding."""
-    centre = np.rint(positions.mean(axis=0)) if len(positions) else np.zeros(3)
-    reach = max(float(np.abs(positions - centre).max(initial=0.0)), 1e-3)
-    x, y, z = centre.tolist()
-    return Quantization(2.0 ** math.ceil(math.log2(reach / INT16_MAX)), 1 / INT16_MAX, (x, y, z))
-
-
-def _mesh_arrays(mesh: BoxMesh, edge_labels: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of a box mesh in their stored types. Raises ``ValueError`` for a label that no edge has."""
-    vertices, corners = len(mesh.vertices), len(mesh.uv)
-    labelled = [
-        np.stack([ids, np.full(len(ids), edge_labels.index(label))], axis=1) for label, ids in mesh.labels.items()
-    ]
+    vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
     return {
-        "faces": _ids(mesh.faces, vertices, "faces"),
-        "uv": _floats(mesh.uv, 0, 2),
-        "panel_id": _ids(mesh.panel_id, len(mesh.panel_names), "panel_id", smallest=1),
-        "labels": _ids(np.concatenate([np.zeros((0, 2), int), *labelled]), vertices, "labels"),
-        "seams": _ids(mesh.seams, vertices, "seams"),
-        "corners": _ids(mesh.corners, corners, "corners"),
-        "uv_vertex": _ids(mesh.uv_vertex, vertices, "uv_vertex"),
-        "box": _floats(mesh.vertices, 0, 3),
+        "pattern.z": pack(pattern),
+        "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
+        "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
+        "points.z": _points(sample.points),
     }
 
 
-def _no_mesh() -> dict[str, np.ndarray]:
-    """The arrays of a skipped mesh, without rows."""
-    flat, rows = np.zeros((0, 3)), np.zeros((0, 3), int)
-    return _mesh_arrays(BoxMesh(flat, rows, flat[:, :2], rows, rows[:, 0], rows[:, 0], (), (), rows[:, :2]), ())
+NO_MESH = BoxMesh(
+    vertices=np.zeros((0, 3)),
+    faces=np.zeros((0, 3), int),
+    uv=np.zeros((0, 2)),
+    corners=np.zeros((0, 3), int),
+    uv_vertex=np.zeros(0, int),
+    panel_id=np.zeros(0, int),
+    panel_names=(),
+    panel_labels=(),
+    seams=np.zeros((0, 2), int),
+)
+"""The mesh of a sample that ends with stage ``pattern``."""
 
 
-def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
-    """The array as f32; for ``None`` an array of ``shape``, which has 0 rows."""
-    return np.zeros(shape, np.float32) if array is None else np.asarray(array, np.float32)
+def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
+    """The sections of ``mesh.z``. Raises ``ShardError`` and ``ValueError`` for rows and labels that do not exist."""
+    vertices, panels = len(mesh.vertices), len(mesh.panel_names)
+    labelled = [
+        np.stack([ids, np.full(len(ids), tensor.edge_labels.index(label))], axis=1)
+        for label, ids in mesh.labels.items()
+    ]
+    owner = np.zeros(len(mesh.uv), np.int32)
+    owner[mesh.corners] = mesh.panel_id[:, None]
+    arrays = {
+        "faces_of": np.bincount(_rows(mesh.panel_id, panels, "panel_id"), minlength=panels).astype(np.uint32),
+        "rows_of": np.bincount(owner, minlength=panels).astype(np.uint32),
+        "corners": _rows(mesh.corners, len(mesh.uv), "corners"),
+        "uv": mesh.uv,
+        "uv_vertex": _rows(mesh.uv_vertex, vertices, "uv_vertex"),
+        "labels": _rows(np.concatenate([np.zeros((0, 2), int), *labelled]), vertices, "labels"),
+        "seams": _rows(mesh.seams, vertices, "seams"),
+    }
+    if not np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces):
+        arrays["faces"] = _rows(mesh.faces, vertices, "faces")
+    if not np.array_equal(_panel_id(arrays), mesh.panel_id):
+        arrays["panel_id"] = mesh.panel_id
+    stored = {**arrays, "uv": as_stored(mesh.uv, UV_STEP), "panels": tensor.panels}
+    derived = _box(stored)
+    is_derived = len(derived) == vertices and (np.diff(owner) >= 0).all()
+    if not (is_derived and (np.abs(derived - mesh.vertices) <= LARGEST_ERROR).all()):
+        arrays["box"] = mesh.vertices
+    return arrays
 
 
-def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
-    """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
-    rows = np.asarray(rows)
-    # Column 1 of labels and seams, which holds rows of edge labels or stitches, gets the same limit.
-    if rows.size and not 0 <= rows.min() <= rows.max() < count:
+def _rows(rows: Int[np.ndarray, "*n"], count: int, name: str) -> Int[np.ndarray, "*n"]:
+    """Row numbers. Raises ``ShardError`` unless they are below ``count``, as in every column of labels and seams."""
+    if rows.size and not 0 <= rows.min() <= rows.max() < max(count, 1):
         raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
-    size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
-    return rows.astype(f"u{size}")
+    return np.asarray(rows, np.int32)
 
 
-def _meta(sample: Sample, tensor: PatternTensor, quantization: Quantization) -> dict[str, Any]:
+def _points(points: Float32[np.ndarray, "n 6"] | None) -> bytes:
+    """The member ``points.z``, in the order before ``spread``; unit normals as octahedral coordinates."""
+    points = np.zeros((0, 6)) if points is None else np.asarray(points, float)
+    ordered = np.empty_like(points)
+    ordered[spread(len(points))] = points
+    x, y, z = np.ascontiguousarray(ordered[:, 3:].T)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        flat = np.stack([x, y]) / (np.abs(x) + np.abs(y) + np.abs(z))
+    np.copyto(flat, (1 - np.abs(flat[::-1])) * np.where(flat >= 0, 1, -1), where=z < 0)
+    octahedral = np.rint(flat * NORMAL_STEPS)
+    edge = np.abs(octahedral[::-1]) == NORMAL_STEPS  # two pairs of numbers mean one normal there
+    np.abs(octahedral, out=octahedral, where=edge)
+    return pack(
+        {"xyz": ordered[:, :3], "normals": octahedral.T}, {"xyz": Coding(1, POSITION_POWER), "normals": Coding(1)}
+    )
+
+
+def spread(count: int) -> Int[np.ndarray, " n"]:
+    """The order of the points of an item: rows of ``points.z``, in steps that visit all of them, far apart.
+
+    The step is the first number from n · ``STRIDE`` / 2³² on that has no factor in common with n.
+
+    >>> spread(7).tolist()
+    [0, 4, 1, 5, 2, 6, 3]
+    """
+    step = count * STRIDE >> 32
+    while math.gcd(step, count) > 1:
+        step += 1
+    return np.arange(count, dtype=np.int64) * step % max(count, 1)
+
+
+def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
+    """The entries of ``meta.json``, without checksums."""
     provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
     mesh, drape = sample.box_mesh, sample.drape
     strain = None if drape is None else drape.strain
@@ -276,54 +316,50 @@ def _meta(sample: Sample, tensor: PatternTensor, quantization: Quantization) -> 
         "schema": SCHEMA,
         "key": sample.key,
         "index": provenance.index,
-        "points": {
-            "scale": quantization.scale,
-            "normal_scale": quantization.normal,
-            "centre": list(quantization.centre),
-        },
         "seed": provenance.seed,
         "attempts": provenance.attempts,
-        "rejects": list(provenance.rejects),
-        "redraws": dict(provenance.redraws),
-        "versions": dict(provenance.versions),
-        "recipe": dict(provenance.recipe),
+        "rejects": [reject_entry(reject) for reject in _rejects(provenance)] or [NO_REJECT],
+        "redraws": [{"rule": rule, "count": n} for rule, n in provenance.redraws.items()] or [NO_REDRAW],
+        "versions": json_text(dict(provenance.versions)),
+        "recipe": json_text(dict(provenance.recipe)),
         "recipe_sha256": recipe_hash(dict(provenance.recipe)),
         "pattern": sample.pattern.name,
         "body": provenance.body_name,
         "holds": {"shape": shape is not None, "mesh": mesh is not None, "drape": drape is not None},
-        "pose": None if shape is None else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
+        "pose": NO_POSE
+        if shape is None
+        else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
         "panel_names": list(tensor.panel_names),
         "panel_labels": list(tensor.panel_labels),
         "edge_labels": list(tensor.edge_labels),
-        "vertex_labels": None if mesh is None else list(mesh.labels),
-        "drape": None if drape is None else _drape_figures(drape),
-        "strain": None if strain is None else _strain_figures(strain),
+        "vertex_labels": [*(() if mesh is None else mesh.labels)] or [""],
+        "drape": {**NO_DRAPE, **({} if drape is None else _drape_figures(drape))},
+        "strain": NO_STRAIN
+        if strain is None
+        else {"principal": [*map(float, strain.principal)], "panels": [[*map(float, pair)] for pair in strain.panels]},
         "grade": "" if sample.grade is None else sample.grade.value,
-        "fabric": None if fabric is None else {"name": fabric.name, "parameters": dict(fabric.parameters)},
-        "gathers": list(map(float, sample.gathers)),
-        "tags": list(sample.tags),
+        "fabric": NO_FABRIC
+        if fabric is None
+        else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
+        "gathers": list(map(float, sample.gathers)) or [-1.0],
+        "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
 
 
+def _rejects(provenance: Provenance) -> Iterable[Rejected]:
+    """The rejected attempts, with figures where they are known."""
+    if provenance.turned_down:
+        return provenance.turned_down
+    texts = (text.partition(": ") for text in provenance.rejects)
+    return [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
+
+
 def _drape_figures(drape: Drape) -> dict[str, Any]:
-    stretch = {name: float(getattr(drape, name)) for name in ("stretch_median", "stretch_p99")}
-    return {
-        "outcome": drape.outcome.name,
-        "frames": drape.frames,
-        "self_crossings": drape.self_crossings,
-        "body_crossings": drape.body_crossings,
-        "body_through": drape.body_through,
-        # The stretch of a diverged drape is NaN, which JSON lacks.
-        **{name: value if math.isfinite(value) else None for name, value in stretch.items()},
-    }
-
-
-def _strain_figures(strain: Strain) -> dict[str, Any]:
-    return {
-        "principal": list(map(float, strain.principal)),
-        "panels": [list(map(float, pair)) for pair in strain.panels],
-    }
+    counts = {name: getattr(drape, name) for name in COUNTS if getattr(drape, name) is not None}
+    # The stretch of a diverged drape is NaN, which JSON lacks.
+    stretches = {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
+    return {"outcome": drape.outcome.name, "frames": drape.frames, **counts, **stretches}
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -332,12 +368,63 @@ def _strain_figures(strain: Strain) -> dict[str, Any]:
 def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = None) -> dict[str, Any]:
     """Field name to array, parsed JSON, text, or picture as u8 [3, height, width]; all fields for ``None``.
 
-    Floats keep their stored type; points are f32 [cm], ids int32; arrays are views of the members where possible.
-    Decoding ``points`` needs ``meta.json`` too. Raises ``ConfigError`` for an unknown field, ``ShardError`` with the
+    Floats keep their stored type, f64 for panels and edges, f32 for others; ids are int32. Decoding ``box`` needs
+    ``pattern.z`` too. Raises ``ConfigError`` for an unknown field, ``ShardError`` with the
     member's name for invalid content.
     """
-    available = fields_of(member for member in members if not member.startswith("__"))  # webdataset adds __key__
-    return {field: decode_field(field, members) for field in select_fields(fields, available)}
+    names = [member for member in members if not member.startswith("__")]  # webdataset adds __key__
+    joint = () if fields is None else joint_fields(names)
+    return _decoded(members, select_fields(fields, (*fields_of(names), *joint)))
+
+
+@overload
+def decode(sample: Mapping[str, Any], /) -> dict[str, Any]: ...
+@overload
+def decode(member: str, data: Bytes, /) -> Any: ...
+def decode(sample: Any, data: Bytes | None = None, /) -> Any:
+    """Decode a sample of our tars, or a member of it.
+
+    >>> webdataset.WebDataset(tars).decode(decode)  # doctest: +SKIP
+    >>> webdataset.WebDataset(tars).map(decode)  # doctest: +SKIP
+    >>> datasets.load_dataset("webdataset", data_files=tars, streaming=True)["train"].map(decode)  # doctest: +SKIP
+
+    A sample, member to bytes: returns its fields, see ``GarmentFields``: arrays, parsed JSON, text; ``faces``,
+    ``panel_id`` and ``box`` included. Entries of the same names that are no bytes were decoded by the caller, and stay
+    as they are. Other entries, such as pictures, are left out.
+
+    A member, such as ``".verts.z"``, and its bytes: returns the fields in it as a dict; for JSON the parsed value, for
+    a caption the text. For other members it returns ``None``, and webdataset asks the next handler: pictures are
+    decoded by ``.decode(decode, "torchrgb")``. ``box`` needs two members, and is left out.
+
+    Raises ``ShardError`` with the member's name for damaged content.
+    """
+    if data is None:
+        return _all_fields(sample)
+    member = sample.removeprefix(".")
+    if member in TEXTS:
+        return next(iter(decode_fields({member: data}).values()))
+    return _all_arrays({member: data}) if member.endswith(".z") else None
+
+
+def _all_fields(sample: Mapping[str, Any]) -> dict[str, Any]:
+    # Others are not even looked up: ``datasets`` would decode a picture.
+    ours = {name: sample[name] for name in sample if name in TEXTS or name.endswith(".z")}
+    values = dict[str, Any]()
+    for name in [name for name, value in ours.items() if not isinstance(value, Bytes)]:
+        value = ours.pop(name)
+        values |= dict.fromkeys(fields_of([name]), value) if name in TEXTS else value or {}
+    texts = {name: ours.pop(name) for name in TEXTS & ours.keys()}
+    return values | decode_fields(texts) | _all_arrays(ours)
+
+
+def _all_arrays(members: Mapping[str, Bytes]) -> dict[str, Any]:
+    """The fields in ``.z`` members; the arrays of an unknown member, or one of a person, as they are stored."""
+    garment = {member: data for member, data in members.items() if member in ARRAYS}
+    values = decode_fields(garment, [f for f in fields_of(garment) if f != "box" or "pattern.z" in garment])
+    for member in members.keys() - garment.keys():
+        with _reading(member):
+            values |= unpack(members[member])
+    return values
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
@@ -353,11 +440,11 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
     try:
         return Sample(
             key=meta["key"],
-            provenance=_provenance(meta),
+            provenance=_provenance(meta, read_rejects(members["meta.json"])),
             pattern=pattern,
             measurements=Measurements.from_file_values(field["measures"]),
             design=field["design"],
-            shape=None if meta["pose"] is None else _shape(field),
+            shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
             points=field["points"].astype(float) if len(field["points"]) else None,
@@ -367,7 +454,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
-            **{name: pictures[name] for name in ("front", "back") if pictures[name] != NO_PICTURE},
+            **{name: pictures[name] for name in ("front", "back") if pictures.get(name, NO_PICTURE) != NO_PICTURE},
         )
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, GcdError):
@@ -380,73 +467,137 @@ REMEDY = "copy its shard again, or delete the shard and run gcd generate again"
 
 def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
     """One field, decoded as by ``decode_fields``."""
-    member = FIELDS.get(field, field)
-    if field in JOINT:
-        return _decode_joint(field, members)
+    return _decoded(members, (field,))[field]
+
+
+def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
+    arrays: dict[str, np.ndarray] = {}
+    sections = {section for field in fields for section in SECTIONS.get(field, ())}
+    for member in members_of([field for field in fields if field in SECTIONS]):
+        with _reading(member):
+            arrays |= unpack(members[member], sections)
+    found = {}
+    for field in fields:
+        if field in JOINT:
+            found[field] = _decode_joint(field, members)
+            continue
+        with _reading(member := member_of(field)):
+            found[field] = _array(field, arrays) if field in SECTIONS else DECODERS[field](members[member])
+    return found
+
+
+@contextlib.contextmanager
+def _reading(member: str) -> Iterator[None]:
     try:
-        if field == "points":
-            return _read_points(members[member], members[FIELDS["meta"]])
-        return DECODERS[field](member_content(field, members))
+        yield
     except ShardError as error:
-        member = next((name for name in (FIRST_NAMES.get(member, member), member) if name in members), member)
         raise ShardError(f"member {member}: {error}: {REMEDY}") from error
 
 
-def _read_array(field: str, data: Bytes) -> np.ndarray:
-    """An array, its type and row shape checked. Raises ``ShardError``."""
-    array = read_npy(data)
-    if array.shape[1:] != WIDTHS[field] or array.ndim != len(WIDTHS[field]) + 1 or not _has_type(field, array):
-        raise ShardError(f"{array.dtype} of shape {array.shape}, expected rows of shape {WIDTHS[field]}")
-    return array
+def _array(field: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """A field from its sections, its type and row shape checked. Raises ``ShardError``."""
+    derive = DERIVED.get(field)
+    for section in SECTIONS[field] if derive and field not in arrays else (field,):
+        if section in arrays and section in WIDTHS:
+            _require_form(section, arrays[section])
+        elif section not in arrays and section != field:
+            raise ShardError(f"section {section} is missing")
+    if field in arrays:
+        return arrays[field]
+    if derive is None:
+        raise ShardError(f"section {field} is missing")
+    return derive(arrays)
 
 
-def _has_type(field: str, array: np.ndarray) -> bool:
-    kind = array.dtype.kind
-    return kind in "ui" if field in IDS else kind == "f" or (field == "points" and array.dtype == np.int16)
+def _require_form(section: str, array: np.ndarray) -> None:
+    """Raise ``ShardError`` for another type or row shape than the section's."""
+    is_whole = array.dtype == np.int32 and array.min(initial=0) >= 0
+    if array.shape[1:] != WIDTHS[section] or not (is_whole if section in IDS else array.dtype.kind == "f"):
+        raise ShardError(f"section {section}: {array.dtype} of shape {array.shape}, expected rows {WIDTHS[section]}")
 
 
-def _read_points(data: Bytes, meta: Bytes) -> Float32[np.ndarray, "n 6"]:
-    """Surface points [cm] and unit normals, f32."""
-    stored = _read_array("points", data)
-    if stored.dtype.kind == "f":  # schema 1
-        return stored.astype(np.float32)
-    quantization = read_quantization(meta)
-    points = read_buffer(4 * stored.size).view(np.float32)
-    np.copyto(points, stored.reshape(-1), casting="unsafe")
+def _faces(arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, "f 3"]:
+    corners, vertex = arrays["corners"], arrays["uv_vertex"]
+    if corners.max(initial=-1) >= len(vertex):
+        raise ShardError(f"a corner is row {corners.max()} of {len(vertex)}")
+    return vertex.take(corners)
+
+
+def _panel_id(arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " f"]:
+    counts = _counts("faces_of", arrays)
+    return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
+def _box(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "v 3"]:
+    """Positions before sewing [cm]: the mean of the placed rows of ``uv`` at each vertex."""
+    uv, vertex, panels, counts = arrays["uv"], arrays["uv_vertex"], arrays["panels"], _counts("rows_of", arrays)
+    if counts.sum() != len(uv) or len(vertex) != len(uv) or len(counts) > len(panels):
+        raise ShardError(f"rows_of names {counts.sum()} rows of {len(counts)} panels; there are {len(uv)}")
+    if vertex.max(initial=-1) >= len(uv):
+        raise ShardError(f"uv_vertex holds row {vertex.max()}, and there are {len(uv)} rows of uv")
+    w, x, y, z = panels[:, QUATERNION].T
+    right = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+    up = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=1)
+    flat, spots, end = uv.T.astype(float), np.empty((3, len(uv))), 0
+    for turn, panel, count in zip(np.stack([right, up], axis=2), panels, counts.tolist(), strict=False):
+        rows = slice(end, end := end + count)
+        np.matmul(turn, flat[:, rows] - panel[CENTROID, None], out=spots[:, rows])
+        spots[:, rows] += panel[:3, None]
+    vertex = vertex.astype(np.int64)
+    members = np.maximum(np.bincount(vertex), 1)
+    box = np.empty((len(members), 3), np.float32)
+    for column, values in enumerate(spots):
+        box[:, column] = np.bincount(vertex, values) / members
+    return box
+
+
+def _counts(section: str, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " p"]:
+    counts = arrays[section]
+    if counts.ndim != 1 or counts.dtype.kind not in "iu" or 4 * counts.sum() > LARGEST_SAMPLE:
+        raise ShardError(f"section {section}: {counts.dtype} of shape {counts.shape}, sum {counts.sum()}")
+    return counts.astype(np.int64)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # in a damaged sample
+def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]:
+    """Surface points [cm] and unit normals; NaN for those of a diverged drape."""
+    xyz, flat = arrays["xyz"], arrays["normals"].astype(np.float32)
+    if xyz.shape[1:] != (3,) or flat.shape != (len(xyz), 2):
+        raise ShardError(f"xyz of shape {xyz.shape}, normals of shape {flat.shape}")
+    columns = np.empty((6, len(xyz)), np.float32)
+    columns[:3], normals = xyz.T, columns[3:]
+    x, y, z = normals
+    np.divide(flat.T, np.float32(NORMAL_STEPS), out=normals[:2])
+    np.subtract(1, np.abs(x) + np.abs(y), out=z)
+    below = np.minimum(z, 0)
+    normals[:2] += np.where(normals[:2] >= 0, below, -below)
+    normals /= np.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(columns.T).take(spread(len(xyz)), axis=0)
+
+
+DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
+    "faces": _faces, "panel_id": _panel_id, "box": _box, "points": _read_points,
+}  # fmt: skip
+"""Field to the function that derives it from its sections, unless it is stored itself."""
+
+
+@contextlib.contextmanager
+def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile.ImageFile]":
+    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of decoders.
+
+    Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
+    """
+    from PIL import Image
+
+    bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
     try:
-        with np.errstate(over="raise"):
-            _by_rows(points, np.multiply, (*3 * (quantization.scale,), *3 * (quantization.normal,)))
-            _by_rows(points, np.add, (*quantization.centre, 0.0, 0.0, 0.0))
-    except FloatingPointError as error:
-        raise ShardError(f"scale {quantization.scale} and centre {quantization.centre} overflow float32") from error
-    rows = points.reshape(-1, 6)
-    if stored.min(initial=0) == UNDEFINED:
-        rows[(stored == UNDEFINED).any(axis=1)] = np.nan
-    return rows
-
-
-def _by_rows(points: Float32[np.ndarray, " n"], operation: np.ufunc, operand: tuple[float, ...]) -> None:
-    """Apply an operation to all rows in place, 128 at a time: broadcasting over single rows is much slower."""
-    repeated = np.empty((ROWS, len(operand)), np.float32)
-    repeated[:] = operand
-    flat = repeated.reshape(-1)
-    even = len(points) // len(flat) * len(flat)
-    blocks, rest = points[:even].reshape(-1, len(flat)), points[even:]
-    operation(blocks, flat, out=blocks)
-    operation(rest, flat[: len(rest)], out=rest)
-
-
-ROWS = 128
-
-
-def _read_ids(field: str, data: Bytes) -> np.ndarray:
-    """Row numbers as int32; a view of the member if it is stored as int32."""
-    array = _read_array(field, data)
-    if array.dtype == np.int32:
-        return array
-    wide = read_buffer(array.size * 4).view(np.int32).reshape(array.shape)
-    np.copyto(wide, array, casting="same_kind")
-    return wide
+        with Image.open(io.BytesIO(data), formats=formats) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
+            yield image
+    except (OSError, ValueError, SyntaxError, EOFError, *bombs) as error:
+        raise ShardError(f"not a picture ({error})") from error
 
 
 def _picture(data: Bytes) -> np.ndarray:
@@ -485,16 +636,9 @@ def _matrix(member: str, facts: Mapping[str, Any], entry: str, shape: tuple[int,
         raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
 
 
-def _object(data: Bytes) -> dict[str, Any]:
-    value = decode_json(data)
-    if not isinstance(value, dict):
-        raise ShardError(f"{found(value)}, expected an object")
-    return value
-
-
 def read_measures(data: Bytes) -> dict[str, float]:
     """Measure name to value, without the missing ones. Raises ``ShardError``."""
-    values = _object(data)
+    values = decode_object(data)
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_MEASURE:
             raise ShardError(f"{name} is {found(value)}, expected a number")
@@ -511,27 +655,30 @@ def _caption(data: Bytes) -> str:
         raise ShardError(f"not UTF-8 text ({error})") from error
 
 
-def _decoder(field: str) -> Callable[[Bytes], Any]:
-    ending = FIELDS[field].rpartition(".")[2]
-    if ending == "npy":
-        return partial(_read_ids if field in IDS else _read_array, field)
-    return {"meta": read_meta, "measures": read_measures}.get(field) or {"txt": _object, "jpg": _picture}[ending]
-
-
-DECODERS = {
-    **{field: _decoder(field) for field in FIELDS},
+DECODERS: Mapping[str, Callable[[Bytes], Any]] = {
+    "meta": read_meta,
+    "spec": decode_object,
+    "design": decode_object,
+    "measures": read_measures,
+    "front": _picture,
+    "back": _picture,
     "caption": _caption,
     **{f"view_{number}": _picture for number in range(MOST_VIEWS)},
-    **{f"view_{number}_json": _object for number in range(MOST_VIEWS)},
+    **{f"view_{number}_json": decode_object for number in range(MOST_VIEWS)},
 }
+"""Field to the decoder of its member."""
 
 
-def _provenance(meta: Mapping[str, Any]) -> Provenance:
+def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -> Provenance:
     return Provenance(
         seed=meta["seed"],
         index=meta["index"],
         attempts=meta["attempts"],
         rejects=tuple(meta["rejects"]),
+        turned_down=tuple(
+            Rejected(entry["index"], entry["rule"], entry["reason"], decode_object(entry["figures"].encode()))
+            for entry in rejects
+        ),
         redraws=meta["redraws"],
         versions=meta["versions"],
         recipe=meta["recipe"],
@@ -554,17 +701,12 @@ def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:
     )
 
 
-def _shape(field: Mapping[str, Any]) -> BodyShape:
-    pose = field["meta"]["pose"]
-    return BodyShape(field["body"].astype(float), pose["arm_angle"], pose["legs_apart"])
-
-
 def _drape(field: Mapping[str, Any]) -> Drape:
     figures, strain = field["meta"]["drape"], field["meta"]["strain"]
     if figures["outcome"] not in Outcome.__members__:
         raise ShardError(f"outcome {figures['outcome']!r}: known are {', '.join(Outcome.__members__)}")
     values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
-    values |= {name: np.nan for name in ("stretch_median", "stretch_p99") if values[name] is None}
+    values |= {name: np.nan for name in STRETCHES if values[name] is None}
     principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
     values |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
     return Drape(**values)

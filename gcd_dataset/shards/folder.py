@@ -1,182 +1,161 @@
-"""A data set in a local folder: reads members of samples by offset."""
+"""A data set in a local folder."""
 
+import hashlib
 import os
+import shlex
 import weakref
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any
 
 from gcd_dataset.errors import ShardError, did_you_mean
-from gcd_dataset.files import open_regular, user_path
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.filekinds import is_published
+from gcd_dataset.files import user_path
+from gcd_dataset.shards.access import read_file, reading
 from gcd_dataset.shards.buffers import read_buffer
-from gcd_dataset.shards.contents import no_shards_remedy, read_index, splits_in
-from gcd_dataset.shards.download_file import read_download_record
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.job_parts import require_merged
-from gcd_dataset.shards.layout import FOREIGN, Layout, member_name, shard_number
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
-from gcd_dataset.shards.store import MemberLocation, Store, runs
-from gcd_dataset.shards.tar import BLOCK
-from gcd_dataset.shards.unfinished import unfinished
+from gcd_dataset.shards.cache import default_cache
+from gcd_dataset.shards.index import SplitIndex, index_name
+from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_manifest
+from gcd_dataset.shards.meta import decode_json
+from gcd_dataset.shards.notes import Gathered, gather, shards_named
+from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.store import Store
 
-__all__ = ["FolderStore", "OpenFiles", "read_members"]
-
-GAP = 1 << 16  # bytes: reading across a gap this long costs less than a second call
+DOWNLOAD_FILE = "download.json"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
 class FolderStore(Store):
-    """The shards in a folder. Reading a split raises ``ShardError`` where its download is incomplete."""
+    """The shards in a folder, as they are at the first look.
 
-    def __init__(self, folder: Path | str) -> None:
-        self.folder = user_path(folder)
-        record = read_download_record(self.folder)
-        self.source = None if record is None else record.source
-        self.remedy = REMEDY if record is None else "delete it, and run gcd download again"
-        self._files = OpenFiles()
-        self._last: dict[str, _LastSample] = {}
-        self._paths: dict[str, Path] = {}  # cached: joining a path costs as much as reading a small sample
+    ``cache_dir``: folder for data derived from the shards, by default ``~/.cache/gcd_dataset``.
+    """
+
+    def __init__(self, folder: Path | str, *, cache_dir: Path | str | None = None) -> None:
+        self.folder, self._cache = user_path(folder), default_cache(cache_dir)
+        self.source = downloaded_from(self.folder)
+        if self.source is not None:
+            self.remedy = "delete it, and run gcd download again"
+        self._manifest: Manifest | None = None
+        self._gathered: Gathered | None = None
+        self._place = FolderPlace(self.folder)
+        self._files: dict[str, _OpenFile] = {}
 
     def location(self, name: str = "") -> str:
         return str(self.folder / name)
 
-    def manifest(self) -> Manifest | None:
-        return read_manifest(self.folder)
+    @property
+    def cache(self) -> Path:
+        return self._cache / "shards"
 
-    def index(self, split: str, layout: Layout) -> ShardIndex:
-        self._require_whole(split)
-        index = read_index(self.folder, split, layout)
-        if not len(index):
-            raise ShardError(f"{self.folder}: no samples of split {split}: {self._missing_remedy(split)}")
-        self._last |= _last_samples(index)
+    def manifest(self) -> Manifest:
+        if self._manifest is None:
+            stored = read_manifest(self.folder)
+            self._manifest = self._gather().manifest if stored is None else stored
+        return self._manifest
+
+    def index(self, split: str) -> SplitIndex:
+        manifest = self.manifest()
+        if split not in manifest.splits:
+            nearest = did_you_mean(split, manifest.splits)
+            known = ", ".join(manifest.splits)
+            raise ShardError(f"{self.folder}: no samples of split {split}: choose from {known}{nearest}")
+        record, path = manifest.splits[split], self.folder / index_name(split)
+        if not record.count:
+            raise ShardError(f"{self.folder}: no samples of split {split}: none is finished")
+        names = self._place.names()
+        for shard in record.shards:
+            if shard.name(split) not in names:
+                raise self._missing(split, shard, False)
+        if self._gathered is None and path.name in names:
+            content = read_file(path, LARGEST_FILE)
+            if record.index_sha256 not in ("", hashlib.sha256(content).hexdigest()):
+                raise ShardError(f"{path}: not the index of these shards ({MANIFEST} has another hash): run gcd index")
+            return SplitIndex.from_bytes(content, record, str(path))
+        index = self._gather().indices.get(split)
+        if index is None or index.record.shards != record.shards:
+            raise ShardError(f"{path}: no such file, and the shards differ from {MANIFEST}: run gcd index")
         return index
 
-    def unfinished(self, split: str) -> str | None:
-        return unfinished(self.folder, split)
-
-    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
-        path = self._path(shard)
+    def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
+        path = self.folder / shard.name(split, views=views)
         with reading(path):
-            # This reference keeps the descriptor open while another thread evicts it.
-            file = self._files.get(path) or self._opened(shard, path)
-            content, end = read_members(file.fd, parts)
-        if end is not None:
-            raise ShardError(f"{path}: ends at byte {end}, inside a sample: {self.remedy}")
-        return content
-
-    def _path(self, shard: str) -> Path:
-        path = self._paths.get(shard)
-        if path is None:
-            path = self._paths[shard] = self.folder / shard
+            if not path.exists():
+                raise self._missing(split, shard, views)
         return path
 
-    def _opened(self, shard: str, path: Path) -> "_OpenFile":
-        """Open a shard. Raises ``ShardError`` where its samples have moved since the index was read."""
+    def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> Bytes:
+        path = self.folder / (name := shard.name(split, views=views))
+        with reading(path):
+            # This reference keeps the descriptor open while another thread evicts it.
+            file = self._files.get(name) or self._opened(split, shard, views)
+            data = read_buffer(end - start).data
+            got = 0
+            while got < len(data):  # one call reads at most 2 GiB, less on network file systems
+                more = os.preadv(file.fd, [data[got:]], start + got)
+                if not more:
+                    raise ShardError(f"{path}: ends at byte {start + got}, inside a sample: {self.remedy}")
+                got += more
+        return data
+
+    def _continuation(self, split: str) -> str:
+        return f"{self._command(split)} goes on"
+
+    def _command(self, split: str) -> str:
+        """The command that continues the data set; ``the same command`` where the plan lacks some of its options."""
+        plan = self.manifest().splits[split].plan
+        words = ["gcd", "generate", str(self.folder)]
+        if plan.named is not None:
+            return shlex.join([*words, "--recipe", plan.named[0]])
+        if "stage" not in plan.recipe or plan.recipe.get("design"):
+            return "the same command"
+        words += ["--count", str(plan.count), "--seed", str(plan.seed)]
+        for name, value in plan.recipe.items():
+            if name not in ("design", "mesh", "part"):  # not options
+                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        return shlex.join(words)
+
+    def _gather(self) -> Gathered:
+        if self._gathered is None:
+            if self.source is not None:
+                raise ShardError(f"{self.folder}: the download of {self.source} is incomplete: run gcd download again")
+            if is_published(self.folder) and not shards_named(self._place.names()):
+                raise ShardError(
+                    f"{self.folder}: no shards: this is GarmentCodeData as published: read it with "
+                    "PublishedGarmentCodeData, or make shards of it with gcd convert"
+                )
+            self._gathered = gather(self._place)
+        return self._gathered
+
+    def missing_pictures(self, split: str) -> ShardError | None:
+        """The error about the first tar of pictures that the manifest lists and the folder lacks."""
+        names = self._place.names()
+        lacking = (s for s in self.manifest().splits[split].shards if s.views_size and s.views_name(split) not in names)
+        return next((self._missing(split, shard, True) for shard in lacking), None)
+
+    def _missing(self, split: str, shard: ShardRecord, views: bool) -> ShardError:
+        """The error about a shard of the manifest, or its pictures, that is not in the folder."""
+        path = self.folder / shard.name(split, views=views)
+        also = f"delete {shard.name(split)} too and make both again" if views else "make it again"
+        remedy = (
+            f"copy it again, or {also}: {self._command(split)}" if self.source is None else "run gcd download again"
+        )
+        return ShardError(f"{path}: no such file, but {MANIFEST} lists it: {remedy}")
+
+    def _opened(self, split: str, shard: ShardRecord, views: bool) -> "_OpenFile":
+        """A shard, opened. Raises ``ShardError`` for one that is missing or of another size."""
+        path, size = self.path(split, shard, views=views), shard.views_size if views else shard.size
         file = _OpenFile(os.open(path, os.O_RDONLY | os.O_NONBLOCK))  # a pipe fails when it is read
-        last = self._last.get(shard)
-        if last is not None and last.has_moved(file.fd):
-            raise ShardError(f"{path}: samples were inserted since its index was read: open the data set again")
-        self._files.keep(path, file)
-        return file
-
-    def stream(self, shard: str) -> BinaryIO:
-        with reading(self.folder / shard):
-            return open_regular(self.folder / shard)
-
-    def _require_whole(self, split: str) -> None:
-        """Raise ``ShardError`` for an incomplete download, unmerged parts, and a missing or truncated shard."""
-        require_merged(self.folder)
-        download = read_download_record(self.folder)
-        if download is not None and split in download.unfinished:
-            raise ShardError(f"{self.folder}: the download of split {split} is incomplete: run gcd download again")
-        manifest = self.manifest()
-        record = manifest.splits.get(split) if manifest else None
-        for shard in record.shards if record else ():
-            path = self.folder / shard.name
-            with reading(path):
-                size = path.stat().st_size if path.exists() else 0
-            if size < shard.size:  # a longer file is fine: the shard has grown since
-                raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: {self.remedy}")
-
-    def _missing_remedy(self, split: str) -> str:
-        """The remedy in the message about a folder without samples of the split."""
-        names = [path.name for path in self.folder.iterdir()]
-        if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
-            return "a run has not finished its first shard: run gcd generate again to finish it"
-        splits = splits_in(self.folder)
-        return (
-            f"choose from {', '.join(splits)}{did_you_mean(split, splits)}" if splits else no_shards_remedy(self.folder)
-        )
-
-
-class _LastSample(NamedTuple):
-    """Position of the last sample of a shard when its index was read."""
-
-    length: int
-    """Bytes of the shard."""
-    header: int
-    """Offset of the sample's first tar header."""
-    name: bytes
-    """Start of that header: the name of the first member."""
-
-    def has_moved(self, fd: int) -> bool:
-        """Whether the shard has grown with samples inserted before this one."""
-        grown = os.fstat(fd).st_size > self.length
-        return grown and os.pread(fd, len(self.name), self.header) != self.name
-
-
-def _last_samples(index: ShardIndex) -> dict[str, _LastSample]:
-    """Shard to its last sample; empty for foreign archives, which do not grow."""
-    if index.layout.kind == FOREIGN:
-        return {}
-    length = dict(zip(index.shards, index.length.tolist(), strict=True))
-    return {
-        shard: _LastSample(
-            length[shard],
-            int(table.offset[-1, 0]) - BLOCK,
-            member_name(int(table.sample[-1]), index.layout.members[0]).encode(),
-        )
-        for shard, table in index.tables().items()
-        if len(table)
-    }
-
-
-def read_members(fd: int, parts: Sequence[MemberLocation]) -> tuple[dict[int, memoryview], int | None]:
-    """Column to content, by one system call per run; and the file's length if it ends before the last part."""
-    content: dict[int, memoryview] = {}
-    for run in runs(parts, GAP):
-        start, end = run[0].offset, run[-1].end
-        buffer = read_buffer(end - start).data
-        read = os.preadv(fd, [buffer], start)
-        while read < len(buffer):  # one call reads at most 2 GiB, less on network file systems
-            more = os.preadv(fd, [buffer[read:]], start + read)
-            if not more:
-                return {}, start + read
-            read += more
-        for column, offset, size, _ in run:
-            content[column] = buffer[offset - start : offset - start + size]
-    return content, None
-
-
-class OpenFiles:
-    """A cache of open descriptors, at most ``OPEN_FILES``."""
-
-    def __init__(self) -> None:
-        self._files: dict[Path, _OpenFile] = {}
-
-    def get(self, path: Path) -> "_OpenFile | None":
-        """The file, if it is open."""
-        return self._files.get(path)
-
-    def keep(self, path: Path, file: "_OpenFile") -> None:
-        """Add a file, evicting the oldest entry of a full cache."""
+        if (found := os.fstat(file.fd).st_size) != size:
+            raise ShardError(f"{path}: {found} bytes, but {size} in {MANIFEST}: {self.remedy}")
         if len(self._files) >= OPEN_FILES:
             self._files.pop(next(iter(list(self._files))), None)
-        self._files[path] = file
+        self._files[shard.name(split, views=views)] = file
+        return file
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_files": {}}
+        return {**self.__dict__, "_files": {}, "_gathered": None}
 
 
 class _OpenFile:
@@ -186,3 +165,29 @@ class _OpenFile:
         self.fd = fd
         # Not __del__: at interpreter exit the os module may be gone before the last file.
         weakref.finalize(self, os.close, fd)
+
+
+def splits_in(folder: Path | str) -> tuple[str, ...]:
+    """The splits of the data set in a folder, sorted. Raises ``ShardError`` for a folder without shards."""
+    return tuple(sorted(FolderStore(folder).manifest().splits))
+
+
+def is_set(folder: Path) -> bool:
+    """Whether a folder holds a data set: a manifest or shards. Raises ``ShardError`` where it cannot be read."""
+    with reading(folder):
+        if not folder.is_dir():
+            return False
+    names = FolderPlace(folder).names()
+    return MANIFEST in names or bool(shards_named(names))
+
+
+def downloaded_from(folder: Path) -> str | None:
+    """Source and revision of a downloaded folder; ``None`` for another one. Raises ``ShardError``."""
+    path = folder / DOWNLOAD_FILE
+    with reading(path):
+        if not path.exists():
+            return None
+    try:
+        return str(decode_json(read_file(path, LARGEST_JSON))["source"])
+    except (ShardError, ValueError, KeyError, TypeError) as error:
+        raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error

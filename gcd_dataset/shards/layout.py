@@ -1,13 +1,7 @@
-"""Names in a data set's folder: files, samples, and the members of a sample.
+"""Names of files, samples, members and fields of a data set.
 
-    manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
-    download.json         of a downloaded data set: its source and its complete splits
-    index-train.npz       offset, size and CRC-32 of each member of each sample
-    mesh-train.npz        bodies only: triangles and body parts of the common mesh
-    train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``; for bodies, ``BODIES``
-
->>> member_name(12, "verts.npy"), shard_name("train", 3)
-('gcd_000000012.verts.npy', 'train-00003.tar')
+>>> member_name(12, "verts.z"), mesh_name("train")
+('gcd_000000012.verts.z', 'mesh-train.z')
 """
 
 import hashlib
@@ -15,77 +9,24 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.names import require_name
 
-__all__ = [
-    "BODIES",
-    "CAPTION",
-    "FAILED",
-    "FIELDS",
-    "FIRST_NAMES",
-    "FOREIGN",
-    "GARMENTS",
-    "JOINT",
-    "MEMBERS",
-    "MOST_VIEWS",
-    "SCHEMA",
-    "SCHEMAS",
-    "TRAIN",
-    "WAITING",
-    "Bytes",
-    "Layout",
-    "fields_of",
-    "foreign_layout",
-    "garments_layout",
-    "index_name",
-    "is_extra",
-    "is_view_field",
-    "joint_fields",
-    "key_of",
-    "layout_of",
-    "lock_name",
-    "member_content",
-    "member_name",
-    "members_of",
-    "mesh_name",
-    "part_path",
-    "recipe_hash",
-    "select_fields",
-    "shard_name",
-    "shard_number",
-    "shards_in",
-]
-
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
-SCHEMA = 2
-"""The schema of new shards; incremented whenever old readers would misread new shards."""
-
-SCHEMAS = (1, SCHEMA)
-"""The schemas that this version reads.
-
-In schema 1 specification and design were ``.json`` members, and points f16 in cm.
-"""
+SCHEMA = 3
+"""The schema of the format; incremented whenever old readers would misread new shards."""
 
 MEMBERS: tuple[str, ...] = (
-    "meta.json", "spec.txt", "design.txt", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
-    "faces.npy", "uv.npy", "panel_id.npy", "labels.npy", "seams.npy", "corners.npy", "uv_vertex.npy", "box.npy",
-    "verts.npy", "points.npy", "front.jpg", "back.jpg",
+    "meta.json", "spec.txt", "design.txt", "measures.json", "pattern.z", "mesh.z", "verts.z", "points.z",
+    "front.jpg", "back.jpg",
 )  # fmt: skip
-"""The members of every sample in file order; small members, and members read together, are neighbours."""
-
-FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design.json"}
-"""Member to its name in schema 1, where it differed."""
+"""The members of every sample in file order, small members first."""
 
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
-
-WAITING = ".waiting"
-"""Folder of single samples whose shard is not full yet."""
 
 CAPTION = "caption.txt"
 MOST_VIEWS = 100
@@ -94,8 +35,13 @@ VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 JOINT: Mapping[str, str] = {"views": "jpg", "camera_k": "json", "camera_rt": "json"}
 """Field decoded from a member of each view, with the ending of these members."""
 
-FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
-"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
+ARRAYS: Mapping[str, tuple[str, ...]] = {
+    "pattern.z": ("panels", "edges", "stitches", "body"),
+    "mesh.z": ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box"),
+    "verts.z": ("verts",),
+    "points.z": ("points",),
+}
+"""Member to the arrays in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +49,9 @@ class Layout:
     """The kind and the members of the samples of a data set."""
 
     kind: str
-    """``garments``, ``bodies`` or ``foreign``."""
+    """``garments`` or ``bodies``."""
     members: tuple[str, ...]
-    """The files of a sample in order; the first is ``meta.json``, except in foreign tars."""
+    """The files of a sample in order; the first is ``meta.json``."""
     reader: str
     """The class in ``gcd_dataset.loaders`` that reads such samples, for messages."""
     schema: int = SCHEMA
@@ -117,7 +63,7 @@ class Layout:
         Garments may also have a caption and views.
         """
         known = self.members
-        if self.kind == "garments" and self.schema > 1:
+        if self.kind == "garments":
             views = [int(match[1]) for member in members if (match := VIEW.fullmatch(member))]
             known = garments_layout(caption=CAPTION in members, views=max(views, default=-1) + 1).members
         return list(members) == [m for m in known if m in members] and list(members[:1]) == list(known[:1])
@@ -127,62 +73,60 @@ class Layout:
         return replace(self, members=tuple(members))
 
 
-def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
-    """The layout of garments; with a caption, or a number of views, in every sample.
+def garments_layout(*, caption: bool = False, views: int = 0, sides: bool = True) -> Layout:
+    """The layout of garments; with a caption, a number of views, or both ``sides`` as pictures in every sample.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
-    (('caption.txt', 'panels.npy'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
+    (('caption.txt', 'pattern.z'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
     """
-    first_array = MEMBERS.index("panels.npy")
+    first_array = MEMBERS.index("pattern.z")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
-    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *MEMBERS[first_array:], *pictures)
+    arrays = [member for member in MEMBERS[first_array:] if sides or not is_picture(member)]
+    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *arrays, *pictures)
     return Layout("garments", members, "GarmentDataset")
 
 
 GARMENTS = garments_layout()
-FOREIGN = "foreign"
-BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
-
-
-def is_extra(member: str) -> bool:
-    """Whether a member is optional: a caption, or a view."""
-    return member == CAPTION or VIEW.fullmatch(member) is not None
-
-
-def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
-    """``layout`` in ``schema``, reduced to these members; ``None`` for an unknown schema, or other members."""
-    if schema == layout.schema:
-        full = layout
-    elif schema in SCHEMAS:
-        full = replace(layout, schema=schema, members=tuple(FIRST_NAMES.get(m, m) for m in layout.members))
-    else:
-        return None
-    return full.of(members) if full.holds(members) else None
+BODIES = Layout("bodies", ("meta.json", "measures.json", "person.z"), "BodyDataset")
 
 
 def fields_of(members: Iterable[str]) -> dict[str, str]:
     """Field to member, for garments with these members.
 
-    >>> fields_of(["spec.json", "verts.npy", "view_0.jpg", "view_0.json"])
-    {'spec': 'spec.json', 'verts': 'verts.npy', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
+    >>> fields_of(["spec.txt", "verts.z", "view_0.jpg", "view_0.json"])
+    {'spec': 'spec.txt', 'verts': 'verts.z', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
     """
-    return {
-        member.replace(".", "_")
-        if VIEW.fullmatch(member) and member.endswith(".json")
-        else member.split(".")[0]: member
-        for member in members
-    }
+    return {field: member for member in members for field in ARRAYS.get(member) or (_name_of(member),)}
+
+
+def _name_of(member: str) -> str:
+    """The field of a member that holds one: of ``view_0.json`` it is ``view_0_json``."""
+    stem, ending = member.split(".", 1)
+    return f"{stem}_json" if ending == "json" and VIEW.fullmatch(member) else stem
+
+
+FIELDS: Mapping[str, str] = fields_of(MEMBERS)
+"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
 def joint_fields(members: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """The fields of ``JOINT`` that these members hold, each with its members: those of all views.
 
-    >>> joint_fields(["verts.npy", "view_0.jpg", "view_1.jpg"])
+    >>> joint_fields(["verts.z", "view_0.jpg", "view_1.jpg"])
     {'views': ('view_0.jpg', 'view_1.jpg')}
     """
     views = [member for member in members if VIEW.fullmatch(member)]
     of_ending = {ending: tuple(view for view in views if view.endswith(f".{ending}")) for ending in ("jpg", "json")}
     return {field: found for field, ending in JOINT.items() if (found := of_ending[ending])}
+
+
+def is_picture(member: str) -> bool:
+    """Whether a member lies in the tar of the pictures: a picture, or the facts of a view.
+
+    >>> is_picture("front.jpg"), is_picture("view_0.json"), is_picture("meta.json")
+    (True, True, False)
+    """
+    return member.endswith(".jpg") or VIEW.fullmatch(member) is not None
 
 
 def is_view_field(field: str) -> bool:
@@ -194,27 +138,20 @@ def is_view_field(field: str) -> bool:
     return field in JOINT or re.fullmatch(r"view_\d+(_json)?", field) is not None
 
 
-def members_of(fields: Iterable[str], member_of: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
-    """The members that decoding these fields needs; ``member_of``: field to member."""
-    joint = joint_fields(member_of.values())
-    wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (member_of[field],))
-    if "points" in member_of and member_of["points"] in wanted:  # meta.json holds their scale and centre
-        wanted[member_of["meta"]] = None
+def members_of(fields: Iterable[str], available: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
+    """The members that decoding these fields needs; ``available``: field to member."""
+    joint = joint_fields(available.values())
+    wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (available[field],))
+    if "box" in fields:  # derived from the places of the panels
+        wanted[FIELDS["panels"]] = None
     return tuple(wanted)
 
 
-def member_content(field: str, members: Mapping[str, Bytes]) -> Bytes:
-    """The content of a field's member, under its name in any schema. Raises ``KeyError``."""
-    member = FIELDS.get(field)
-    if member is None:
-        member = field.removesuffix("_json") + ".json" if field.endswith("_json") else f"{field}.jpg"
-        member = CAPTION if field == "caption" else member
-    return members[member] if member in members else members[FIRST_NAMES[member]]
-
-
-def foreign_layout(members: Sequence[str]) -> Layout:
-    """The layout of tars by other programs: any members; a sample may lack some."""
-    return Layout(FOREIGN, tuple(members), "GarmentDataset")
+def member_of(field: str) -> str:
+    """The member of a field; ``view_0_json`` is in ``view_0.json``."""
+    if field in FIELDS:
+        return FIELDS[field]
+    return CAPTION if field == "caption" else f"{field.removesuffix('_json')}.{'json' if '_json' in field else 'jpg'}"
 
 
 def key_of(index: int) -> str:
@@ -227,49 +164,9 @@ def member_name(index: int, member: str) -> str:
     return f"{key_of(index)}.{member}"
 
 
-def shard_name(split: str, number: int) -> str:
-    """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
-
-    Raises ``ShardError`` for an unsafe split name, as ``index_name``, ``mesh_name`` and ``lock_name`` do.
-    """
-    return f"{require_name(split, 'split')}-{number:05d}.tar"
-
-
-def index_name(split: str) -> str:
-    """The file name of a split's index."""
-    return f"index-{require_name(split, 'split')}.npz"
-
-
 def mesh_name(split: str) -> str:
-    """The file name of the common mesh of the bodies of a split."""
-    return f"mesh-{require_name(split, 'split')}.npz"
-
-
-def lock_name(split: str) -> str:
-    """The file name of a split's writer lock."""
-    return f".{require_name(split, 'split')}.lock"
-
-
-def part_path(path: Path) -> Path:
-    """The path of a shard during writing."""
-    return path.with_name(path.name + ".part")
-
-
-def shard_number(name: str, split: str) -> int | None:
-    """The number of a shard of the split, from its file name; ``None`` for any other file.
-
-    >>> shard_number("train-00003.tar", "train"), shard_number("val-00003.tar", "train")
-    (3, None)
-    """
-    match = re.fullmatch(rf"{re.escape(split)}-(\d{{5,18}})\.tar", name)
-    return int(match[1]) if match else None
-
-
-def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
-    """The finished shards of a split, by number. Raises ``OSError``."""
-    # Not ``glob``: it takes an unreadable folder for an empty one.
-    numbered = {number: path for path in folder.iterdir() if (number := shard_number(path.name, split)) is not None}
-    return tuple(numbered[number] for number in sorted(numbered))
+    """The file name of the common mesh of the bodies of a split. Raises ``ShardError`` for an unsafe split name."""
+    return f"mesh-{require_name(split, 'split')}.z"
 
 
 def select_fields(fields: Iterable[str] | None, available: Iterable[str] = FIELDS) -> tuple[str, ...]:

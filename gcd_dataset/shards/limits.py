@@ -1,7 +1,5 @@
 """Limits on the memory that reading a file may allocate: above any garment's need, below a machine's memory."""
 
-__all__ = ["LARGEST_FILE", "LARGEST_INDEX", "LARGEST_JSON", "LARGEST_MANIFEST", "LARGEST_SAMPLE", "MOST_PIXELS"]
-
 LARGEST_JSON = 1 << 23
 """Bytes of a JSON member; the parsed value takes about twenty times as many."""
 LARGEST_MANIFEST = 1 << 26
@@ -10,7 +8,5 @@ LARGEST_SAMPLE = 1 << 29
 """Bytes of all members of a sample; a dress meshed at 0.2 cm takes 25 MB."""
 LARGEST_FILE = 1 << 32
 """Bytes of an index; for ten million garments it has 3.3 GB."""
-LARGEST_INDEX = 64
-"""Compression ratio of an index: bytes of its arrays per byte of the file; indices are written uncompressed."""
 MOST_PIXELS = 1 << 26
 """Pixels of a picture: 8192 × 8192."""

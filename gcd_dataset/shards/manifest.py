@@ -1,95 +1,192 @@
-"""``manifest.json``: the recipe and the shards of each split of a data set."""
+"""``manifest.json``: the plan, the shards and the counts of each split of a data set.
 
+It is gathered from the notes of the shards (``gcd_dataset.shards.notes``) when all are made, or by ``gcd index``. The
+file is one line of JSON with sorted keys; ``digest`` is the SHA-256 of the file without it.
+"""
+
+import hashlib
 import json
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from types import UnionType
+from typing import Any, Self, get_args, get_origin
 
 import gcd_dataset
-from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.files import write_whole
+from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.jsonfile import found
 from gcd_dataset.names import require_name
-from gcd_dataset.shards.access import locked, read_limited, reading
-from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
+from gcd_dataset.shards.access import read_file, reading
+from gcd_dataset.shards.layout import MEMBERS, SCHEMA, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import decode_json
 
-__all__ = [
-    "MANIFEST",
-    "Manifest",
-    "RecipeRecord",
-    "ShardRecord",
-    "SplitRecord",
-    "keep_recipe",
-    "keep_split",
-    "parse_manifest",
-    "read_manifest",
-]
-
 MANIFEST = "manifest.json"
-REMEDY = "delete it: shards are read without it, and gcd generate makes it again"
+REMEDY = "delete it, then run gcd index"
+DIGITS = 12  # shown digits of a hash, in messages
+MOST = 1 << 31  # samples of a split, and shards
+LONGEST = 1 << 40  # bytes of a shard
+HASH = re.compile("[0-9a-f]{64}")
+DIGEST = re.compile(rb'\{"digest":"([0-9a-f]{64})",')
+
+
+def shard_name(split: str, number: int, *, views: bool = False) -> str:
+    """The path of a shard's tar, or of that of its pictures, in the data set's folder."""
+    return f"{'views/' if views else ''}{split}-{number:05d}.tar"
 
 
 @dataclass(frozen=True)
+class Plan:
+    """What a data set will hold; its shards follow from it."""
+
+    kind: str
+    """``garments`` or ``bodies``."""
+    seed: int
+    recipe: Mapping[str, Any]
+    """Options of the generator."""
+    count: int
+    """Samples of all splits together."""
+    shard_size: int
+    """Samples of a shard of this split; the last one may hold fewer."""
+    generator: str = gcd_dataset.__version__
+    """Version of this package that makes the data set."""
+    named: tuple[str, str] | None = None
+    """Name and SHA-256 of the published recipe that the data set follows."""
+
+    def require_same(self, asked: "Plan", location: object) -> None:
+        """Raise ``ConfigError`` with the first difference; count and shard size may differ, since data sets grow.
+
+        ``location``: the file that holds this plan, for the message.
+        """
+        if self.generator != asked.generator:
+            raise ConfigError(
+                f"{location}: made by gcd_dataset {self.generator}, but this is {asked.generator}: choose another "
+                f"folder, or install {self.generator} to continue this one"
+            )
+        mine, theirs = self._options(), asked._options()
+        for name in [*mine, *sorted(theirs.keys() - mine.keys())]:
+            before, now = mine.get(name), theirs.get(name)
+            if recipe_hash({"": before}) != recipe_hash({"": now}):
+                raise ConfigError(
+                    f"{location}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
+                )
+
+    def _options(self) -> dict[str, Any]:
+        named = None if self.named is None else f"{self.named[0]} ({self.named[1][:DIGITS]})"
+        return {"kind": self.kind, "recipe": named, "seed": self.seed, **dict(sorted(self.recipe.items()))}
+
+    def to_json(self) -> dict[str, Any]:
+        """The plan as a JSON object."""
+        return {**self.__dict__, "recipe": dict(self.recipe)}
+
+    @classmethod
+    def from_json(cls, entry: Any, location: str) -> Self:
+        """The plan in a JSON object. Raises ``ShardError``."""
+        plan = cls(**checked(cls, entry, location))
+        if not plan.shard_size:
+            raise ShardError(f"{location}: shard_size is 0")
+        return plan
+
+
+@dataclass(frozen=True, slots=True)
 class ShardRecord:
     """One finished shard."""
 
-    name: str
+    number: int
     count: int
-    """Samples."""
+    """Samples; a shard may be empty, if all its drapes failed."""
     size: int
-    """Bytes."""
+    """Bytes of the tar."""
     sha256: str
-    rejects: Mapping[str, int] = field(default_factory=dict)
-    """Rule to the number of designs it rejected for the samples of this shard."""
-    redraws: Mapping[str, int] = field(default_factory=dict)
-    """Rule to the number of redraws it caused in the samples of this shard, of parameters, parts and whole designs."""
+    views_size: int = 0
+    """Bytes of the tar of its pictures; 0 without pictures."""
+    views_sha256: str = ""
+
+    def name(self, split: str, *, views: bool = False) -> str:
+        """The path of its tar in the data set's folder.
+
+        >>> ShardRecord(12, 32, 1024, "").name("train"), ShardRecord(12, 32, 1024, "").views_name("train")
+        ('train-00012.tar', 'views/train-00012.tar')
+        """
+        return shard_name(split, self.number, views=views)
+
+    def views_name(self, split: str) -> str:
+        """The path of the tar of its pictures in the data set's folder."""
+        return shard_name(split, self.number, views=True)
+
+    def to_json(self) -> list[Any]:
+        """The record as a list: number, count, size, SHA-256; with pictures also their size and SHA-256."""
+        views = [self.views_size, self.views_sha256] if self.views_size else []
+        return [self.number, self.count, self.size, self.sha256, *views]
+
+    @classmethod
+    def from_json(cls, entry: Any, location: str) -> Self:
+        """The record in such a list. Raises ``ShardError``."""
+        # Not ``checked``: a manifest lists thousands.
+        if not isinstance(entry, list) or len(entry) not in (4, 6):
+            raise ShardError(f"{location}: {found(entry)}, expected 4 or 6 values")
+        record = cls(*entry)
+        number, count, size, views = record.number, record.count, record.size, record.views_size
+        are_whole = type(number) is type(count) is type(size) is type(views) is int
+        if not (
+            are_whole and 0 <= number < MOST and 0 <= count < MOST and 0 <= size < LONGEST and 0 <= views < LONGEST
+        ):
+            raise ShardError(f"{location}: {found(entry)}: a number is out of range")
+        for sha256 in entry[3::2]:
+            if type(sha256) is not str or HASH.fullmatch(sha256) is None:
+                raise ShardError(f"{location}: {found(entry)}: a hash is not 64 hexadecimal digits")
+        return record
 
 
 @dataclass(frozen=True)
 class SplitRecord:
-    """The recipe and the shards of a split."""
+    """The plan and the shards of a split."""
 
-    seed: int
-    recipe: Mapping[str, Any]
-    shard_size: int
-    """Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``."""
+    plan: Plan
     shards: tuple[ShardRecord, ...] = ()
-    kind: str = "garments"
-    """``garments`` or ``bodies``."""
+    """In the order of their numbers."""
+    members: tuple[str, ...] = ()
+    """The members of every sample in file order, pictures last; empty without samples."""
+    rejects: Mapping[str, int] = field(default_factory=dict)
+    """Rule to the number of designs it rejected for the samples, the most frequent first."""
+    redraws: Mapping[str, int] = field(default_factory=dict)
+    """Rule to the number of redraws it caused, of parameters, parts and whole designs, the most frequent first."""
+    index_sha256: str = ""
+    """Of the file of the split's index."""
+    skipped: int = 0
+    """Samples that could not be made: damaged garments of a published data set."""
 
     @property
-    def rejects(self) -> Mapping[str, int]:
-        """Rule to the number of designs it rejected for all samples, the most frequent first."""
-        return _summed(shard.rejects for shard in self.shards)
+    def count(self) -> int:
+        """Number of samples."""
+        return sum(shard.count for shard in self.shards)
 
-    @property
-    def redraws(self) -> Mapping[str, int]:
-        """Rule to the number of redraws it caused in all samples, the most frequent first."""
-        return _summed(shard.redraws for shard in self.shards)
+    def to_json(self) -> dict[str, Any]:
+        """The record as a JSON object."""
+        return {**self.__dict__, "plan": self.plan.to_json(), "shards": [shard.to_json() for shard in self.shards]}
 
     @classmethod
     def from_json(cls, name: str, entry: Any) -> Self:
-        """Split ``name`` from its entry in the file. Raises ``ShardError`` for an invalid entry."""
-        values = _checked(entry, f"split {name}", SPLIT_TYPES, {"kind": "garments"})
-        shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, NO_COUNTS) for shard in values["shards"]]
-        for shard in shards:
-            if shard_number(require_name(shard["name"], f"split {name}, shard"), name) is None:
-                raise ShardError(f"split {name} lists a shard {found(shard['name'])}: give {name}-00000.tar, …")
-            for counts in NO_COUNTS:
-                if not all(map(_is_count, shard[counts].values())):
-                    raise ShardError(f"split {name}, shard {shard['name']}: {counts} is {found(shard[counts])}")
-        return cls(**{**values, "shards": tuple(ShardRecord(**shard) for shard in shards)})
-
-
-def _summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for rules in counts:
-        total.update(rules)
-    return dict(total.most_common())
+        """Split ``name`` from its JSON object. Raises ``ShardError``."""
+        location = f"split {require_name(name, 'split')}"
+        values = checked(cls, entry, location)
+        shards = tuple(ShardRecord.from_json(shard, f"{location}, a shard") for shard in values["shards"])
+        counts = {name: ranked(values[name]) for name in ("rejects", "redraws")}
+        plan = Plan.from_json(values["plan"], f"{location}, plan")
+        record = cls(**{**values, **counts, "plan": plan, "shards": shards})
+        for member in record.members:
+            require_name(member, f"{location}, member")
+        if any(a.number >= b.number for a, b in pairwise(shards)):
+            raise ShardError(f"{location}: the numbers of its shards do not ascend")
+        if (count := record.count) >= MOST:
+            raise ShardError(f"{location}: more than {MOST} samples")
+        if count and record.members[:1] != MEMBERS[:1]:
+            raise ShardError(f"{location}: its first member is not {MEMBERS[0]}")
+        if record.index_sha256 and HASH.fullmatch(record.index_sha256) is None:
+            raise ShardError(f"{location}: index_sha256 is not 64 hexadecimal digits")
+        return record
 
 
 @dataclass(frozen=True)
@@ -109,7 +206,7 @@ class Manifest:
 
     splits: Mapping[str, SplitRecord] = field(default_factory=dict)
     generator: str = gcd_dataset.__version__
-    """Version of this package that started the data set."""
+    """Version of this package that made the data set."""
     schema: int = SCHEMA
     recipe: RecipeRecord | None = None
     """The published recipe of the whole data set; ``None`` without one."""
@@ -117,121 +214,112 @@ class Manifest:
     @property
     def counts(self) -> dict[str, int]:
         """Split to its number of samples."""
-        return {name: sum(shard.count for shard in split.shards) for name, split in self.splits.items()}
+        return {name: split.count for name, split in self.splits.items()}
 
-    def with_split(self, name: str, record: SplitRecord) -> "Manifest":
-        """The manifest with one split added or replaced."""
-        return replace(self, splits=dict(sorted({**self.splits, name: record}.items())))
-
-    def write(self, folder: Path) -> None:
-        """Write the manifest to the folder, atomically. Raises ``OutputError``."""
-        write_whole(folder / MANIFEST, self.to_bytes())
+    def missing(self, split: str) -> tuple[int, int] | None:
+        """How many of the planned samples are made, in all splits, and their planned number; ``None`` if all are."""
+        planned = self.splits[split].plan.count
+        made = sum(record.count + record.skipped for record in self.splits.values())
+        return (made, planned) if made < planned else None
 
     def to_bytes(self) -> bytes:
         """The content of ``manifest.json``."""
-        entry = {name: value for name, value in asdict(self).items() if (name, value) != ("recipe", None)}
-        return (json.dumps(entry, indent=1, sort_keys=True) + "\n").encode()
+        splits = {name: split.to_json() for name, split in self.splits.items()}
+        body = sorted_json({**self.__dict__, "recipe": self.recipe and self.recipe.__dict__, "splits": splits})
+        return b'{"digest":"%b",%b\n' % (hashlib.sha256(body).hexdigest().encode(), body[1:])
 
 
 def read_manifest(folder: Path) -> Manifest | None:
     """The manifest of a folder; ``None`` if there is none.
 
-    Raises ``ShardError`` for a broken file, and, naming both versions, for an unknown schema.
+    Raises ``ShardError`` for a broken file, and, naming both versions, for another schema.
     """
     path = folder / MANIFEST
     with reading(path):
         exists = path.exists()
-    content = read_limited(path, LARGEST_MANIFEST) if exists else None
-    return None if content is None else parse_manifest(content, str(path))
+    return parse_manifest(read_file(path, LARGEST_MANIFEST), str(path)) if exists else None
 
 
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read_manifest`` does."""
     try:
         entry = decode_json(content, limit=LARGEST_MANIFEST)
-        if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
+        schema: Any = entry.get("schema") if isinstance(entry, Mapping) else None
+        if not is_count(schema):
             raise ShardError("schema is missing")
-        if schema not in SCHEMAS:
-            raise ShardError(
-                f"{path}: written as schema {schema} by gcd_dataset {shown(str(entry.get('generator')))}; gcd_dataset "
-                f"{gcd_dataset.__version__} reads schema {' and '.join(map(str, SCHEMAS))}: install the version that "
-                "wrote it"
-            )
-        values = _checked(entry, "the file", FILE_TYPES, {"recipe": None})
-        for name in values["splits"]:
-            require_name(name, "split")
-        splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
-        named = None if values["recipe"] is None else _checked(values["recipe"], "recipe", RECIPE_TYPES, {})
-        return Manifest(splits, values["generator"], schema, None if named is None else RecipeRecord(**named))
+        if schema == SCHEMA:
+            return _parsed(content, entry)
     except ShardError as error:
-        if str(error).startswith(path):
-            raise
         raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
+    raise ShardError(other_schema(path, schema, entry.get("generator")))
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62
+def _parsed(content: bytes, entry: Mapping[str, Any]) -> Manifest:
+    values, digest = checked(Manifest, entry, "the file"), DIGEST.match(content)
+    if digest is None:
+        raise ShardError("it does not begin with its digest")
+    if hashlib.sha256(b"{" + content[digest.end() :].removesuffix(b"\n")).hexdigest().encode() != digest[1]:
+        raise ShardError("its digest does not match its content")
+    splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
+    recipe = values["recipe"]
+    if recipe is not None:
+        recipe = RecipeRecord(**checked(RecipeRecord, recipe, "recipe"))
+    return Manifest(**{**values, "splits": splits, "recipe": recipe})
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
+def other_schema(path: object, schema: int, generator: object) -> str:
+    """The message about a data set of another schema."""
+    version = shown(str(generator or "of another version")[:40])
+    return (
+        f"{path}: a data set of schema {schema}, made by gcd_dataset {version}; "
+        f"gcd_dataset {gcd_dataset.__version__} reads schema {SCHEMA} alone: make it again, or install that version"
+    )
 
 
-def _is_mapping(value: Any) -> bool:
-    return isinstance(value, Mapping)
+def ranked(counts: Mapping[str, int]) -> dict[str, int]:
+    """The counts, the largest first."""
+    return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
 
 
-FILE_TYPES: Mapping[str, Callable[[Any], bool]] = {
-    "generator": _is_text,
-    "splits": _is_mapping,
-    "schema": _is_count,
-    "recipe": lambda value: value is None or _is_mapping(value),
-}
-RECIPE_TYPES: Mapping[str, Callable[[Any], bool]] = {"name": _is_text, "sha256": _is_text, "patterns": _is_text}
-SPLIT_TYPES: Mapping[str, Callable[[Any], bool]] = {
-    "seed": lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= 0,
-    "recipe": _is_mapping,
-    "shard_size": lambda value: _is_count(value) and value > 0,
-    "shards": lambda value: isinstance(value, list),
-    "kind": _is_text,
-}
-SHARD_TYPES: Mapping[str, Callable[[Any], bool]] = {
-    "name": _is_text,
-    "count": _is_count,
-    "size": _is_count,
-    "sha256": _is_text,
-    "rejects": _is_mapping,
-    "redraws": _is_mapping,
-}
-NO_COUNTS: Mapping[str, Mapping[str, int]] = {"rejects": {}, "redraws": {}}
-"""The counts of a shard that older versions did not write."""
+# ---------------------------------------------------------------------------------------------------------------- JSON
 
 
-def _checked(
-    entry: Any, location: str, types: Mapping[str, Callable[[Any], bool]], defaults: Mapping[str, Any]
-) -> dict[str, Any]:
-    """The entries named in ``types``, with ``defaults`` for missing ones. Raises ``ShardError``."""
+def sorted_json(entry: Mapping[str, Any]) -> bytes:
+    """Compact JSON with sorted keys."""
+    options: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False, "ensure_ascii": False}
+    return json.dumps(entry, sort_keys=True, default=dict, **options).encode()
+
+
+def checked(kind: type, entry: Any, location: str) -> dict[str, Any]:
+    """The fields of a dataclass from a JSON object, lists as tuples. Raises ``ShardError`` with ``location``."""
     if not isinstance(entry, Mapping):
         raise ShardError(f"{location} is {found(entry)}, expected an object")
-    values = {**defaults, **entry}
-    for name, is_valid in types.items():
-        if name not in values:
-            raise ShardError(f"{location}: {name} is missing")
-        if not is_valid(values[name]):
-            raise ShardError(f"{location}: {name} is {found(values[name])}")
-    return {name: values[name] for name in types}
+    for one in fields(kind):
+        if one.name not in entry:
+            raise ShardError(f"{location}: {one.name} is missing")
+        if not _fits(entry[one.name], one.type):
+            raise ShardError(f"{location}: {one.name} is {found(entry[one.name])}")
+    values = ((one.name, entry[one.name]) for one in fields(kind))
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values}
 
 
-def keep_split(folder: Path, split: str, record: SplitRecord) -> None:
-    """Add or replace a split in the folder's manifest, under a lock: splits may be written in parallel.
-
-    Raises ``OutputError``.
-    """
-    with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
-        (read_manifest(folder) or Manifest()).with_split(split, record).write(folder)
+def is_count(value: Any) -> bool:
+    """Whether a value is a number from 0 on."""
+    return type(value) is int and 0 <= value < 1 << 62
 
 
-def keep_recipe(folder: Path, record: RecipeRecord) -> None:
-    """Write the published recipe to the folder's manifest. Raises ``OutputError``."""
-    with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
-        replace(read_manifest(folder) or Manifest(), recipe=record).write(folder)
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a JSON value is of the type of a field; a record in it checks itself."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return any(_fits(value, one) for one in inner)
+    if origin is Mapping:
+        return isinstance(value, Mapping) and all(_fits(one, inner[1]) for one in value.values())
+    if origin is tuple and inner[-1] is not ...:
+        return isinstance(value, list) and len(value) == len(inner) and all(map(_fits, value, inner))
+    if origin in (tuple, Sequence):
+        # A manifest lists thousands of records.
+        return isinstance(value, list) and (is_dataclass(inner[0]) or all(_fits(one, inner[0]) for one in value))
+    if is_dataclass(kind):
+        return isinstance(value, list | Mapping)
+    return is_count(value) if kind is int else kind is Any or isinstance(value, kind)

@@ -8,14 +8,14 @@ list with one such entry, and a loaded item has ``None`` or an empty list; ``gra
 ====================  =========  ===============================================================  =====================
 garments              JSON type  holds                                                            if missing
 ====================  =========  ===============================================================  =====================
-``schema``            int        version of the format: 2
+``schema``            int        version of the format: 3
 ``key``               text       name of the sample in its shard
 ``index``             int        number of the sample
-``points``            object     ``scale`` [cm] of ``points.npy``, ``normal_scale``, both         scale 1.0
-                                 floats, and ``centre`` [cm], 3 floats
 ``seed``              int
 ``attempts``          int        designs tried, this one included
-``rejects``           texts      rule and reason of each rejected design                          ``[""]``
+``rejects``           objects    a rejected design each: ``index`` (int) of the sample that       one of -1, ``""``
+                                 failed, ``rule``, ``reason`` (texts), ``figures`` (JSON text);
+                                 in items a text each, ``rule: reason``
 ``redraws``           objects    ``rule`` (text), ``count`` (int): parameters, parts and designs  one of ``""``, 0
                                  drawn again
 ``versions``          JSON text  package to version, of all packages that affect the bytes
@@ -25,9 +25,9 @@ garments              JSON type  holds                                          
 ``body``              text       name of the body
 ``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether it has one
 ``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
-``panel_names``       texts      rows of ``panels.npy``
+``panel_names``       texts      rows of ``panels``
 ``panel_labels``      texts      labels that its column ``LABEL`` refers to
-``edge_labels``       texts      labels that the column of ``edges.npy`` refers to
+``edge_labels``       texts      labels that the column of ``edges`` refers to
 ``vertex_labels``     texts      labels of vertices                                               ``[""]``
 ``drape``             object     ``outcome`` (text), ``frames``, ``self_crossings``,              ``""``, 0, -1, -1.0
                                  ``body_crossings`` (cloth edges through the body),
@@ -46,33 +46,21 @@ garments              JSON type  holds                                          
 (*) missing where it was not computed, such as ``grade`` without a drape, or ``tags`` of a published garment.
 
 In a body set each body has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
-``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float). In schema 1 there was no
-``crc32_before``, and missing values were null or left out.
+``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float).
 """
 
 import json
 import math
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, Bytes
+from gcd_dataset.records import Rejected
+from gcd_dataset.shards.layout import SCHEMA, Bytes
 from gcd_dataset.shards.limits import LARGEST_JSON
-
-__all__ = [
-    "NO_QUANTIZATION",
-    "Quantization",
-    "decode_json",
-    "json_bytes",
-    "read_meta",
-    "read_quantization",
-    "read_sample_index",
-    "sealed",
-    "write_meta",
-]
 
 
 def _no_constant(text: str) -> float:
@@ -83,35 +71,21 @@ STRICT = json.JSONDecoder(parse_constant=_no_constant)
 
 SEAL = "crc32_before"
 SEALED = re.compile(rb',"crc32_before":(\d{1,10})\}')
-NUMBER = rb"\s*(-?\d[\d.eE+-]{0,30})\s*"
-HEAD = re.compile(rb'\{\s*"schema":\s*\d+,\s*"key":\s*"[^"\\]*",\s*"index":\s*(\d{1,18})\s*,')
-FRAME = re.compile(
-    HEAD.pattern
-    + rb'\s*"points":\s*\{\s*"scale":%b,\s*"normal_scale":%b,\s*"centre":\s*\[%b,%b,%b\]\s*\}' % (5 * (NUMBER,))
-)
 LONGEST = 1 << 62  # exceeds every sample number and byte count in an index
+DIGITS = 4  # decimals of a figure of a reject
 
-
-class Quantization(NamedTuple):
-    """The encoding of ``points.npy``: position = ``centre`` + ``scale`` · integer, normal = ``normal`` · integer."""
-
-    scale: float
-    """[cm]"""
-    normal: float
-    centre: tuple[float, float, float]
-    """[cm]"""
-
-
-NO_QUANTIZATION = Quantization(1.0, 1.0, (0.0, 0.0, 0.0))
-"""For a sample without points."""
+# What the file holds in place of a missing value.
+NO_REJECT: Mapping[str, Any] = {"index": -1, "rule": "", "reason": "", "figures": "{}"}
+NO_REDRAW: Mapping[str, Any] = {"rule": "", "count": 0}
+NO_POSE: Mapping[str, Any] = {"arm_angle": 0.0, "legs_apart": False}
+COUNTS = ("self_crossings", "body_crossings", "body_through")
+STRETCHES = ("stretch_median", "stretch_p99")
+NO_DRAPE: Mapping[str, Any] = {"outcome": "", "frames": 0} | dict.fromkeys(COUNTS, -1) | dict.fromkeys(STRETCHES, -1.0)
+NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
+NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
-
-
-def write_meta(meta: Mapping[str, Any]) -> bytes:
-    """The content of ``meta.json`` for the ``meta`` of an item, sealed with its own CRC-32."""
-    return sealed({name: STORED[name](value) if name in STORED else value for name, value in meta.items()})
 
 
 def sealed(stored: Mapping[str, Any]) -> bytes:
@@ -122,97 +96,90 @@ def sealed(stored: Mapping[str, Any]) -> bytes:
 
 def json_bytes(value: Any) -> bytes:
     """Compact JSON in the order of the keys; floats keep all digits."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+    return json_text(value).encode()
 
 
-def _text(value: Any) -> str:
-    return json_bytes(value).decode()
+def json_text(value: Any) -> str:
+    """The text of ``json_bytes``. Raises ``ValueError`` for NaN and infinity."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
-def _stored_drape(drape: Mapping[str, Any] | None) -> dict[str, Any]:
-    neutral = {"outcome": "", "frames": 0} | dict.fromkeys(COUNTS, -1) | dict.fromkeys(STRETCHES, -1.0)
-    return neutral | {name: value for name, value in (drape or {}).items() if value is not None}
-
-
-def _stored_fabric(fabric: Mapping[str, Any] | None) -> dict[str, Any]:
-    fabric = fabric or {"name": "", "parameters": {}}
-    return {"name": fabric["name"], "parameters": _text(fabric["parameters"])}
-
-
-COUNTS = ("self_crossings", "body_crossings", "body_through")
-STRETCHES = ("stretch_median", "stretch_p99")
-NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
-NO_POSE: Mapping[str, Any] = {"arm_angle": 0.0, "legs_apart": False}
-
-STORED: Mapping[str, Callable[[Any], Any]] = {
-    "rejects": lambda words: list(words) or [""],
-    "redraws": lambda rules: [{"rule": rule, "count": count} for rule, count in (rules or {"": 0}).items()],
-    "versions": _text,
-    "recipe": _text,
-    "pose": lambda pose: pose or NO_POSE,
-    "vertex_labels": lambda words: list(words or ()) or [""],
-    "drape": _stored_drape,
-    "strain": lambda strain: strain or NO_STRAIN,
-    "grade": lambda grade: grade or "",
-    "fabric": _stored_fabric,
-    "gathers": lambda ratios: list(ratios) or [-1.0],
-    "tags": lambda words: list(words) or [""],
-}
-"""Key to the function that converts an item's value to the stored value."""
+def reject_entry(reject: Rejected) -> dict[str, Any]:
+    """A rejected attempt as an entry of ``rejects``; ``figures`` are rounded to four decimals."""
+    figures = {name: x if isinstance(x, int) else round(float(x), DIGITS) for name, x in reject.figures.items()}
+    return {"index": reject.index, "rule": reject.rule, "reason": reject.reason, "figures": json_text(figures)}
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def decode_json(data: Bytes, *, constants: bool = False, limit: int = LARGEST_JSON) -> Any:
-    """Parsed JSON; ``constants`` allows NaN and infinities. Raises ``ShardError``, also for over ``limit`` bytes."""
+def decode_json(data: Bytes, *, limit: int = LARGEST_JSON) -> Any:
+    """Parsed JSON. Raises ``ShardError``, also for over ``limit`` bytes, and for NaN and infinities."""
     if len(data) > limit:
         raise ShardError(f"{len(data)} bytes of JSON, over the limit of {limit}")
     try:
-        return loads(str(data, "utf-8"), decode=json.loads if constants else STRICT.decode)
+        return loads(str(data, "utf-8"), decode=STRICT.decode)
     except ValueError as error:
         raise ShardError(f"not JSON ({error})") from error
 
 
-def read_meta(data: Bytes) -> dict[str, Any]:
-    """The ``meta`` of an item, from any known schema: the same keys, with ``None`` for missing values.
+def decode_object(data: Bytes) -> dict[str, Any]:
+    """A parsed JSON object. Raises ``ShardError`` as ``decode_json`` does, and for any other value."""
+    value = decode_json(data)
+    if not isinstance(value, dict):
+        raise ShardError(f"{found(value)}, expected an object")
+    return value
 
-    Raises ``ShardError`` for an unknown schema, a wrong seal, or a missing or invalid key.
+
+def read_meta(data: Bytes) -> dict[str, Any]:
+    """The ``meta`` of an item: ``rejects`` as texts, ``rule: reason``; ``None`` for missing values.
+
+    Raises ``ShardError`` for another schema, a wrong seal, or a missing or invalid key.
     """
-    meta = _mapping(decode_json(data), "the file")
-    schema = meta.get("schema")
-    if schema not in SCHEMAS or isinstance(schema, bool):
-        known = " and ".join(map(str, SCHEMAS))
-        raise ShardError(f"of schema {found(schema)}, but this reader knows {known}: update gcd_dataset")
-    if schema == SCHEMA:
-        _require_seal(data)
-    meta = _loaded(meta) if schema == SCHEMA else _of_first_schema(meta)
+    meta = decode_object(data)
+    if meta.get("schema") != SCHEMA or isinstance(meta["schema"], bool):
+        raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
+    _require_seal(data)
     forms = PERSON if "name" in meta else GARMENT
     for name, form in forms.items():
         if name not in meta:
             raise ShardError(f"{name} is missing")
-        if not form(meta[name]):
+        if not _has_form(meta[name], form):
             raise ShardError(f"{name} is {found(meta[name])}")
-    return meta
+    loaded = {name: value for name, value in meta.items() if name != SEAL}
+    loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
+    if not all(isinstance(version, str) for version in loaded["versions"].values()):
+        raise ShardError(f"versions is {found(loaded['versions'])}")
+    return loaded if forms is PERSON else loaded | _loaded(meta)
 
 
-def read_sample_index(data: Bytes) -> int:
-    """The sample index in a ``meta.json``, read from its head where possible. Raises ``ShardError``."""
-    match = HEAD.match(data)
-    return int(match[1]) if match else int(read_meta(data)["index"])
+def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """The values in items of the keys for which the file has others."""
+    holds, drape, fabric = meta["holds"], meta["drape"], meta["fabric"]
+    stretches = {name: None if drape[name] == -1.0 else drape[name] for name in STRETCHES}
+    return {
+        "rejects": [f"{entry['rule']}: {entry['reason']}" for entry in meta["rejects"] if entry["rule"]],
+        "redraws": {entry["rule"]: entry["count"] for entry in meta["redraws"] if entry["rule"]},
+        "pose": meta["pose"] if holds["shape"] else None,
+        "vertex_labels": [word for word in meta["vertex_labels"] if word] if holds["mesh"] else None,
+        "drape": drape | stretches if holds["drape"] else None,
+        "strain": None if meta["strain"] == NO_STRAIN else meta["strain"],
+        "fabric": fabric | {"parameters": _parsed(fabric["parameters"])} if fabric["name"] else None,
+        "gathers": [ratio for ratio in meta["gathers"] if ratio != -1.0],
+        "tags": [word for word in meta["tags"] if word],
+    }
 
 
-def read_quantization(data: Bytes) -> Quantization:
-    """The encoding of the points, from the head of ``meta.json`` where possible. Raises ``ShardError``."""
-    match = FRAME.match(data)
-    try:
-        if match is not None:
-            scale, normal, x, y, z = map(float, match.groups()[1:])
-            return Quantization(scale, normal, (x, y, z))
-    except ValueError as error:
-        raise ShardError(f"points: {error}") from error
-    points = read_meta(data)["points"]
-    return Quantization(points["scale"], points["normal_scale"], tuple(points["centre"]))
+def _parsed(text: str) -> dict[str, Any]:
+    return decode_object(text.encode(errors="replace"))
+
+
+def read_rejects(data: Bytes) -> list[dict[str, Any]]:
+    """The entries of ``rejects`` in a ``meta.json``. Raises ``ShardError``."""
+    entries: Any = decode_object(data).get("rejects")
+    if not _has_form(entries, GARMENT["rejects"]):
+        raise ShardError(f"rejects is {found(entries)}")
+    return [entry for entry in entries if entry["rule"]]
 
 
 def _require_seal(data: Bytes) -> None:
@@ -225,159 +192,61 @@ def _require_seal(data: Bytes) -> None:
         raise ShardError("bytes differ from the written ones")
 
 
-def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``meta`` of an item, from the stored one."""
-    loaded = {name: value for name, value in meta.items() if name != SEAL}
-    for name in ("versions", "recipe"):
-        loaded[name] = _parsed(meta, name)
-    if "name" in meta:
-        return loaded
-    holds = _mapping(meta.get("holds"), "holds")
-    for name in ("rejects", "vertex_labels", "tags"):
-        loaded[name] = [word for word in _list(meta.get(name), name) if word != ""]
-    redraws = [_mapping(entry, "redraws") for entry in _list(meta.get("redraws"), "redraws")]
-    loaded["redraws"] = {str(entry.get("rule")): entry.get("count") for entry in redraws if entry.get("rule") != ""}
-    loaded["gathers"] = [ratio for ratio in _list(meta.get("gathers"), "gathers") if ratio != -1.0]
-    loaded["fabric"] = _loaded_fabric(_mapping(meta.get("fabric"), "fabric"))
-    loaded["strain"] = None if meta.get("strain") == NO_STRAIN else meta.get("strain")
-    loaded["drape"] = _loaded_drape(_mapping(meta.get("drape"), "drape")) if holds.get("drape") else None
-    for name, step in {"pose": "shape", "vertex_labels": "mesh"}.items():
-        loaded[name] = loaded.get(name) if holds.get(step) else None
-    return loaded
-
-
-def _of_first_schema(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``meta`` of an item, from one of schema 1."""
-    if "name" in meta:
-        return dict(meta)
-    drape = meta.get("drape")
-    added = {
-        "points": {"scale": 1.0, "normal_scale": 1.0, "centre": [0.0, 0.0, 0.0]},
-        "redraws": {},
-        "holds": {
-            "shape": meta.get("pose") is not None,
-            "mesh": meta.get("vertex_labels") is not None,
-            "drape": drape is not None,
-        },
-        "strain": None,
-        "grade": "",
-        "fabric": None,
-        "gathers": [],
-        "tags": [],
-    }
-    drape = None if drape is None else {"body_through": -1, **_mapping(drape, "drape")}
-    return {**added, "source": "", **meta, "drape": drape}
-
-
-def _loaded_fabric(fabric: Mapping[str, Any]) -> dict[str, Any] | None:
-    return {"name": fabric["name"], "parameters": _parsed(fabric, "parameters")} if fabric.get("name") else None
-
-
-def _loaded_drape(drape: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: None if name in STRETCHES and value == -1.0 else value for name, value in drape.items()}
-
-
-def _parsed(entries: Mapping[str, Any], name: str) -> Any:
-    """The value of an entry that is stored as JSON text. Raises ``ShardError``."""
-    text = entries.get(name)
-    if not isinstance(text, str):
-        raise ShardError(f"{name} is {found(text)}, expected JSON text")
-    return decode_json(text.encode(errors="replace"))
-
-
-def _mapping(value: Any, name: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ShardError(f"{name} is {found(value)}, expected an object")
-    return value
-
-
-def _list(value: Any, name: str) -> Sequence[Any]:
-    if not isinstance(value, list):
-        raise ShardError(f"{name} is {found(value)}, expected a list")
-    return value
-
-
 # -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _is_word(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+def _has_form(value: Any, form: Any) -> bool:
+    """Whether a value has the form: a type; a list of one form, or of several in turn; an object; or a predicate."""
+    match form:
+        case type():
+            return type(value) is form
+        case list():
+            return isinstance(value, list) and all(_has_form(entry, form[0]) for entry in value)
+        case tuple():
+            return isinstance(value, list) and len(value) == len(form) and all(map(_has_form, value, form))
+        case dict():
+            return isinstance(value, dict) and all(_has_form(value.get(name), inner) for name, inner in form.items())
+        case _:
+            return bool(form(value))
 
 
 def _is_count(value: Any) -> bool:
-    return _is_whole(value) and 0 <= value < LONGEST
+    return type(value) is int and 0 <= value < LONGEST
 
 
 def _is_number(value: Any) -> bool:
-    return (isinstance(value, float) and math.isfinite(value)) or (_is_whole(value) and abs(value) < LONGEST)
+    return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < LONGEST)
 
 
-def _is_mapping(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _are(form: Callable[[Any], bool], count: int | None = None) -> Callable[[Any], bool]:
-    """A check for lists of values that pass ``form``, ``count`` of them if given."""
-
-    def check(values: Any) -> bool:
-        return isinstance(values, list) and all(map(form, values)) and count in (None, len(values))
-
-    return check
-
-
-def _maps_to(form: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, Mapping) and all(map(form, value.values()))
-
-
-def _has(**forms: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    """A check for objects with these entries."""
-    return lambda value: isinstance(value, Mapping) and all(form(value.get(name)) for name, form in forms.items())
-
-
-def _or_none(form: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    return lambda value: value is None or form(value)
-
-
-_ORIGIN: Mapping[str, Callable[[Any], bool]] = {
+_ORIGIN: Mapping[str, Any] = {
     "schema": _is_count,
-    "key": _is_word,
+    "key": str,
     "index": _is_count,
-    "seed": lambda seed: _is_whole(seed) and seed >= 0,
-    "versions": _maps_to(_is_word),
-    "recipe": _is_mapping,
+    "seed": lambda seed: type(seed) is int and seed >= 0,
+    "versions": str,
+    "recipe": str,
 }
-PERSON: Mapping[str, Callable[[Any], bool]] = {**_ORIGIN, "name": _is_word, "arm_angle": _is_number}
-_PAIR = _are(_is_number, 2)
-GARMENT: Mapping[str, Callable[[Any], bool]] = {
+PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
+_PAIR = (_is_number, _is_number)
+GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
-    "points": _has(scale=_is_number, normal_scale=_is_number, centre=_are(_is_number, 3)),
     "attempts": _is_count,
-    "rejects": _are(_is_word),
-    "redraws": _maps_to(_is_count),
-    "pattern": _is_word,
-    "body": _is_word,
-    "pose": _or_none(_has(arm_angle=_is_number, legs_apart=lambda value: isinstance(value, bool))),
-    "panel_names": _are(_is_word),
-    "panel_labels": _are(_is_word),
-    "edge_labels": _are(_is_word),
-    "vertex_labels": _or_none(_are(_is_word)),
-    "drape": _or_none(
-        _has(
-            outcome=_is_word,
-            frames=_is_whole,
-            **dict.fromkeys(COUNTS, _is_whole),
-            **dict.fromkeys(STRETCHES, _or_none(_is_number)),
-        )
-    ),
-    "strain": _or_none(_has(principal=_PAIR, panels=_are(_PAIR))),
-    "grade": _is_word,
-    "fabric": _or_none(_has(name=_is_word, parameters=_is_mapping)),
-    "gathers": _are(_is_number),
-    "tags": _are(_is_word),
-    "source": _is_word,
+    "rejects": [{"index": int, "rule": str, "reason": str, "figures": str}],
+    "redraws": [{"rule": str, "count": _is_count}],
+    "pattern": str,
+    "body": str,
+    "holds": {"shape": bool, "mesh": bool, "drape": bool},
+    "pose": {"arm_angle": _is_number, "legs_apart": bool},
+    "panel_names": [str],
+    "panel_labels": [str],
+    "edge_labels": [str],
+    "vertex_labels": [str],
+    "drape": {"outcome": str, "frames": int} | dict.fromkeys(COUNTS, int) | dict.fromkeys(STRETCHES, _is_number),
+    "strain": {"principal": _PAIR, "panels": [_PAIR]},
+    "grade": str,
+    "fabric": {"name": str, "parameters": str},
+    "gathers": [_is_number],
+    "tags": [str],
+    "source": str,
 }
-"""Key to the check of an item's value."""
+"""Key to the form of its value in the file."""

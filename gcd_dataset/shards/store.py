@@ -1,31 +1,14 @@
-"""The interface between ``ShardReader`` and the storage of a data set: a folder, or a server."""
+"""The interface between ``ShardReader`` and the files of a data set: a folder, or a server."""
 
 import logging
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import BinaryIO, NamedTuple
+from pathlib import Path
 
 from gcd_dataset.shards.access import REMEDY
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import Layout
-from gcd_dataset.shards.manifest import Manifest
-
-__all__ = ["MemberLocation", "Store", "runs"]
-
-
-class MemberLocation(NamedTuple):
-    """Offset, size and CRC-32 of one member of a sample in its shard."""
-
-    column: int
-    """Position of the member in ``Layout.members``."""
-    offset: int
-    size: int
-    crc: int
-
-    @property
-    def end(self) -> int:
-        return self.offset + self.size
+from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.manifest import Manifest, ShardRecord
 
 
 class Store(ABC):
@@ -35,63 +18,55 @@ class Store(ABC):
     """Origin and revision of the data; ``None`` where unknown."""
 
     remedy: str = REMEDY
-    """The remedy in messages about damaged members."""
+    """The remedy in messages about damaged samples."""
 
     @abstractmethod
     def location(self, name: str = "") -> str:
         """The path or URL of a file, by default of the whole data set, for messages."""
 
     @abstractmethod
-    def manifest(self) -> Manifest | None:
-        """The manifest; ``None`` without one. Raises ``ShardError``."""
+    def manifest(self) -> Manifest:
+        """The manifest; gathered from the notes of the shards where there is none. Raises ``ShardError``."""
 
     @abstractmethod
-    def index(self, split: str, layout: Layout) -> ShardIndex:
-        """The index of a split; its layout is ``layout``, reduced to the members present.
-
-        Raises ``ShardError`` where the split is broken, incomplete, empty, or of another layout.
-        """
+    def index(self, split: str) -> SplitIndex:
+        """The index of a split. Raises ``ShardError`` where the split is missing, empty or broken."""
 
     @abstractmethod
+    def path(self, split: str, shard: ShardRecord, *, views: bool = False) -> Path:
+        """The whole tar of a shard, or of its pictures, on this machine. Raises ``ShardError``."""
+
+    @abstractmethod
+    def part(self, split: str, shard: ShardRecord, start: int, end: int, *, views: bool = False) -> Bytes:
+        """Bytes ``start`` to ``end`` of a shard, or of the tar of its pictures. Raises ``ShardError``."""
+
+    def parts(self, split: str, wanted: Sequence[tuple[ShardRecord, int, int, bool]]) -> Iterable[Bytes]:
+        """As ``part``, for several samples: shard, start, end and whether of the pictures. Raises ``ShardError``."""
+        # One by one: each sample is checked while it is in the CPU cache.
+        return (self.part(split, shard, start, end, views=views) for shard, start, end, views in wanted)
+
+    def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:  # noqa: B027
+        """Bring whole tars of several shards onto this machine, at once; a folder has them. Raises ``ShardError``."""
+
+    @property
+    @abstractmethod
+    def cache(self) -> Path:
+        """The folder with one folder for each shard, named by its SHA-256, for data derived from it."""
+
     def unfinished(self, split: str) -> str | None:
-        """A message that the run that writes a split has not finished, with a remedy; ``None`` if it has."""
+        """A message that not all samples of the data set are made, with a remedy; ``None`` if all are."""
+        manifest = self.manifest()
+        if split not in manifest.splits or (missing := manifest.missing(split)) is None:
+            return None
+        return f"{missing[0]} of {missing[1]} samples are made: {self._continuation(split)}"
+
+    def _continuation(self, split: str) -> str:
+        return "ask its publisher to finish it"
 
     def warn_unfinished(self, splits: Iterable[str]) -> None:
-        """Log a warning for each split whose run has not finished."""
+        """Log a warning for the first split that is unfinished."""
         for split in splits:
             if (fault := self.unfinished(split)) is not None:
-                message = "%s: split %s is unfinished: %s; partial=True opens it without this warning"
-                logging.getLogger("gcd_dataset").warning(message, self.location(), split, fault)
-
-    @abstractmethod
-    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
-        """Column to content of members of sample ``number`` of a shard; ``parts`` in file order.
-
-        The caller owns the buffers and may write to them. Raises ``ShardError``.
-        """
-
-    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> Iterable[dict[int, memoryview]]:
-        """As ``read``, for several samples: shard, number and members of each. Raises ``ShardError``."""
-        # One by one: each sample is checked while it is in the CPU cache.
-        return (self.read(*sample) for sample in wanted)
-
-    def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
-        """Fetch a damaged member again; ``None`` where the store has no other copy."""
-        return None
-
-    @abstractmethod
-    def stream(self, shard: str) -> BinaryIO:
-        """A shard as a file, from its first byte on. Raises ``ShardError``, also on reading."""
-
-
-def runs(parts: Sequence[MemberLocation], gap: int) -> list[list[MemberLocation]]:
-    """Group members, given in file order, into runs with at most ``gap`` bytes between neighbours."""
-    found: list[list[MemberLocation]] = []
-    end = -math.inf
-    for part in parts:
-        _, offset, size, _ = part
-        if offset - end > gap:
-            found.append([])
-        found[-1].append(part)
-        end = offset + size
-    return found
+                message = "%s: the data set is unfinished: %s; partial=True opens it without this warning"
+                logging.getLogger("gcd_dataset").warning(message, self.location(), fault)
+                return

@@ -1,20 +1,21 @@
 """USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.layout import MOST_VIEWS, Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = ["BLOCK", "END", "TarMember", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
-
 BLOCK = 512
+ZEROS = bytes(BLOCK)
 END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
+MOST_MEMBERS = 2 * MOST_VIEWS + 32  # of a sample
+ENDLESS = 1 << 62  # a position behind any archive
 CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
@@ -60,81 +61,85 @@ def tar_entries(file: int) -> Iterator[TarMember]:
     Raises ``ShardError`` where a header is damaged, a member is cut off, or other bytes follow the zeros at the end.
     """
     end, position = os.fstat(file).st_size, 0
-    while position < end:
-        header = os.pread(file, BLOCK, position)
-        if header == bytes(BLOCK):
-            _require_zeros(file, position, end)
-            return
-        name, size = _parse(header, position)
-        if position + BLOCK + padded(size) > end:
-            raise ShardError(f"member {name} is cut off at byte {end}")
-        yield TarMember(name, position + BLOCK, size)
-        position += BLOCK + padded(size)
-
-
-def _require_zeros(file: int, position: int, end: int) -> None:
-    """Raise ``ShardError`` for bytes other than 0 between ``position`` and ``end``: zeros have overwritten a header."""
-    while position < end:
-        chunk = os.pread(file, CHUNK, position)
-        if not chunk or chunk.strip(b"\0"):
+    for member in _members(lambda place: os.pread(file, BLOCK, place), end):
+        yield member
+        position = member.offset + padded(member.size)
+    for place in range(position, end, CHUNK):
+        if os.pread(file, CHUNK, place).strip(b"\0"):  # zeros have overwritten a header
             raise ShardError(f"zeros at byte {position}, but content after them")
-        position += len(chunk)
 
 
-def stream_samples(
-    file: BinaryIO, wanted: Container[str], *, begin: int = 0
-) -> Iterator[tuple[str, dict[str, bytearray]]]:
-    """Key and wanted members of each sample of one of our archives, read from byte ``begin`` on.
+def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]]]:
+    """Key and members of each sample of one of our archives in memory, or of a run of whole samples cut out of one.
 
-    ``file`` is positioned at ``begin``. Raises ``ShardError`` for a damaged header, a member that is cut off or too
-    large, and a duplicate member or sample.
+    Raises ``ShardError`` for a damaged header, a member that is cut off, and a duplicate member or sample.
     """
-    key, members, names, past_keys, position = "", dict[str, bytearray](), set[str](), set[str](), begin
-    while (header := file.read(BLOCK)) not in (b"", bytes(BLOCK)):
-        name, size = _parse(header, position)
-        if size > LARGEST_SAMPLE:
-            raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
+    key, members, past = "", dict[str, memoryview](), set[str]()
+    for name, offset, size in _members(lambda place: bytes(content[place : place + BLOCK]), len(content)):
         next_key, _, member = name.partition(".")
         if next_key != key:
             if key:
                 yield key, members
-            past_keys.add(key)
-            key, members, names = next_key, {}, set()
-        if member in names or key in past_keys:
-            raise ShardError(f"member {shown(name)} occurs twice, again at byte {position}")
-        names.add(member)
-        content = _read_content(file, size, member in wanted, name)
-        if member in wanted:
-            members[member] = content
-        position += BLOCK + padded(size)
+            past.add(key)
+            key, members = next_key, {}
+        if member in members or key in past:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {offset}")
+        members[member] = content[offset : offset + size]
     if key:
         yield key, members
 
 
-def _read_content(file: BinaryIO, size: int, is_wanted: bool, name: str) -> bytearray:
-    """The content of the next member; empty for a skipped one. Raises ``ShardError``."""
-    if not is_wanted and file.seekable():
-        file.seek(padded(size), os.SEEK_CUR)
-        return bytearray()
-    content, got = bytearray(padded(size)), 0
-    while got < len(content) and (count := file.readinto(memoryview(content)[got:])):  # type: ignore[attr-defined]
-        got += count
-    if got < size:
-        raise ShardError(f"member {shown(name)} is cut off: only {got} of its {size} bytes are present")
-    del content[size:]
-    return content
+def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]:
+    """The members of an archive of ``end`` bytes, up to the first block of zeros. Raises ``ShardError``."""
+    position = 0
+    while position < end and (header := header_at(position)) != ZEROS:
+        name, size = _parse(header, position)
+        position += BLOCK
+        if position + padded(size) > end:
+            raise ShardError(f"member {shown(name)} is cut off at byte {end}")
+        yield TarMember(name, position, size)
+        position += padded(size)
+
+
+class CheckedTar:
+    """An archive of unknown origin, for other readers: raises ``ShardError`` before they see a harmful header.
+
+    Allowed are plain files with USTAR headers, up to ``LARGEST_SAMPLE`` bytes each and ``MOST_MEMBERS`` a sample: no
+    sparse files, no extended headers, no links, no compression. ``file`` is at the first byte of a header.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._position, self._next, self._rest = file, 0, 0, b""
+        self._key, self._names = "", set[str]()  # of the sample that is being read
+
+    def read(self, size: int) -> bytes:
+        """The next ``size`` bytes, fewer at the end of the file."""
+        data = self._file.read(size)
+        content, begin = self._rest + data if self._rest else data, self._position - len(self._rest)
+        self._position += len(data)
+        while self._next + BLOCK <= self._position:
+            header = content[self._next - begin : self._next - begin + BLOCK]
+            self._next = ENDLESS if header == ZEROS else self._next + self._checked(header)
+        self._rest = content[self._next - begin :] if self._next < self._position else b""
+        return data
+
+    def _checked(self, header: bytes) -> int:
+        """The size of a member and its header, in whole blocks."""
+        name, size = _parse(header, self._next)
+        if size > LARGEST_SAMPLE:
+            raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
+        if (key := name.partition(".")[0]) != self._key:
+            self._key, self._names = key, set()
+        if name in self._names:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {self._next}")
+        self._names.add(name)
+        if len(self._names) > MOST_MEMBERS:
+            raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
+        return BLOCK + padded(size)
 
 
 def _signed(header: bytes) -> bytes:
     return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
-
-
-def require_header(header: bytes, position: int) -> None:
-    """Raise ``ShardError`` unless the checksum of a header matches; the header may be by any program."""
-    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
-    digits = header[CHECKSUM].strip(b" \0")
-    if len(header) < BLOCK or not digits.isdigit() or not digits.isascii() or _octal(digits) != sum(blank):
-        raise ShardError(f"no tar header at byte {position}")
 
 
 def _octal(digits: bytes) -> int:
@@ -142,13 +147,16 @@ def _octal(digits: bytes) -> int:
 
 
 def _parse(header: bytes, position: int) -> tuple[str, int]:
-    """Name and size of a member."""
-    require_header(header, position)
+    """Name and size of a member, from a header by any program. Raises ``ShardError`` unless its checksum matches."""
+    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
+    digits = header[CHECKSUM].strip(b" \0")
+    if len(header) < BLOCK or not digits.isdigit() or _octal(digits) != sum(blank):
+        raise ShardError(f"no tar header at byte {position}")
     try:
         name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:
         raise ShardError(f"tar header of another program at byte {position}") from error
-    if size < 0:
+    if size < 0 or header[135] != 0:  # other readers would take it for a twelfth digit
         raise ShardError(f"tar header of another program at byte {position}")
     if header[KIND] != PLAIN:
         raise ShardError(f"member {name} at byte {position} is not a plain file")

@@ -16,15 +16,14 @@ from gcd_dataset.doctor.files import published_faults, shard_file_faults, split_
 from gcd_dataset.doctor.garment import FIELDS_READ, Fault, Garment, garment_faults
 from gcd_dataset.doctor.report import Report, SplitSummary, Tally
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.base import Garments
+from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
-from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.layout import BODIES, FAILED, FOREIGN, GARMENTS, key_of
-from gcd_dataset.shards.published import is_published
-from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
+from gcd_dataset.shards.layout import BODIES, FAILED, key_of
 
 __all__ = ["doctor"]
 
@@ -116,8 +115,7 @@ def _hdf5_split(path: Path) -> _Split:
 
 
 def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
-    from gcd_dataset.hub.opening import open_store
-    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.remote import Remote, open_store
     from gcd_dataset.hub.source import Folder, Repo, parse_source
 
     parsed = parse_source(source)
@@ -128,12 +126,10 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
     options["partial"] = True  # an unfinished run is among the findings
     folder = store.folder if isinstance(store, FolderStore) else None
     manifest = store.manifest()
-    names = tuple(manifest.splits) if manifest is not None else ("train",)
-    if folder is not None:
-        names = require_splits(folder)
-        if any(layout_in(folder, split) == BODIES for split in names):
-            raise ConfigError(f"{folder}: a data set of bodies: gcd doctor examines garments; gcd verify checks bodies")
-    splits = tuple(_shard_split(source, name, options) for name in sorted(names, key=_split_order))
+    if any(record.plan.kind == BODIES.kind for record in manifest.splits.values()):
+        raise ConfigError(f"{source}: a data set of bodies: gcd doctor examines garments; gcd verify checks bodies")
+    names = sorted((name for name, record in manifest.splits.items() if record.count), key=_split_order)
+    splits = tuple(_shard_split(source, name, options) for name in names)
     return _Source(store.location(), splits, folder)
 
 
@@ -145,9 +141,8 @@ def _split_order(name: str) -> tuple[int, str]:
 def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
     try:
         known = GarmentDataset(source, split, **options)
-        if getattr(known, "layout", GARMENTS).kind == FOREIGN or "meta" not in known.fields:
-            raise ConfigError(f"{source}: tars of another program: gcd doctor knows garments of this package only")
-        return _Split(split, GarmentDataset(source, split, _examined(known.fields), dtype=None, **options))
+        garments = GarmentDataset(source, split, _examined(known.fields), dtype=None, **options)
+        return _Split(split, garments, name_of=garments._key)
     except RemoteError:
         raise
     except ShardError as error:
@@ -209,7 +204,7 @@ class _Examination:
         progress = Progress(len(positions), 0, split=split.name)
         self._on_progress(progress)
         for position, item in _items(split.garments, positions):
-            progress = progress.with_sample()
+            progress = progress.with_made()
             self._on_progress(progress)
             if isinstance(item, GcdError):
                 self.tally.add(checks.UNREADABLE, split.name, split.key(position), [str(item)])

@@ -28,7 +28,7 @@ from gcd_dataset.release.draft import ReleaseDraft, release_draft
 from gcd_dataset.release.published_names import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
 from gcd_dataset.release.write import FAIL_CLASSES, PatternDrawing, garment_files, yaml_bytes
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.folder import splits_in
 from gcd_dataset.verbs.statistics import batch_properties, garment_type
 
 __all__ = ["export_published", "exported_splits"]
@@ -100,10 +100,7 @@ def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Gen
 
 def _fingerprint(readers: Mapping[str, ShardReader]) -> str:
     """A hash of the exported garments and of the writing version: only an export with an equal hash is resumed."""
-    contents = {}
-    for split, reader in readers.items():
-        table = reader.index.table
-        contents[split] = hashlib.sha256(table.sample.tobytes() + table.crc.tobytes()).hexdigest()
+    contents = {split: [shard.sha256 for shard in reader.record.shards] for split, reader in readers.items()}
     return json.dumps({"version": __version__, "contents": contents})
 
 

@@ -172,16 +172,16 @@ class ShardAlbum(Album):
         self.waits = not isinstance(reader.store, FolderStore)
         self._reader = reader
         rows = reader.rows(range(len(reader)))
-        self._grade = reader.index.table.grade[rows]
-        self._settled = reader.index.table.settled[rows]
-        self._number = reader.index.table.sample[rows]
+        self._grade = reader.index.grade[rows]
+        self._settled = reader.index.settled[rows]
+        self._number = reader.index.number[rows]
         self._tags = GarmentTags(reader, cache)
 
     def __len__(self) -> int:
         return len(self._reader)
 
     def key(self, position: int) -> str:
-        return self._reader.index.key(int(self._reader.rows([position])[0]))
+        return self._reader.key(position)
 
     def page(self, position: int, side: int = 0) -> str:
         return page_of(content_of(self._reader.sample(position)))
@@ -386,7 +386,7 @@ def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlb
 
 def _patterns_of(reader: ShardReader) -> dict[str, Source]:
     """The patterns of a data set by their names, which for generated garments are the keys."""
-    keys = [reader.index.key(row) for row in reader.rows(range(len(reader))).tolist()]
+    keys = list(map(reader.key, range(len(reader))))
     if reader.sample(0).pattern.name != keys[0]:
         keys = [reader.sample(position).pattern.name for position in range(len(keys))]
     return {key: partial(lambda i: reader.sample(i).pattern, position) for position, key in enumerate(keys)}

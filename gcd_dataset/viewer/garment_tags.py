@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import io
 import json
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ from jaxtyping import Int
 from gcd_dataset.errors import OutputError, RemoteError, ShardError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.arrays import Column, read_arrays
+from gcd_dataset.shards.sections import Coding, pack, unpack
 
 __all__ = ["OUTCOME", "TAG", "GarmentTags"]
 
@@ -24,7 +23,8 @@ KEPT_FILES = 64  # data sets in the cache, the latest ones
 FOLDER = "tags"
 META = "meta.json"
 TAG, OUTCOME = "tag", "outcome"
-COLUMNS = {"words": Column("U", 1), "counts": Column("iu", 1), "positions": Column("iu", 1), "known": Column("iu", 0)}
+SECTIONS = {"words": "u1", "counts": "i4", "positions": "i4", "known": "i4"}
+"""Section of a cached file to its type; words are a JSON list."""
 
 
 class GarmentTags:
@@ -35,7 +35,7 @@ class GarmentTags:
 
     def __init__(self, reader: ShardReader, cache: Path | None = None) -> None:
         self._reader, self._count = reader, len(reader)
-        self._file = None if cache is None else cache / FOLDER / f"{_identity(reader)}.npz"
+        self._file = None if cache is None else cache / FOLDER / f"{_identity(reader)}.z"
         self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
         self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
         self.problem = ""
@@ -122,43 +122,41 @@ class GarmentTags:
     def _load(self, path: Path) -> None:
         """Take over a cached file; one that is missing, unreadable or damaged is left out."""
         try:
-            arrays = read_arrays(path.read_bytes(), COLUMNS)
-        except (OSError, ShardError):
+            stored = unpack(path.read_bytes())
+            words, counts, positions, known = (stored[name] for name in SECTIONS)
+            named = [(field, word) for field, word in json.loads(words.tobytes())]
+        except (OSError, ShardError, KeyError, ValueError, TypeError):
             return
-        words, counts, positions, known = (arrays[name] for name in COLUMNS)
-        ends = np.cumsum(counts.astype(np.int64))
-        is_whole = len(words) == len(counts) and (int(ends[-1]) if len(ends) else 0) == len(positions)
-        if not is_whole or not 0 <= int(known) <= self._count or not ((positions >= 0) & (positions < known)).all():
+        are_typed = all(stored[name].dtype == kind and stored[name].ndim == 1 for name, kind in SECTIONS.items())
+        ends = np.cumsum(counts)
+        is_whole = are_typed and len(named) == len(counts) and len(known) == 1 and ends[-1:].sum() == len(positions)
+        if not is_whole or not 0 <= known[0] <= self._count or not ((positions >= 0) & (positions < known)).all():
             return
         parts = np.split(positions.astype(np.int64), ends[:-1]) if len(ends) else []
-        for word, rows in zip(words.tolist(), parts, strict=True):
-            field, _, name = word.partition(":")
-            self._positions[field, name] = [rows]
-        self.known = int(known)
+        self._positions.update({word: [rows] for word, rows in zip(named, parts, strict=True)})
+        self.known = int(known[0])
 
     def _save(self, path: Path) -> None:
         """Write to the cache; without room or permission there is none."""
         words = list(self._positions)
         parts = [self.positions(*word) for word in words]
-        content = io.BytesIO()
-        np.savez_compressed(
-            content,
-            words=np.array([":".join(word) for word in words], str),
-            counts=np.array([len(rows) for rows in parts], np.int64),
-            positions=np.concatenate([np.zeros(0, np.int64), *parts]),
-            known=np.int64(self.known),
-        )
+        content: dict[str, np.ndarray] = {
+            "words": np.frombuffer(json.dumps(words).encode(), np.uint8),
+            "counts": np.array([len(rows) for rows in parts], np.int32),
+            "positions": np.concatenate([np.zeros(0, np.int64), *parts]).astype(np.int32),
+            "known": np.array([self.known], np.int32),
+        }
         with contextlib.suppress(OSError, OutputError):
             make_folder(path.parent)
-            write_whole(path, content.getvalue())
-            _evict(path.parent.glob("*.npz"))
+            write_whole(path, pack(content, {"positions": Coding(1)}))
+            _evict(path.parent.glob("*.z"))
 
 
 def _identity(reader: ShardReader) -> str:
     """A hash of the samples of a split, and of their ``meta.json``, in order."""
     rows = reader.rows(range(len(reader)))
-    digest = hashlib.sha256(np.ascontiguousarray(reader.index.table.sample[rows]).tobytes())
-    digest.update(np.ascontiguousarray(reader.index.table.crc[rows, 0]).tobytes())
+    digest = hashlib.sha256(np.ascontiguousarray(reader.index.number[rows]).tobytes())
+    digest.update("".join(shard.sha256 for shard in reader.record.shards).encode())
     return digest.hexdigest()[:32]
 
 

@@ -35,6 +35,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     with launch_lock:
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
+        solver.round_positions(chosen)
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
         body_through = solver.body_through(chosen)
         stretches = solver.stretches()

@@ -111,6 +111,11 @@ class Solver:
             self.launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
 
+    def round_positions(self, worlds: Bool[np.ndarray, " w"]) -> None:
+        """Round the positions of the chosen worlds to multiples of ``POSITION_STEP``, as shards store them."""
+        m = self.model
+        self.launch(finish.round_positions, m.n_vertices, [m.cloth, self._chosen(worlds)], [self.state.x])
+
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the cloth; 0 outside ``worlds``."""
         m = self.model

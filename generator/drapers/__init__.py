@@ -18,7 +18,8 @@ How a request travels from a worker to the draping process and back:
    ``DrapeError``; after a kill they raise it when the socket closes. The next connection starts a new process. The
    draping process ends when its owner's lock is released, however the owner ends.
 
-Without a GPU each worker drapes on its CPU by itself (``LocalDraper``); a Ray cluster uses actors (``RayDraper``).
+Without a GPU each worker drapes on its CPU by itself (``LocalDraper``). The tasks of a Ray cluster share such processes
+too.
 """
 
 from gcd_dataset.generator.drapers.address import DraperAddress, address_for, addresses_for

@@ -38,6 +38,8 @@ class DraperAddress:
 
     folder: Path
     device: str
+    detached: bool = False
+    """Whether the process is no child of the one that starts it: Ray kills the children of a worker that ends."""
 
     def connect(self) -> Connection:
         """A connection to the draping process; starts it if it does not run.
@@ -90,6 +92,7 @@ class DraperAddress:
         # no children.
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}  # noqa: PTH109
         command = [sys.executable, "-P", "-m", "gcd_dataset.generator.drapers.process", str(self.folder), self.device]
+        command += ["--detached"] if self.detached else []
         process = subprocess.Popen(
             command,
             env=environment,

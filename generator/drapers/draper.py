@@ -57,8 +57,8 @@ class DrapeReply:
 class Draper(Protocol):
     """Drapes garments on one device. A context manager: leaving the block drops the requests without a reply.
 
-    Implementations: ``LocalDraper`` in this process, ``SharedDraper`` in a process that many workers share,
-    ``RayDraper`` in a Ray actor. All methods raise ``DrapeError`` after the draper has failed.
+    Implementations: ``LocalDraper`` in this process, ``SharedDraper`` in a process that many workers share. All methods
+    raise ``DrapeError`` after the draper has failed.
     """
 
     at_once: int

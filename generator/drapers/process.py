@@ -1,6 +1,6 @@
 """The draping process: drapes the requests of any number of clients on one device.
 
-    python -m gcd_dataset.generator.drapers.process FOLDER DEVICE
+    python -m gcd_dataset.generator.drapers.process FOLDER DEVICE [--detached]
 
 The garments of all clients share one batch. The process ends when the owner of ``FOLDER`` ends. See the package's
 docstring for how requests travel.
@@ -243,4 +243,6 @@ def _end_with_owner(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    if "--detached" in sys.argv and os.fork():
+        os._exit(0)
     main(Path(sys.argv[1]), sys.argv[2])

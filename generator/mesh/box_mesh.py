@@ -48,13 +48,14 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     faces = vertex[corners]
     proper = proper_faces(faces)  # sewing two corners together collapses a triangle
     _require_faces(faces[proper], vertex, panels, pattern)
+    corners = _sorted_faces(corners[proper])
     return BoxMesh(
         vertices=mean_positions(panels.positions, vertex),
-        faces=faces[proper],
+        faces=vertex[corners],
         uv=panels.uv,
-        corners=corners[proper],
+        corners=corners,
         uv_vertex=vertex,
-        panel_id=panels.panel_of_point[corners[proper, 0]],
+        panel_id=panels.panel_of_point[corners[:, 0]],
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
@@ -121,6 +122,13 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
                 "%s: %s closes a band with one side only: the faces along it have opposite windings", pattern.name, name
             )
     return np.where(turned[panel, None], panels.corners[:, [0, 2, 1]], panels.corners)
+
+
+def _sorted_faces(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
+    """The faces turned to begin with their least corner, then sorted: panel by panel, and small when stored."""
+    least = np.argmin(corners, axis=1)
+    turned = np.take_along_axis(corners, (least[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -> Filling:

@@ -29,7 +29,7 @@ def test_the_set_holds_small_garments_of_all_kinds_and_full_ones_in_its_middle(f
     assert len(album.facets().kinds) == 8
     assert 0 < len(album.matches(Filter(kind=KIND, outcome=OUTCOME))) < COUNT / 5
     full = full_range(COUNT)
-    sizes = [len(reader.read(position, ["verts.npy"])["verts.npy"]) for position in range(COUNT)]
+    sizes = [len(mesh.vertices) for position in range(COUNT) if (mesh := reader.sample(position).box_mesh) is not None]
     assert min(sizes[position] for position in full) > 20 * max(sizes[: full.start])
     assert reader.sample(full.start).shape is not None
 
@@ -42,14 +42,14 @@ def test_no_garment_that_is_jumped_to_is_made_ahead() -> None:
 
 
 def test_the_viewer_is_started_and_asked(folder: Path, tmp_path: Path) -> None:
-    with shown(folder, full_range(COUNT).start, {**os.environ, "HOME": str(tmp_path)}) as site:
+    with shown(folder, full_range(COUNT).start, {**os.environ, "GCD_CACHE": str(tmp_path)}) as site:
         assert site.cpu_since_start > 0 and site.since_start > 0
         assert site.wait_for_tags() > 0
         for cost in (site.timed_next(), site.timed_jump(0)):
             assert 0 < cost.wall < 60
         assert site.timed_filter(0) > 0
         assert site.peak_memory > 20
-    assert list((tmp_path / ".cache").rglob("*.npz"))  # tags for the next start
+    assert list((tmp_path / "tags").glob("*.z"))  # tags for the next start
 
 
 def test_figures_are_named_with_units_and_leave_out_what_was_not_measured() -> None:

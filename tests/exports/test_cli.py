@@ -24,9 +24,11 @@ from tests.exports.patterns import squares
 def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of two samples, the second without a drape."""
     folder = tmp_path_factory.mktemp("shards")
-    with ShardWriter(folder, seed=3, recipe=recipe_of(MakeConfig())) as writer:
+    recipe = recipe_of(MakeConfig())
+    with ShardWriter(folder, seed=3, recipe=recipe) as writer:
         writer.write(worn)
-        second = replace(worn, key="gcd_000000001", provenance=replace(worn.provenance, index=1))
+        provenance = replace(worn.provenance, index=1, recipe=recipe)
+        second = replace(worn, key="gcd_000000001", provenance=provenance)
         writer.write(replace(second, drape=None, box_mesh=None))
     return folder
 
@@ -68,7 +70,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
             1,
             "sample gcd_000000001 holds no drape: make the data set with",
         ),
-        (["SHARDS", "--index", "2", "--pdf", "a.pdf"], 1, "sample 2 of 2: give one from 0 to 1"),
+        (["SHARDS", "--index", "2", "--pdf", "a.pdf"], 1, "garment 2 of 2: give one from 0 to 1"),
         (["SHARDS", "--glb", "a.gltf"], 2, "a.gltf: the file is GLB: end its name in .glb"),
         (["SHARDS", "--glb", "a.glb", "--pdf", "a.pdf"], 2, "--glb, --obj, --ply, --usd, --dxf, --pdf: one of them"),
         (["SHARDS", "--glb", "a.glb", "--tile", "0"], 2, "a texture tile of 0 cm: give one from 0.01 to 10000 cm"),

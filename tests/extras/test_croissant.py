@@ -44,7 +44,8 @@ def test_the_description_is_valid_croissant(mlc: ModuleType, staged: Staged, cap
 
 
 def test_records_equal_the_files_of_the_shards(mlc: ModuleType, staged: Staged) -> None:
-    shards = {record.name: staged.folder / record.name for record in staged.manifest.splits["train"].shards}
+    names = [record.name("train") for record in staged.manifest.splits["train"].shards]
+    shards = {name: staged.folder / name for name in names}
     records = mlc.Dataset(jsonld=staged.folder / "croissant.json", mapping=shards).records("train")
     found = {record["train/file"].decode(): record["train/content"] for record in records}
     assert found == {name: content for path in shards.values() for name, content in files_of(path).items()}

@@ -5,28 +5,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras")
 
 from gcd_dataset.cli import main  # noqa: E402
-from gcd_dataset.errors import GcdError  # noqa: E402
-from gcd_dataset.generator.drapers import ray_actor  # noqa: E402
-from gcd_dataset.generator.drapers.local import LocalDraper  # noqa: E402
-from gcd_dataset.generator.drapers.ray_actor import RayDraper, start_actor  # noqa: E402
-from gcd_dataset.generator.maker import produce  # noqa: E402
 from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
-from gcd_dataset.records import Sample  # noqa: E402
-from gcd_dataset.verbs import ray_engine  # noqa: E402
-from gcd_dataset.verbs.making import generate  # noqa: E402
-from gcd_dataset.verbs.progress import Progress  # noqa: E402
-from tests.test_cli import one_line, wait_for_bytes  # noqa: E402
+from gcd_dataset.verbs import Progress, generate  # noqa: E402
+from tests.making.real import contents  # noqa: E402
+from tests.test_cli import one_line  # noqa: E402
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves files open
@@ -92,10 +83,6 @@ def node(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[...
         cluster.remove_node(worker, allow_graceful=False)
 
 
-def files(folder: Path) -> Mapping[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
 @pytest.mark.parametrize(("config", "count"), [(MESHED, 24), (DRAPED, 6)])
 def test_a_killed_node_changes_no_byte(
     config: MakeConfig, count: int, tmp_path: Path, cluster: Any, node: Callable[..., Any]
@@ -109,7 +96,7 @@ def test_a_killed_node_changes_no_byte(
     done = generate(tmp_path / "ray", count, seed=5, config=config, engine="ray", on_progress=report)
     assert done.made == count
     generate(tmp_path / "here", count, seed=5, config=config, workers=0)
-    assert files(tmp_path / "ray") == files(tmp_path / "here")
+    assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 
 
 def test_an_unwearable_design_gives_the_same_error_with_and_without_ray(
@@ -124,11 +111,12 @@ def test_an_unwearable_design_gives_the_same_error_with_and_without_ray(
         assert main([*command, "--engine", engine]) == 1
         said.append(one_line(capfd.readouterr().err))
     assert said[0] == said[1]
-    assert files(tmp_path / "ray") == files(tmp_path / "local")
+    # Of other shards some may be finished before they are cancelled.
+    assert contents(tmp_path / "local").items() <= contents(tmp_path / "ray").items()
 
 
 @pytest.mark.parametrize(
-    ("doctored", "told"), [(WITHOUT_WARP_OF_OURS, "warp-lang 0.1 instead of"), (WITHOUT_US, "gcd_dataset missing")]
+    ("doctored", "told"), [(WITHOUT_WARP_OF_OURS, "warp-lang 0.1 instead of"), (WITHOUT_US, "without gcd_dataset")]
 )
 def test_a_node_with_other_versions_is_refused_at_the_start(
     doctored: str, told: str, tmp_path: Path, node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
@@ -141,82 +129,7 @@ def test_a_node_with_other_versions_is_refused_at_the_start(
     assert line.startswith("gcd generate: node ")
     assert told in line
     assert "install the same on every node" in line
-    assert not out.exists()
-
-
-def test_a_garment_that_kills_workers_is_named_and_earlier_ones_are_kept(node: Callable[..., Any]) -> None:
-    node()
-
-    def finished(sample: Sample) -> int:
-        if sample.provenance.index == 1:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return sample.provenance.index
-
-    came: list[int] = []
-    with ray_engine.ray_cluster(replace(MESHED, stage="pattern", bodies="random")) as connected:
-        made = connected.produce(5, range(3), finished=finished, seconds=100.0)
-        with pytest.raises(GcdError, match=r"Ray lost a range of garments 4 times.*the same command"):
-            came.extend(made)
-    assert came == [0]
-
-
-def test_an_actor_that_dies_is_restarted_and_its_garments_are_draped(node: Callable[..., Any]) -> None:
-    node(num_gpus=1)
-    ray.init(log_to_driver=False)
-    actor = start_actor("cpu", gpus=0.5)
-    with LocalDraper("cpu") as draper:
-        here = list(produce(5, range(3), DRAPED, draper=draper))
-    made: list[Sample] = []
-    with RayDraper([actor]) as draper:
-        for sample in produce(5, range(3), DRAPED, draper=draper, ahead=2):
-            if not made:
-                ray.kill(actor, no_restart=False)
-            made.append(sample)
-    assert made == here
-
-
-def test_a_node_whose_gpu_fails_is_dropped(
-    cluster: Any, node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started = ray_actor.start_actor
-    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # on CPUs
-    nodes = [node(num_gpus=1), node(num_gpus=1)]
-    made: list[Sample] = []
-    with ray_engine.ray_cluster(replace(DRAPED, device="auto")) as connected:
-        assert (connected.config.device, len(connected.actors)) == ("cuda", 4)
-        for sample in connected.produce(5, range(6), finished=replace, seconds=2.5):
-            if not made:
-                cluster.remove_node(nodes[0], allow_graceful=False)
-            made.append(sample)
-    with LocalDraper("cpu") as draper:
-        here = list(produce(5, range(6), DRAPED, draper=draper))
-    assert [sample.key for sample in made] == [sample.key for sample in here]
-    for ours, theirs in zip(here, made, strict=True):
-        assert ours.drape is not None
-        assert theirs.drape is not None
-        assert np.array_equal(ours.drape.vertices, theirs.drape.vertices)
-
-
-def test_permanently_lost_actors_are_named(node: Callable[..., Any]) -> None:
-    node(num_gpus=1)
-    ray.init(log_to_driver=False)
-    actor = start_actor("cpu", gpus=0.5)
-    ray.get(actor.ready.remote())
-    ray.kill(actor)
-    with (
-        RayDraper([actor]) as draper,
-        pytest.raises(GcdError, match="no draping actor of the Ray cluster replies"),
-    ):
-        list(produce(5, range(1), DRAPED, draper=draper))
-
-
-def test_an_address_without_a_server_fails_soon(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
-    monkeypatch.setattr(ray_engine, "CONNECTED", 3.0)
-    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--engine", "ray"]) == 2
-    assert "RAY_ADDRESS 127.0.0.1:1: no Ray cluster answered within 3 s" in one_line(capfd.readouterr().err)
+    assert not list(out.glob("*.tar"))
 
 
 def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
@@ -233,7 +146,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
         start_new_session=True,
     )
     signal.signal(signal.SIGINT, before)
-    wait_for_bytes(tmp_path / "data", 50_000, process)
+    wait_until(lambda: len(list((tmp_path / "data").glob("*.tar"))) > 1)
     os.killpg(process.pid, signal.SIGINT)  # a terminal signals the whole process group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said

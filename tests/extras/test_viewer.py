@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.cli.show import _album
-from gcd_dataset.hub.opening import open_store
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
@@ -208,7 +207,8 @@ def test_kinds_of_a_remote_data_set_are_read_in_parts(
 ) -> None:
     monkeypatch.setattr(album_module, "REQUESTED", 2)
     with running_hub() as hub:
-        hub.static |= {f"set/{path.name}": path.read_bytes() for path in garments.iterdir() if path.is_file()}
+        files = (path for path in garments.rglob("*") if path.is_file())
+        hub.static |= {f"set/{path.relative_to(garments)}": path.read_bytes() for path in files}
         url = f"{hub.endpoint}/files/set"
         reader = ShardReader(open_store(url, Remote(cache_dir=tmp_path)))
         with opened(browser, Gallery(ShardAlbum(reader, url, tmp_path))) as page:

@@ -1,5 +1,7 @@
 """Every reader of external files: its input, its result in comparable form, and whether checksums protect it."""
 
+import contextlib
+import io
 import json
 import os
 import random
@@ -16,7 +18,9 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import torch
 import yaml
+import zstandard
 from hypothesis.strategies import SearchStrategy
+from webdataset.tariterators import tar_file_iterator
 
 from gcd_dataset.bodyfiles import measurements_text
 from gcd_dataset.errors import GcdError
@@ -35,9 +39,10 @@ from gcd_dataset.loaders import (
     PublishedGarmentCodeData,
 )
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.codec import decode_field, decode_sample, encode_sample
+from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.tomlfile import read_toml
 from gcd_dataset.validate import check_pattern, require_valid
@@ -94,27 +99,35 @@ def _plain(value: Any) -> Any:
 # -------------------------------------------------------------------------------------------------------------- shards
 
 
-def _shards(folder: Path, name: str, *, streaming: bool = False, without: str = "") -> Reader:
-    """A data set of one shard; file ``name`` is replaced by the input, file ``without`` is missing."""
-    write_shards(folder)
-    content = (folder / name).read_bytes()
-    kept = {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in (without, name)}
+def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool = False, without: str = "") -> Reader:
+    """A data set of one shard; file ``name`` is replaced by the input, file ``without`` is missing.
+
+    ``together``: read as a batch, for which columns are made.
+    """
+    data_set, cache = write_shards(folder / "data"), folder / "cache"
+    files = {path.relative_to(data_set): path.read_bytes() for path in data_set.rglob("*") if path.is_file()}
+    content = files.pop(Path(name))
+    files.pop(Path(without), None)
 
     def read(data: bytes) -> Any:
-        for path in folder.iterdir():
-            path.unlink()
-        for other, its in {**kept, name: data}.items():
-            (folder / other).write_bytes(its)
-        dataset = GarmentDataset(folder, streaming=streaming)
+        for path in (data_set, cache):
+            shutil.rmtree(path, ignore_errors=True)
+        for path, its in {**files, Path(name): data}.items():
+            (data_set / path).parent.mkdir(parents=True, exist_ok=True)
+            (data_set / path).write_bytes(its)
+        dataset = GarmentDataset(data_set, streaming=streaming, cache_dir=cache)
+        if together:
+            return _plain(list(dataset.__getitems__(range(len(dataset)))))
         return [_plain(item) for item in (dataset if streaming else (dataset[i] for i in range(len(dataset))))]
 
     return Reader(content, read, protected=True)
 
 
-SHARD, INDEX, MANIFEST = "train-00000.tar", "index-train.npz", "manifest.json"
+SHARD, VIEWS, INDEX, MANIFEST = "train-00000.tar", "views/train-00000.tar", "train.index", "manifest.json"
 
 
 def _hdf5(folder: Path) -> Reader:
+    """An HDF5 file, whose checksums only ``verify`` compares."""
     path = folder / "train.h5"
     for _ in write_hdf5(ShardReader(write_shards(folder / "shards")), path):
         pass
@@ -125,17 +138,16 @@ def _hdf5(folder: Path) -> Reader:
         dataset = Hdf5Garments(path)
         return [_plain(dataset[index]) for index in range(len(dataset))]
 
-    return Reader(content, read, protected=True)
+    return Reader(content, read, protected=False)
 
 
 def _people(folder: Path) -> Reader:
-    generate_people(folder, 2)
+    generate_people(folder, 2, workers=0)
     path = folder / SHARD
-    content, index = path.read_bytes(), (folder / INDEX).read_bytes()
+    content = path.read_bytes()
 
     def read(data: bytes) -> Any:
         path.write_bytes(data)
-        (folder / INDEX).write_bytes(index)
         dataset = BodyDataset(folder)
         return [_plain(dataset[index]) for index in range(len(dataset))]
 
@@ -168,23 +180,25 @@ def _decoded(field: str, data: bytes) -> Any:
     return _plain(decode_field(field, {FIELDS[field]: data}))
 
 
-def _foreign(folder: Path) -> Reader:
-    """A foreign archive, without checksums."""
-    write_shards(folder / "shards")
-    path, out = folder / "theirs" / "a-train.tar", folder / "theirs"
-    out.mkdir()
-    with tarfile.open(folder / "shards" / SHARD) as ours, tarfile.open(path, "w") as theirs:
-        for number, member in enumerate(ours.getmembers()):
-            member.name = f"sample{number % 2}.{member.name.partition('.')[2].replace('/', '_')}"
-            theirs.addfile(member, ours.extractfile(member))
-    content = path.read_bytes()
+def _sections(_: Path, member: str) -> Reader:
+    """The sections of a member, framed again, so that the checks after Zstandard's checksum are tried."""
+    members = encode_sample(garments()[0])
+    fields = [field for field, its in FIELDS.items() if its == member]
 
     def read(data: bytes) -> Any:
-        for file in out.iterdir():
-            file.unlink()
-        path.write_bytes(data)
-        dataset = GarmentDataset(out)
-        return [_plain(dataset[index]) for index in range(len(dataset))]
+        return _plain(decode_fields({**members, member: zstandard.compress(data)}, fields))
+
+    return Reader(zstandard.decompress(members[member]), read, protected=False)
+
+
+def _checked_tar(folder: Path) -> Reader:
+    """A tar of unknown origin, as webdataset sees it."""
+    content = (write_shards(folder) / SHARD).read_bytes()
+
+    def read(data: bytes) -> Any:
+        stream = CheckedTar(io.BytesIO(data))
+        with contextlib.suppress(tarfile.TarError):
+            return list(tar_file_iterator(stream))
 
     return Reader(content, read, protected=False)
 
@@ -361,6 +375,8 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "shard-indexed": partial(_shards, name=SHARD),
     "shard-scanned": partial(_shards, name=SHARD, without=INDEX),
     "shard-streamed": partial(_shards, name=SHARD, streaming=True),
+    "shard-columns": partial(_shards, name=SHARD, together=True),
+    "shard-views": partial(_shards, name=VIEWS, streaming=True),
     "index": partial(_shards, name=INDEX),
     "manifest": partial(_shards, name=MANIFEST),
     "hdf5": _hdf5,
@@ -368,12 +384,16 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "member-meta": partial(_member, field="meta"),
     "member-array": partial(_member, field="edges"),
     "member-ids": partial(_member, field="faces"),
+    "sections-pattern": partial(_sections, member="pattern.z"),
+    "sections-mesh": partial(_sections, member="mesh.z"),
+    "sections-verts": partial(_sections, member="verts.z"),
+    "sections-points": partial(_sections, member="points.z"),
     "member-picture": partial(_member, field="front"),
     "sample-meta": partial(_sample, field="meta"),
     "sample-measures": partial(_sample, field="measures"),
     "sample-spec": partial(_sample, field="spec"),
     "sample-faces": partial(_sample, field="faces"),
-    "foreign-archive": _foreign,
+    "checked-tar": _checked_tar,
     "loader-state": _state,
     "release-archive": _archive,
     "release-specification": partial(_published, ending="_specification.json"),

@@ -109,7 +109,8 @@ def test_a_diverged_drape_has_members_of_the_same_kind() -> None:
         rendered.sample_of(make_reply(*pair, "cpu"))
         for pair in ((request, rendered.diverged(request)), (other, rendered.start_of(other)))
     )
-    assert list(encode_sample(lost)) == list(encode_sample(shown)) == list(garments_layout(views=2).members)
+    members = garments_layout(views=2, sides=False).members
+    assert tuple(encode_sample(lost)) == tuple(encode_sample(shown)) == members
     assert kinds(lost.views[0].facts) == kinds(shown.views[0].facts)
     assert decode_sample(encode_sample(lost)).views == lost.views
 

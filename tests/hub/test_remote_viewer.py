@@ -1,17 +1,17 @@
-"""The viewer of a data set on a server: bounded requests, and tags that are requested in parts."""
+"""Viewer and doctor of a data set on a server: bounded requests, and tags that are requested in parts."""
 
 from pathlib import Path
 
 import pytest
 
-from gcd_dataset.hub.opening import open_store
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.shards import ShardReader
+from gcd_dataset.verbs import doctor
 from gcd_dataset.viewer import album as albums
 from gcd_dataset.viewer.album import ShardAlbum
 from gcd_dataset.viewer.server import Gallery
-from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub
+from tests.hub.sets import COUNT
 
 
 def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
@@ -51,7 +51,7 @@ def test_more_tags_are_requested_on_demand_and_kept(
 
 def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_path: Path) -> None:
     album = opened(hub, tmp_path)
-    hub.faults.append(Fault(r"\.tar", times=1000, status=503))
+    hub.faults.append(Fault(r"\.tar", times=10**6, status=503))
     album.read_tags()
     assert album.known == 0 and "503" in album.problem
     hub.faults.clear()
@@ -61,9 +61,19 @@ def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_pat
 
 def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, commit: str, tmp_path: Path) -> None:
     album = opened(hub, tmp_path)
-    table = album._reader.index.table
-    hub.faults.append(Fault(r"train-00000\.tar", times=1000, flip=int(table.offset[2, 0]) + 5))
+    start = int(album._reader.index.start[2])
+    hub.faults.append(Fault(r"train-00000\.tar", times=10**6, flip=start + 700))
     album.read_tags()
     assert album.known == COUNT and not album.problem
     assert album.facets().outcomes == {"settled": COUNT}
     assert len(album._tags.positions("outcome", "settled")) == COUNT - 1
+
+
+@pytest.mark.parametrize("source", ["{}/files/garments", "org/garments"])
+def test_the_report_of_a_server_is_that_of_its_folder(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, source: str
+) -> None:
+    there = doctor(source.format(hub.endpoint), endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+    here = doctor(folder)
+    assert (there.splits, there.findings) == (here.splits, here.findings)
+    assert not hub.asked("front.jpg")

@@ -1,9 +1,8 @@
 """Data sets of bodies: shards and the published folder give the same items."""
 
 import re
-import shutil
+import tarfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 import torch
 from torch.utils.data import ConcatDataset, DataLoader
 
-from gcd_dataset.bodies import BodyMesh
+from gcd_dataset.bodies import POSES, BodyMesh
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.maker import make
@@ -20,8 +19,7 @@ from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
-from gcd_dataset.shards import BODIES, BodyWriter
-from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.shards import BodyWriter
 from tests.shards.people import MESH, fake_person, fill, publish, segmentation
 
 COUNT = 3
@@ -67,10 +65,12 @@ def test_a_stored_shape_builds_the_stored_meshes(ours: Path) -> None:
     for index in range(COUNT):
         person = ds.person(index)
         made = make_person(SEED, index)
-        assert replace(person, measurements=made.measurements) == made
+        assert (person.name, person.shape) == (made.name, made.shape)
         values, expected = (each.measurements.to_file_values() for each in (person, made))
         assert values == pytest.approx(expected, rel=1e-12)  # angles were in degrees meanwhile
-        assert np.array_equal(person.straight, build_body(person.shape).vertices.astype(np.float32))
+        for pose in POSES:
+            assert np.abs(getattr(person, pose) - getattr(made, pose)).max() < 1e-3  # cm
+        assert np.abs(person.straight - build_body(person.shape).vertices).max() < 1e-3
 
 
 def test_an_item_holds_the_persons_fields(ours: Path) -> None:
@@ -93,7 +93,7 @@ def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
         stored = person.measurements.to_file_values()
         straight = measure(person.body(ds.mesh)).to_file_values()
         apart = measure(person.body(ds.mesh, legs_apart=True)).to_file_values()
-        assert straight == pytest.approx(stored, abs=0.01)
+        assert straight == pytest.approx(stored, abs=0.02)
         # Measures above the pelvis do not depend on the pose of the legs.
         above = (
             "head_l",
@@ -106,7 +106,7 @@ def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
             "waist",
             "waist_line",
         )
-        assert {name: apart[name] for name in above} == pytest.approx({name: stored[name] for name in above}, abs=0.02)
+        assert {name: apart[name] for name in above} == pytest.approx({name: stored[name] for name in above}, abs=0.03)
         # Spread legs lower the body and move the feet apart.
         assert apart["height"] < straight["height"]
         feet = np.flatnonzero(ds.mesh.parts == BodyPart.FEET.value)
@@ -148,23 +148,23 @@ def test_a_plain_loader_stacks_people(ours: Path, published: Path, workers: int,
 
 def test_damage_is_named(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
-    ds = BodyDataset(folder)
-    place = int(ds._reader.index.table.offset[1, BODIES.members.index("apart.npy")]) + 130
+    with tarfile.open(folder / "train-00000.tar") as tar:
+        place = tar.getmember("gcd_000000001.person.z").offset_data + 30
     shard = bytearray((folder / "train-00000.tar").read_bytes())
     shard[place] ^= 1
     (folder / "train-00000.tar").write_bytes(shard)
-    with pytest.raises(ShardError, match=r"sample gcd_000000001, member apart\.npy: bytes differ"):
+    with pytest.raises(ShardError, match=r"sample gcd_000000001, member person\.z: bytes differ"):
         BodyDataset(folder)[1]
-    with pytest.raises(ShardError, match=r"member apart\.npy"):
-        BodyDataset(folder, fields=["straight"]).verify(1)
-    assert BodyDataset(folder, fields=["straight"])[1]["straight"].shape == (4, 3)
+    with pytest.raises(ShardError, match=r"member person\.z"):
+        BodyDataset(folder, fields=["measures"]).verify(1)
+    assert BodyDataset(folder, fields=["straight"])[0]["straight"].shape == (4, 3)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK", None])
+@pytest.mark.parametrize("content", [b"", b"(\xb5/\xfd", None])
 def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes | None) -> None:
     folder, other = fill(tmp_path / "a", range(1)), fill(tmp_path / "b", range(1), mesh=own_mesh_of_four())
-    (folder / "mesh-train.npz").write_bytes((other / "mesh-train.npz").read_bytes() if content is None else content)
-    with pytest.raises(ShardError, match=r"mesh-train\.npz: not the mesh of"):
+    (folder / "mesh-train.z").write_bytes((other / "mesh-train.z").read_bytes() if content is None else content)
+    with pytest.raises(ShardError, match=r"mesh-train\.z: not the mesh of"):
         BodyDataset(folder)
 
 
@@ -190,25 +190,29 @@ def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, 
     assert dressed.vertices.dtype == float and len(dressed.vertices) == len(dressed.parts)
 
 
-def test_published_people_are_stored_unchanged_in_shards(few: Path, tmp_path: Path) -> None:
+def test_published_people_are_stored_in_shards(few: Path, tmp_path: Path) -> None:
     limbs = [BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM]
     mesh = BodyMesh(MESH.faces, np.array([part.value for part in limbs], np.uint8))
     folder = PublishedBodies(few, segmentation=segmentation(tmp_path / "parts.json", mesh))
     with BodyWriter(tmp_path / "shards", folder.mesh, seed=0, recipe={"published": "few"}) as writer:
         for index in range(len(folder)):
             writer.write(index, folder.person(index))
-    for item, other in zip(BodyDataset(tmp_path / "shards"), folder, strict=True):
+    for item, other in zip(
+        map(dict[str, Any], BodyDataset(tmp_path / "shards")), map(dict[str, Any], folder), strict=True
+    ):
+        for pose in POSES:
+            assert (item.pop(pose) - other.pop(pose)).abs().max() < 1e-3  # cm
         assert_same(item, other)
 
 
-def test_an_unfinished_run_is_warned_of(ours: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    copy = Path(shutil.copytree(ours, tmp_path / "copy"))
-    with pytest.raises(StopIteration), filling(copy, 9):
-        raise StopIteration
-    BodyDataset(copy, partial=True)
+def test_an_unfinished_run_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with BodyWriter(tmp_path, MESH, seed=SEED, recipe={"stage": "body", "bodies": "random"}, count=9) as writer:
+        for index in range(3):
+            writer.write(index, fake_person(index))
+    BodyDataset(tmp_path, partial=True)
     assert not caplog.messages
-    BodyDataset(copy)
-    words = "3 of 9 samples: .*: gcd generate .*copy --count 9 --seed 5 --bodies random --stage body; partial=True"
+    BodyDataset(tmp_path)
+    words = "3 of 9 samples .*gcd generate .* --count 9 --seed 5 --bodies random --stage body"
     assert re.search(words, "".join(caplog.messages))
 
 

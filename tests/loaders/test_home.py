@@ -7,7 +7,7 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     BodyDataset,
@@ -18,7 +18,7 @@ from gcd_dataset.loaders import (
     PublishedGarmentCodeData,
 )
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.folder import splits_in
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import running_hub

@@ -37,8 +37,8 @@ from tests.release.published import (
     touch_vertex,
 )
 
-EXACT = ("faces", "panel_id", "labels", "seams", "uv_vertex", "corners", "verts", "box", "stitches")
-NEAR = {"uv": 1e-4, "panels": 1e-9, "edges": 1e-9}  # cm
+EXACT = ("faces", "panel_id", "labels", "seams", "uv_vertex", "corners", "verts", "stitches")
+NEAR = {"uv": 1e-3, "panels": 1e-9, "edges": 1e-9}  # cm
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +87,7 @@ def test_items_equal_those_of_the_exported_shards(folders: Path) -> None:
             there = after["uv_vertex"][after["corners"]] if field == "corners" else after[field]
             if field != "uv_vertex":
                 assert torch.equal(same, there), field
+        assert torch.allclose(before["box"], after["box"], atol=1e-3)
         flat, there = (item["uv"][item["corners"]] for item in (before, after))
         assert torch.allclose(flat, there, atol=NEAR["uv"])
         for field in ("panels", "edges"):
@@ -196,11 +197,12 @@ def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:
     assert sample.drape is not None
     rows = np.frombuffer(files["sim"].partition(b"end_header\n")[2], np.uint8)
     place = np.asarray(sample.drape.vertices[-1], "<f4").tobytes()
-    before = np.asarray(garment(TRAIN[0], 0, BODIES[0]).drape.vertices[-1], "<f4").tobytes()  # type: ignore[union-attr]
+    last = np.asarray(garment(TRAIN[0], 0, BODIES[0]).drape.vertices[-1], np.float32)  # type: ignore[union-attr]
+    before = (np.rint(last * 512) / 512).astype("<f4").tobytes()  # as shards store it
     assert rows.tobytes().count(before) == 1
     files["sim"] = files["sim"].replace(before, place)
     opened = PublishedGarment(TRAIN[0], "there", lambda kinds: {k: files[k] for k in kinds}, Facts(), True)
-    assert np.array_equal(opened.vertices, np.asarray(sample.drape.vertices, np.float32))
+    assert np.abs(opened.vertices - sample.drape.vertices).max() < 1e-3
     assert np.array_equal(opened.faces, sample.box_mesh.faces)  # type: ignore[union-attr]
 
 

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
-from gcd_dataset.shards import FIELDS, MEMBERS, ShardWriter, read_index
-from gcd_dataset.shards.reader import Quality, Verify
-from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
+from gcd_dataset.shards.reader import Quality
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -94,59 +93,6 @@ def test_workers_change_nothing(folder: Path, workers: int, context: str) -> Non
     assert_all_same(alone, shared)
 
 
-def test_a_stream_holds_the_same_garments(folder: Path) -> None:
-    stream = GarmentDataset(folder, streaming=True)
-    assert isinstance(stream, IterableDataset)
-    ds = GarmentDataset(folder)
-    assert_all_same(stream, [ds[i] for i in range(COUNT)])
-    assert_all_same(stream, [ds[i] for i in range(COUNT)])  # a second epoch
-
-
-@pytest.mark.parametrize("count", [COUNT, 3])  # three shards, or one, for two workers
-def test_workers_split_a_stream(tmp_path: Path, count: int) -> None:
-    stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
-    loader = DataLoader(stream, batch_size=None, num_workers=2)
-    assert sorted(item["meta"]["index"] for item in loader) == list(range(count))
-
-
-@pytest.mark.parametrize("streaming", [False, True])
-def test_a_shard_may_grow_while_it_is_read(tmp_path: Path, streaming: bool) -> None:
-    """A resumed ``gcd generate`` may write during the training."""
-    ds = GarmentDataset(fill(tmp_path, range(2)), streaming=streaming)
-    fill(tmp_path, range(2, COUNT))
-    assert_all_same(ds, [FakeGarments(COUNT)[i] for i in range(2)])
-
-
-def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
-    folder = fill(tmp_path, range(3))
-    index, shard = read_index(folder), tmp_path / "train-00000.tar"
-    content = bytearray(shard.read_bytes())
-    place = int(index.table.offset[1, MEMBERS.index("verts.npy")])
-    content[place + 200] ^= 1
-    shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"gcd_000000001, member verts\.npy"):
-        list(GarmentDataset(folder, fields=["verts"], streaming=True))
-    content[place - 500] ^= 1  # the header
-    shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(no tar header at byte \d+\): copy"):
-        list(GarmentDataset(folder, fields=["faces"], streaming=True))
-
-
-def test_a_truncated_stream_is_named(tmp_path: Path) -> None:
-    stream = GarmentDataset(fill(tmp_path, range(3)), fields=["meta"], streaming=True)
-    shard = tmp_path / "train-00000.tar"
-    content = shard.read_bytes()
-    for broken in (b"\1" + content[1:], content[: len(content) // 2], b""):
-        shard.write_bytes(broken)
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*: copy"):
-            list(stream)
-
-
-@pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_stream_without_fields_has_an_item_for_each_garment(folder: Path, verify: Verify) -> None:
-    assert list(GarmentDataset(folder, fields=[], streaming=True, verify=verify)) == COUNT * [{}]
-
-
 def test_an_unreadable_folder_is_named() -> None:
     message = r"data: cannot be read \(Permission denied\)"
     with public_folder() as place:
@@ -163,7 +109,7 @@ def test_settled_only_leaves_out_the_others(tmp_path: Path, indexed: bool) -> No
         for index, outcome in enumerate(outcomes):
             writer.write(ended(fake_sample(0, index), outcome))
     if not indexed:
-        (tmp_path / "index-train.npz").unlink()
+        (tmp_path / "train.index").unlink()
     ds = GarmentDataset(tmp_path, settled_only=True)
     assert (len(ds), ds.recipe(1)["index"]) == (2, 4)
     assert_all_same([ds[0], ds[-1]], [GarmentDataset(tmp_path)[i] for i in (1, 4)])
@@ -184,7 +130,7 @@ def test_quality_leaves_out_lower_grades(tmp_path: Path, indexed: bool) -> None:
         for index, grade in enumerate(grades):
             writer.write(replace(fake_sample(0, index), grade=grade))
     if not indexed:
-        (tmp_path / "index-train.npz").unlink()
+        (tmp_path / "train.index").unlink()
     cases: list[tuple[Quality | None, list[int]]] = [("clean", [1, 4]), ("paper", [0, 1, 4]), (None, [0, 1, 2, 3, 4])]
     for quality, expected in cases:
         ds = GarmentDataset(tmp_path, quality=quality)
@@ -206,18 +152,15 @@ def test_an_unfinished_run_is_warned_of_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], streaming: bool
 ) -> None:
     options: dict[str, Any] = {"streaming": streaming, "fields": ["meta"]}
-    with pytest.raises(StopIteration), filling(tmp_path, 400):
-        fill(tmp_path, range(3))
-        raise StopIteration
+    with ShardWriter(tmp_path, seed=0, recipe=RECIPE, count=400) as writer:
+        for index in range(3):
+            writer.write(fake_sample(0, index))
     ds = GarmentDataset(tmp_path, "train[:1]+train[1:]", **options)
     assert len(list(DataLoader(ds, 2, num_workers=2, collate_fn=collate_list))) == 2
     (message,) = caplog.messages
-    assert message.startswith(f"{tmp_path}: split train is unfinished: 3 of 400 samples: its run was stopped, or is")
+    assert message.startswith(f"{tmp_path}: the data set is unfinished: 3 of 400 samples are made: ")
     assert "400 samples" not in "".join(capfd.readouterr())  # nor printed by a worker
     GarmentDataset(tmp_path, partial=True, **options)
-    with filling(tmp_path, 3):
-        pass
-    GarmentDataset(tmp_path, **options)
     assert caplog.messages == [message]
 
 
@@ -238,7 +181,7 @@ def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:
     ds.verify(1)
     shard = tmp_path / "train-00000.tar"
     content = bytearray(shard.read_bytes())
-    content[int(read_index(tmp_path).table.offset[1, 0]) + 5] ^= 1
+    content[int(ShardReader(tmp_path).index.start[1]) + 517] ^= 1
     shard.write_bytes(content)
     ds.verify(0)
     with pytest.raises(ShardError, match=r"gcd_000000001, member meta\.json"):
@@ -248,8 +191,8 @@ def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:
 def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="revision='main' is for repositories of the Hub"):
         GarmentDataset(folder, revision="main")
-    with pytest.raises(ConfigError, match="max_cache_size='1GB' is for URLs and the Hub"):
-        GarmentDataset(folder, max_cache_size="1GB")
+    with pytest.raises(ConfigError, match="patience is for URLs and the Hub"):
+        GarmentDataset(folder, patience=3)
     with pytest.raises(ConfigError, match="nowhere: no such folder, and neither a URL nor a repository"):
         GarmentDataset(tmp_path / "nowhere")
 

@@ -13,7 +13,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.splits import SplitPart, parse_splits
-from gcd_dataset.shards import read_index
+from gcd_dataset.shards import ShardReader
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import open_writer
 
@@ -98,7 +98,7 @@ def test_a_sample_is_found_in_every_part(folder: Path) -> None:
     ds = GarmentDataset(folder, "test+train[4:]", fields=["body"])
     assert [ds.recipe(i)["index"] for i in (0, 2, 3, -1)] == [20, 22, 4, 9]
     ds.verify(4)
-    assert len(read_index(folder, "test")) == TESTED
+    assert len(ShardReader(folder, "test")) == TESTED
 
 
 @pytest.mark.parametrize("text", [f"train[:{5000 * '9'}]", f"train[-{20 * '9'}%:]", 3, None, ["train"]])

@@ -15,9 +15,9 @@ SHARD_SIZE = 4
 
 
 def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
-    """Write samples to a folder with one writer."""
+    """Write samples to a new folder."""
     with open_writer(folder, seed=seed) as writer:
-        for index in indices:
+        for index in sorted(indices):
             writer.write(fake_sample(seed, index))
     return folder
 
@@ -51,5 +51,6 @@ def forbidden(path: Path, mode: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """File name to hash of its content, hidden files included."""
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+    """Path to hash of the content of every file, hidden ones included."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

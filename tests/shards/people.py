@@ -41,7 +41,7 @@ def fake_person(index: int) -> Person:
 def fill(folder: Path, indices: Iterable[int], *, seed: int = 0, mesh: BodyMesh = MESH) -> Path:
     """Write people to a folder with one writer."""
     with open_writer(folder, seed=seed, mesh=mesh) as writer:
-        for index in indices:
+        for index in sorted(indices):
             writer.write(index, fake_person(index))
     return folder
 

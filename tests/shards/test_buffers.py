@@ -2,6 +2,7 @@
 
 import multiprocessing
 import random
+from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -48,13 +49,12 @@ def test_free_buffers_are_reused() -> None:
 
 
 def test_the_pool_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    pool = buffers._Pool()
-    monkeypatch.setattr(buffers, "_pool", pool)
-    monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
+    monkeypatch.setattr(buffers, "MOST_KEPT", 3 << 17)
+    monkeypatch.setattr(buffers, "_kept", defaultdict(list))
     memories = [read_buffer(LARGE) for _ in range(9)]
+    assert len({memory.ctypes.data for memory in memories}) == 9
     del memories
-    assert [len(free) for free in pool._free.values()] == [3]
-    assert not pool._lent
+    assert [len(kept) for kept in buffers._kept.values()] == [3]
 
 
 def _sums(sizes: Sequence[int]) -> list[int]:

@@ -1,10 +1,10 @@
-"""Edited, damaged and huge files are reported in one line that names the file, before anything large is allocated."""
+"""Edited and damaged files are reported in one line with file and remedy, before anything large is allocated."""
 
-import io
+import hashlib
 import json
 import os
+import shutil
 import struct
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,301 +12,282 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ConfigError, GcdError, ShardError
 from gcd_dataset.jsonfile import DEEPEST
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample, encode_sample, read_index
-from gcd_dataset.shards.arrays import Column, read_arrays
+from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
+from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
-from gcd_dataset.shards.foreign_member import decode_member
-from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import shard_number
+from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.meta import read_meta, sealed
-from gcd_dataset.shards.npy import read_any_npy, read_npy, write_npy
+from gcd_dataset.shards.notes import gather
+from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
-from tests.shards.folders import fill
+from tests.shards.folders import fill, forbidden, public_folder
 
+Change = Callable[[Any], object]
 DEEP = b"[" * 100_000
 HUGE = b'{"n":' + b"9" * 5000 + b"}"
+REMEDY = "copy it again, or delete it and run gcd generate again$"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
+    """Six samples in two shards."""
     return fill(tmp_path / "data", range(6))
 
 
-def shard_of(folder: Path, *samples: dict[str, bytes]) -> Path:
-    """A folder with one shard of these samples, without index."""
-    folder.mkdir()
-    entries = [
-        tar_entry(f"gcd_{number:09d}.{member}", data)
-        for number, members in enumerate(samples)
-        for member, data in members.items()
-    ]
-    (folder / "train-00000.tar").write_bytes(b"".join([*entries, bytes(END)]))
+@pytest.fixture
+def bare(folder: Path) -> Path:
+    """The same without manifest, index and notes."""
+    for path in (*folder.glob("*.json"), *folder.glob("*.index")):
+        path.unlink()
+    return folder
+
+
+def shard_of(folder: Path, *samples: dict[str, bytes], first: int = 0) -> Path:
+    """A folder with one shard of these samples, without notes."""
+    (folder / "views").mkdir(parents=True)
+    for path, pictures in ((folder / "train-00000.tar", False), (folder / "views" / "train-00000.tar", True)):
+        entries = [
+            tar_entry(f"gcd_{number:09d}.{member}", data)
+            for number, members in enumerate(samples, first)
+            for member, data in members.items()
+            if is_picture(member) is pictures
+        ]
+        path.write_bytes(b"".join([*entries, bytes(END)]))
     return folder
 
 
 def resealed(members: dict[str, bytes], **entries: Any) -> dict[str, bytes]:
     """The sample with changed entries in its ``meta.json``, and matching checksums."""
-    meta = json.loads(members["meta.json"]) | {"crc32": {m: zlib.crc32(members[m]) for m in MEMBERS[1:]}} | entries
+    crc = {member: zlib.crc32(data) for member, data in members.items() if member != "meta.json"}
+    meta = json.loads(members["meta.json"]) | {"crc32": crc} | entries
     del meta["crc32_before"]
     return {**members, "meta.json": sealed(meta)}
 
 
-def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Path:
-    """The folder with an edited index."""
-    path = folder / "index-train.npz"
-    arrays = dict(np.load(path))
-    change(arrays)
-    np.savez(path, **arrays)
-    return folder
+def change_json(path: Path, change: Change) -> None:
+    """Edit a note, or a manifest, whose digest is made to match."""
+    entry = json.loads(path.read_text())
+    is_manifest = entry.pop("digest", None) is not None
+    change(entry)
+    body = json.dumps(entry, separators=(",", ":"), sort_keys=True).encode()
+    digest = b'{"digest":"%s",' % hashlib.sha256(body).hexdigest().encode()
+    path.write_bytes(digest + body[1:] if is_manifest else body)
 
 
-# -------------------------------------------------------------------------------------------------------------- silent
+def setting(*path: str | int, to: Any) -> Change:
+    """The change of one value of a JSON file."""
+
+    def change(entry: Any) -> None:
+        for name in path[:-1]:
+            entry = entry[name]
+        entry[path[-1]] = to
+
+    return change
 
 
-def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
-    """Sixty random bytes of ``meta.json``, one at a time."""
-    path = folder / "train-00000.tar"
-    whole = path.read_bytes()
-    size = int(whole[124:135], 8)
-    for place in np.random.default_rng(0).integers(size, size=60).tolist():
-        content = bytearray(whole)
-        content[BLOCK + place] ^= 1
-        path.write_bytes(content)
-        for streaming in (False, True):
-            with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000"):
-                next(iter(GarmentDataset(folder, fields=["meta"], streaming=streaming)))
-        (folder / "index-train.npz").rename(folder / "kept")
-        with pytest.raises(ShardError, match=r"train-00000\.tar: "):
-            GarmentDataset(folder)
-        (folder / "kept").rename(folder / "index-train.npz")
+def flip(path: Path, place: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
 
 
-def test_samples_swapped_in_the_index_are_reported(folder: Path) -> None:
-    def swap(arrays: dict[str, np.ndarray]) -> None:
-        arrays["sample"][[0, 1]] = arrays["sample"][[1, 0]]
+# ------------------------------------------------------------------------------------------- manifests, notes, indices
 
-    with pytest.raises(ShardError, match=r"index-train\.npz: .*its digest does not match.*: delete it"):
-        GarmentDataset(edited(folder, swap))
-
-
-@pytest.mark.parametrize("name", ["sample", "offset", "size", "crc", "settled", "length"])
-def test_every_edited_column_is_reported(folder: Path, name: str) -> None:
-    def change(arrays: dict[str, np.ndarray]) -> None:
-        arrays[name].reshape(-1)[-1] ^= 1
-
-    with pytest.raises(ShardError, match=r"index-train\.npz: "):
-        GarmentDataset(edited(folder, change))
-
-
-def test_a_sample_under_another_number_is_reported(folder: Path) -> None:
-    """An index with a valid digest that belongs to other shards; one of schema 1 has no digest."""
-    index = read_index(folder)
-    sample = index.table.sample.copy()
-    sample[[0, 1]] = sample[[1, 0]]
-    object.__setattr__(index.table, "sample", sample)
-    index.write(folder / "index-train.npz")
-    with pytest.raises(ShardError, match=r"train-00000\.tar: holds sample 1 where the index has gcd_000000000: delete"):
-        GarmentDataset(folder, fields=["meta"])[0]
-    with pytest.raises(ShardError, match="sample 0 where the index has gcd_000000001"):
-        GarmentDataset(folder, verify="off").verify(1)
+TRAIN, SHARD = ("splits", "train"), ("splits", "train", "shards", 0)
+BROKEN_MANIFESTS = [
+    setting(*SHARD, 0, to=7), setting(*SHARD, 0, to="../x"), setting(*SHARD, 1, to=-1), setting(*SHARD, 1, to=2**40),
+    setting(*SHARD, 2, to=2**70), setting(*SHARD, 2, to=[]), setting(*SHARD, 3, to="x" * 64), setting(*SHARD, to=[1]),
+    setting(*TRAIN, "rejects", to={"long": "many"}), setting(*TRAIN, "redraws", to={"long": -1}),
+    setting(*TRAIN, "members", to=["../evil"]), setting(*TRAIN, "members", to=[]),
+    setting(*TRAIN, "members", 0, to="spec.txt"), setting(*TRAIN, "shards", to={}),
+    setting(*TRAIN, "index_sha256", to="abc"), setting(*TRAIN, "plan", "seed", to="5"),
+    setting(*TRAIN, "plan", "recipe", to=[]), setting(*TRAIN, "plan", "shard_size", to=0),
+    setting(*TRAIN, "plan", "kind", to=None), setting(*TRAIN, "plan", "named", to=["a"]),
+    setting("splits", "../evil", to={}), setting("splits", to=3), setting("schema", to=True), setting("recipe", to={}),
+    setting("recipe", to={"name": 3}), lambda manifest: manifest.pop("schema"),
+]  # fmt: skip
 
 
-def test_points_of_a_damaged_meta_are_not_decoded(folder: Path) -> None:
-    content = bytearray((folder / "train-00000.tar").read_bytes())
-    place = content.index(b'"centre":[') + len(b'"centre":[') + 1
-    content[place] = ord("9")
-    (folder / "train-00000.tar").write_bytes(content)
-    for streaming in (False, True):
-        with pytest.raises(ShardError, match=r"member meta\.json: bytes differ"):
-            next(iter(GarmentDataset(folder, fields=["points"], streaming=streaming)))
+@pytest.mark.parametrize("change", BROKEN_MANIFESTS, ids=range(len(BROKEN_MANIFESTS)))
+def test_errors_about_a_broken_manifest_are_one_line(folder: Path, change: Change) -> None:
+    change_json(folder / "manifest.json", change)
+    with pytest.raises(ShardError, match=r"manifest\.json: not a manifest \((?!.*digest).*: delete it, then run gcd i"):
+        ShardReader(folder)
 
 
-# ---------------------------------------------------------------------------------------------------------------- index
+BROKEN_NOTES = [
+    setting("rows", to=None), setting("rows", 0, to=3), setting("rows", 0, to=[]), setting("rows", 0, 0, to=2**31),
+    setting("rows", 0, 0, to=1.5), setting("rows", 0, 1, to=2**70), setting("rows", 0, 2, to="x"),
+    setting("rows", 0, 3, to="good"), setting("rows", 0, 4, to="FLEW"), setting("rejects", to=3),
+    setting("rejects", to=[{}]), setting("rejects", to=[{"design": [], "attempt": 0}]),
+    setting("rejected", to={"x": None}), setting("redraws", to=[]), setting("skipped", to={"x": "y"}),
+    setting("skipped", to=3), setting("members", to=[3]), setting("patterns", to=["zz", [], 0]),
+    setting("patterns", to=["0", [], -1]), setting("plan", "count", to=-1), lambda note: note.pop("plan"),
+    setting("split", to="other"), setting("record", 0, to=1),
+]  # fmt: skip
 
 
-def put(name: str, value: Any) -> Callable[[dict[str, np.ndarray]], object]:
-    return lambda arrays: arrays.__setitem__(name, np.array(value))
-
-
-def cast(name: str, dtype: str) -> Callable[[dict[str, np.ndarray]], object]:
-    return lambda arrays: arrays.__setitem__(name, arrays[name].astype(dtype))
-
-
-BROKEN_INDICES: dict[str, Callable[[dict[str, np.ndarray]], object]] = {
-    "no number": put("members", 3),
-    "real offset": cast("offset", "f4"),
-    "words": cast("sample", "U3"),
-    "complex": put("crc", [[1j]]),
-    "no axis": put("sample", 0),
-    "two schemas": put("schema", [1, 1]),
-    "flags as numbers": cast("settled", "i8"),
-    "lost": lambda arrays: arrays.pop("length"),
-    "short": lambda arrays: arrays.__setitem__("sample", arrays["sample"][:-1]),
-    "digest": put("digest", 1),
-    "of nobody": put("members", ["a", "b"]),
-}
-
-
-@pytest.mark.parametrize("change", BROKEN_INDICES.values(), ids=BROKEN_INDICES)
-def test_errors_about_a_broken_index_are_one_line(
-    folder: Path, change: Callable[[dict[str, np.ndarray]], object]
-) -> None:
-    with pytest.raises(ShardError, match=r"index-train\.npz: not an index") as error:
-        GarmentDataset(edited(folder, change))
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("offset", 2**63 - 1), ("offset", -5), ("size", 2**32 - 1), ("sample", -1), ("shard", 9), ("length", -1)],
-)
-def test_an_offset_outside_the_shard_is_reported(folder: Path, name: str, value: int) -> None:
-    """Also in schema 1, where the index has no digest."""
-    arrays = dict(np.load(folder / "index-train.npz"))
-    changed = arrays[name].copy()
-    changed.reshape(-1)[-1] = value
-    del arrays["digest"]
-    first = ("spec.txt", "spec.json"), ("design.txt", "design.json")
-    members = [dict(first).get(member, member) for member in arrays["members"].tolist()]
-    file = io.BytesIO()
-    np.savez(file, **{**arrays, name: changed, "schema": np.array(1), "members": np.array(members)})
-    with pytest.raises(ShardError, match=r"i\.npz: not an index"):
-        ShardIndex.parse(file.getvalue(), "i.npz", partial=True)
-
-
-def npy_of(shape: str, data: bytes = b"", descr: str = "<i8") -> bytes:
-    text = f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data
-
-
-def test_an_index_that_declares_gigabytes_is_refused(folder: Path) -> None:
-    path = folder / "index-train.npz"
-    with zipfile.ZipFile(path) as file:
-        content = {name: file.read(name) for name in file.namelist()}
-    with zipfile.ZipFile(path, "w") as file:
-        for name, data in {**content, "offset.npy": npy_of("(1000000000000, 20)", bytes(100))}.items():
-            file.writestr(name, data)
-    with pytest.raises(ShardError, match=r"column offset: a \.npy file of 100 bytes for int64 of shape \(10{12}, "):
-        GarmentDataset(folder)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, data in {**content, "offset.npy": npy_of("(100000, 20)", bytes(16_000_000))}.items():
-            file.writestr(name, data)
-    with pytest.raises(ShardError, match=r"160\d+ bytes in a file of \d+"):
-        GarmentDataset(folder)
-    path.write_bytes(b"")
-    os.truncate(path, 8 << 30)
-    with pytest.raises(ShardError, match=r"index-train\.npz: 8589934592 bytes, over the limit of \d+"):
-        GarmentDataset(folder)
-
-
-def test_broken_npz_archives_are_reported() -> None:
-    file = io.BytesIO()
-    np.savez(file, a=np.zeros(3))
-    assert read_arrays(file.getvalue(), {"a": Column("f", 1)})["a"].tolist() == [0, 0, 0]
-    for content in (b"", b"PK", file.getvalue()[:-30], file.getvalue()[:50] + bytes(40) + file.getvalue()[90:]):
-        with pytest.raises(ShardError):
-            read_arrays(content, {"a": Column("f", 1)})
-    with pytest.raises(ShardError, match="column b is missing"):
-        read_arrays(file.getvalue(), {"b": Column("f", 1)})
-
-
-# ------------------------------------------------------------------------------------------------------------- manifest
-
-
-def changed_shard(**entries: Any) -> Callable[[dict[str, Any]], object]:
-    return lambda manifest: manifest["splits"]["train"]["shards"][0].update(entries)
-
-
-def changed_split(**entries: Any) -> Callable[[dict[str, Any]], object]:
-    return lambda manifest: manifest["splits"]["train"].update(entries)
-
-
-BROKEN_MANIFESTS: dict[str, Callable[[dict[str, Any]], object]] = {
-    "size": changed_shard(size="x"),
-    "no name": changed_shard(name=None),
-    "outside": changed_shard(name="../train-00000.tar"),
-    "of another split": changed_shard(name="test-00000.tar"),
-    "rejects": changed_shard(rejects={"long": "many"}),
-    "redraws": changed_shard(redraws={"long": -1}),
-    "negative": changed_shard(count=-1),
-    "seed": changed_split(seed="5"),
-    "recipe": changed_split(recipe=[]),
-    "shards": changed_split(shards={}),
-    "shard size": changed_split(shard_size=0),
-    "kind": changed_split(kind=None),
-    "split": lambda manifest: manifest["splits"].update({"../evil": manifest["splits"]["train"]}),
-    "splits": lambda manifest: manifest.update(splits=3),
-    "schema is missing": lambda manifest: manifest.pop("schema"),
-    "true schema": lambda manifest: manifest.update(schema=True),
-}
-
-
-@pytest.mark.parametrize("change", BROKEN_MANIFESTS.values(), ids=BROKEN_MANIFESTS)
-def test_errors_about_a_broken_manifest_are_one_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    manifest = json.loads((folder / "manifest.json").read_text())
-    change(manifest)
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(ShardError, match=r"manifest\.json: not a manifest \(.*: delete it"):
-        GarmentDataset(folder)
+@pytest.mark.parametrize("change", BROKEN_NOTES, ids=range(len(BROKEN_NOTES)))
+def test_errors_about_a_broken_note_are_one_line(folder: Path, change: Change) -> None:
+    (folder / "manifest.json").unlink()
+    change_json(folder / "train-00000.json", change)
+    with pytest.raises(
+        ShardError, match=r"train-00000\.json: not the note of this shard \(.*: delete it, then run gcd"
+    ):
+        ShardReader(folder)
 
 
 @pytest.mark.parametrize(
     "content", [DEEP, HUGE, b"[]", b"\xff", b"NaN"], ids=["deep", "digits", "list", "bytes", "NaN"]
 )
-@pytest.mark.parametrize("name", ["manifest.json", "download.json"])
+@pytest.mark.parametrize("name", ["manifest.json", "train-00000.json"])
 def test_errors_about_strange_json_are_one_line(folder: Path, name: str, content: bytes) -> None:
+    (folder / "manifest.json").unlink()
     (folder / name).write_bytes(content)
     with pytest.raises(ShardError, match=rf"{name}: not "):
-        GarmentDataset(folder)
+        ShardReader(folder)
+
+
+def test_a_flipped_bit_in_the_manifest_is_found(folder: Path) -> None:
+    path = folder / "manifest.json"
+    for place in np.random.default_rng(0).integers(path.stat().st_size - 1, size=60).tolist():
+        flip(path, place)
+        with pytest.raises(ShardError, match=r"manifest\.json: "):
+            ShardReader(folder)
+        flip(path, place)
+
+
+def test_another_schema_is_refused_with_both_versions(folder: Path) -> None:
+    change_json(folder / "manifest.json", lambda manifest: manifest.update(schema=99, generator="7.2.0"))
+    with pytest.raises(ShardError, match=r"of schema 99, made by gcd_dataset 7\.2\.0; .*reads schema 3 alone"):
+        ShardReader(folder)
+
+
+def test_an_index_of_another_data_set_is_refused(folder: Path, tmp_path: Path) -> None:
+    other = (fill(tmp_path / "other", range(1, 7)) / "train.index").read_bytes()
+    for content in (other, b"PK nonsense", b""):
+        (folder / "train.index").write_bytes(content)
+        with pytest.raises(ShardError, match=r"train\.index: not the index of these shards \(.*\): run gcd index"):
+            ShardReader(folder)
+
+
+def test_shards_that_contradict_each_other_are_reported(bare: Path) -> None:
+    for name in ("train-00001.tar", "views/train-00001.tar"):
+        shutil.copy(bare / name.replace("1.tar", "0.tar"), bare / name)
+    with pytest.raises(ShardError, match="shards of split train contradict each other: a sample occurs twice: move"):
+        ShardReader(bare)
+
+
+# ---------------------------------------------------------------------------------------------------------------- tars
+
+
+@pytest.mark.parametrize("left", [0, 512, -END, -BLOCK])
+def test_a_cut_tar_is_not_taken_for_a_whole_one(bare: Path, left: int) -> None:
+    """Cut between two samples it holds whole samples alone."""
+    path = bare / "train-00001.tar"
+    os.truncate(path, left if left >= 0 else path.stat().st_size + left)
+    with pytest.raises(ShardError, match=rf"train-00001\.tar: .*: {REMEDY}"):
+        gather(FolderPlace(bare))
+
+
+def test_an_error_names_file_and_remedy_once(folder: Path) -> None:
+    (folder / "train-00007.tar").mkdir()
+    with pytest.raises(ShardError, match=rf"^{folder}/train-00007\.tar: cannot be read \(Is a directory\): {REMEDY}"):
+        gather(FolderPlace(folder))
+
+
+def test_pictures_of_other_samples_are_refused(bare: Path) -> None:
+    shutil.copy(bare / "views" / "train-00001.tar", bare / "views" / "train-00000.tar")
+    with pytest.raises(ShardError, match=rf"views/train-00000\.tar: its samples differ .*: {REMEDY}"):
+        gather(FolderPlace(bare))
+
+
+def test_notes_are_made_again_from_whole_members_alone(bare: Path) -> None:
+    path = bare / "train-00001.tar"
+    flip(path, path.read_bytes().index(b"gcd_000000005.design.txt\0") + BLOCK)
+    with pytest.raises(ShardError, match=rf"sample gcd_000000005: member design\.txt: bytes differ .*: {REMEDY}"):
+        GarmentDataset(bare)
+
+
+def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
+    """Forty random bytes of ``meta.json``, one at a time."""
+    path = folder / "train-00000.tar"
+    size = int(path.read_bytes()[124:135], 8)
+    for place in np.random.default_rng(0).integers(size, size=40).tolist():
+        flip(path, BLOCK + place)
+        with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000"):
+            ShardReader(folder).read(0, ["meta.json"])
+        with pytest.raises(ShardError, match=r"train-00000\.tar"):
+            GarmentDataset(folder, fields=["meta"])[0]
+        flip(path, BLOCK + place)
+
+
+def test_a_member_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    header = bytearray(tar_entry("gcd_000000000.meta.json", b""))
+    header[124:135] = b"%011o" % (8**11 - 1)
+    header[148:156] = 8 * b" "
+    header[148:156] = b"%06o\0 " % sum(header)
+    path = tmp_path / "train-00000.tar"
+    path.write_bytes(header)
+    os.truncate(path, 8**11 + 2048)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .* bytes of JSON, over the limit"):
+        ShardReader(tmp_path)
 
 
 # -------------------------------------------------------------------------------------------------------------- samples
+
+DRAPE = dict.fromkeys(
+    ("frames", "self_crossings", "body_crossings", "body_through", "stretch_median", "stretch_p99"), 1
+)
+REJECTS = [{"index": 0, "rule": "r", "reason": "s", "figures": "{}"}]
 
 
 @pytest.mark.parametrize(
     "entries",
     [
-        {"index": 2**70}, {"index": -1}, {"index": 1.5}, {"index": True}, {"seed": "x"}, {"pattern": None},
-        {"rejects": "x"}, {"versions": 3}, {"recipe": "["}, {"recipe": "[" * 2000}, {"panel_names": {}},
-        {"drape": None}, {"drape": {"outcome": 1}}, {"strain": 3}, {"holds": []}, {"gathers": ["x"]},
-        {"fabric": {"name": "x", "parameters": 3}}, {"redraws": [3]}, {"crc32": {"spec.txt": 2**40}}, {"crc32": None},
-        {"crc32": []},
+        {"index": 2**70}, {"index": -1}, {"index": 1.5}, {"index": 4}, {"seed": "x"}, {"pattern": None},
+        {"rejects": "x"}, {"rejects": [{"rule": "x"}]}, {"versions": 3}, {"recipe": "["}, {"recipe": "[" * 2000},
+        {"panel_names": {}}, {"drape": None}, {"drape": {"outcome": 1}}, {"strain": 3}, {"holds": []},
+        {"gathers": ["x"]}, {"fabric": {"name": "x", "parameters": 3}}, {"redraws": [3]}, {"grade": "good"},
+        {"drape": {**DRAPE, "outcome": "FLEW"}}, {"recipe": '{"bodies_each":0}', "rejects": REJECTS},
+        {"recipe": '{"bodies_each":"x"}', "rejects": REJECTS}, {"crc32": None}, {"crc32": 3}, {"crc32": {}},
     ],
     ids=str,
 )  # fmt: skip
-@pytest.mark.parametrize("streaming", [False, True])
-def test_errors_about_strange_meta_are_one_line(tmp_path: Path, entries: dict[str, Any], streaming: bool) -> None:
+def test_errors_about_strange_meta_are_one_line(tmp_path: Path, entries: dict[str, Any]) -> None:
     folder = shard_of(tmp_path / "data", resealed(encode_sample(fake_sample(0, 0)), **entries))
-    with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000"):
-        list(GarmentDataset(folder, streaming=streaming))
+    with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000: "):
+        ShardReader(folder)
 
 
-@pytest.mark.parametrize(
-    ("member", "content"),
-    [
-        ("spec.txt", DEEP), ("spec.txt", HUGE), ("spec.txt", b"3"), ("design.txt", b"null"), ("design.txt", b"{"),
-        ("measures.json", b'{"bust":"x"}'), ("measures.json", b'{"bust":1e400}'), ("measures.json", b"[]"),
-        ("verts.npy", npy_of("(1000000000000, 3)", bytes(36), "<f4")), ("verts.npy", npy_of("(0, 1000000000000)")),
-        ("verts.npy", npy_of("((((")), ("verts.npy", npy_of("(1,)", bytes(8), "<f3")), ("verts.npy", b""),
-        ("faces.npy", write_npy(np.zeros((2, 3)))), ("panels.npy", write_npy(np.zeros((2, 3)))),
-        ("points.npy", write_npy(np.zeros((2, 6), np.int32))), ("stitches.npy", write_npy(np.zeros(3, np.int32))),
-        ("front.jpg", b"\xff\xd8"), ("front.jpg", b""),
-    ],
-)  # fmt: skip
-def test_errors_about_strange_members_name_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
-    members = resealed({**encode_sample(fake_sample(0, 0)), member: content})
-    # The second sample is intact, and holds every field.
-    ds = GarmentDataset(shard_of(tmp_path / "data", members, encode_sample(fake_sample(0, 1))))
-    with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000000, member {member}: "):
-        ds[0]
-    with pytest.raises(ShardError):
-        ShardReader(tmp_path / "data").sample(0) if member != "front.jpg" else ds[0]
+def test_a_sample_without_checksums_is_refused_by_the_reader(tmp_path: Path) -> None:
+    """Beside a note of the same length."""
+    members, folder = encode_sample(fake_sample(0, 0)), fill(tmp_path / "data", [0])
+    meta = json.loads(members["meta.json"].replace(b'"crc32":', b'"crc23":'))
+    del meta["crc32_before"]
+    shutil.rmtree(folder / "views")
+    shard_of(folder, {**members, "meta.json": sealed(meta)})
+    with pytest.raises(ShardError, match=r"sample gcd_000000000, member meta\.json: crc32 is nothing, expected an obj"):
+        ShardReader(folder).read(0, ["verts.z"])
+
+
+def test_numbers_beyond_the_index_are_refused(tmp_path: Path) -> None:
+    members = resealed(encode_sample(fake_sample(0, 0)), index=2**40)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_1099511627776: index 1099511627776, "):
+        ShardReader(shard_of(tmp_path / "data", members, first=2**40))
+
+
+def test_samples_without_a_member_are_named(tmp_path: Path) -> None:
+    members = encode_sample(fake_sample(0, 1))
+    del members["mesh.z"]
+    folder = shard_of(tmp_path / "data", encode_sample(fake_sample(0, 0)), members)
+    with pytest.raises(ShardError, match=r"sample gcd_000000001: its members differ .* in mesh\.z: copy it again"):
+        gather(FolderPlace(folder))
 
 
 def test_errors_about_contradictory_members_are_one_line() -> None:
@@ -314,10 +295,9 @@ def test_errors_about_contradictory_members_are_one_line() -> None:
     with pytest.raises(ShardError, match="outcome 'FLEW'"):
         drape = {**json.loads(members["meta.json"])["drape"], "outcome": "FLEW"}
         decode_sample(resealed(members, drape=drape))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
-        decode_sample(resealed(members, vertex_labels=["nobody"]))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
-        decode_sample(resealed(members, grade="good"))
+    for entries in ({"vertex_labels": ["nobody"]}, {"grade": "good"}):
+        with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
+            decode_sample(resealed(members, **entries))
     with pytest.raises(ShardError, match=r"member meta\.json: pattern is missing"):
         meta = json.loads(members["meta.json"])
         del meta["pattern"], meta["crc32_before"]
@@ -333,49 +313,13 @@ def png_of(side: int) -> bytes:
 
 
 def test_pictures_of_a_hundred_million_pixels_are_not_decoded() -> None:
-    small = io.BytesIO()
-    Image.new("RGB", (16, 16)).save(small, "JPEG")
-    bomb = bytearray(small.getvalue())
+    bomb = bytearray(fake_sample(0, 0).front or b"")
     place = bomb.index(b"\xff\xc0") + 5
     bomb[place : place + 4] = struct.pack(">HH", 13_000, 13_000)
     with pytest.raises(ShardError, match=r"member front\.jpg: (a picture of 13000 x 13000 pixels|not a picture)"):
         decode_field("front", {"front.jpg": bytes(bomb)})
     with pytest.raises(ShardError, match=r"member front\.jpg: not a picture"):
         decode_field("front", {"front.jpg": png_of(16)})
-    for side in (9_000, 13_000, 60_000):
-        with pytest.raises(ShardError, match=r"member seg\.png: does not match its ending"):
-            decode_member("seg.png", png_of(side))
-
-
-def test_foreign_npy_headers_are_checked_against_their_bytes() -> None:
-    for content in (
-        npy_of("(1000000000000,)", bytes(8)), npy_of("((((", bytes(8)), npy_of("('a',)"), npy_of("(-1,)"),
-        npy_of("(3,)", bytes(24), "|O"), npy_of("(1,)", bytes(4), "<U1000000000"), b"\x93NUMPY\x09\x00", b"",
-    ):  # fmt: skip
-        with pytest.raises(ShardError):
-            read_any_npy(content, "biufc")
-        with pytest.raises(ShardError):
-            read_npy(content)
-    array = np.asfortranarray(np.arange(6, dtype=">i2").reshape(2, 3))
-    file = io.BytesIO()
-    np.save(file, array)
-    assert np.array_equal(read_any_npy(file.getvalue(), "i"), array)
-    assert decode_member("a.json", b'{"n": NaN}')["n"] != 0  # Python writes it
-    for member, content in (("a.json", DEEP), ("a.json", HUGE), ("a.cls", b"9" * 5000)):
-        with pytest.raises(ShardError, match=rf"member {member}: does not match its ending"):
-            decode_member(member, content)
-
-
-def test_a_meta_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    header = bytearray(tar_entry("gcd_000000000.meta.json", b""))
-    header[124:135] = b"%011o" % (8**11 - 1)
-    header[148:156] = 8 * b" "
-    header[148:156] = b"%06o\0 " % sum(header)
-    path = tmp_path / "train-00000.tar"
-    path.write_bytes(header)
-    os.truncate(path, 8**11 + 2048)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000 has more than 536870912 bytes"):
-        GarmentDataset(tmp_path)
 
 
 def test_brackets_in_strings_do_not_count_as_nesting() -> None:
@@ -384,5 +328,54 @@ def test_brackets_in_strings_do_not_count_as_nesting() -> None:
     assert read_meta(resealed(members, recipe=recipe)["meta.json"])["recipe"]["note"] == "[" * 3 * DEEPEST
 
 
-def test_a_shard_number_with_too_many_digits_is_ignored() -> None:
-    assert shard_number(f"train-{'9' * 5004}.tar", "train") is None
+# ---------------------------------------------------------------------------------------------------------------- cache
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 100)
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "cut": cut,
+    "head cut": lambda path: os.truncate(path, 40),
+    "empty": lambda path: os.truncate(path, 0),
+    "huge": lambda path: path.write_bytes(b"gcdcol1\0" + b"\xff" * 999),
+    "unknown type": lambda path: path.write_bytes(b"gcdcol1\0xx" + bytes(999)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_damaged_columns_are_made_again(folder: Path, tmp_path: Path, damage: Callable[[Path], object]) -> None:
+    options: Any = {"fields": ["verts"], "cache_dir": tmp_path / "cache"}
+    first = GarmentDataset(folder, **options)[[1]][0]["verts"]
+    (column,) = (tmp_path / "cache").glob("shards/*/verts")
+    damage(column)
+    assert GarmentDataset(folder, **options)[[1]][0]["verts"].equal(first)
+
+
+def test_room_is_made_beside_what_other_processes_evict(tmp_path: Path) -> None:
+    (tmp_path / ".abc.tar.part").symlink_to(tmp_path / "gone")
+    make_room(tmp_path, 10, 1000)
+    assert size_in_bytes("9007199254740993") == 9007199254740993
+    with pytest.raises(ConfigError, match="max_cache_size='9999"):
+        size_in_bytes("9" * 400)
+
+
+@pytest.mark.parametrize("mode", [0o555, 0])
+def test_a_cache_that_cannot_be_written_is_named(mode: int) -> None:
+    with public_folder() as place:
+        dataset = GarmentDataset(fill(place / "data", range(3)), fields=["verts"], cache_dir=place / "cache")
+        (place / "cache" / "shards").mkdir(parents=True)
+        with forbidden(place / "cache" / "shards", mode), pytest.raises(GcdError, match=r"cache/shards.* \(Permission"):
+            dataset[[0]]
+
+
+def test_a_reader_that_checks_nothing_leaves_no_damage_in_the_cache(folder: Path, tmp_path: Path) -> None:
+    options: Any = {"fields": ["design"], "cache_dir": tmp_path / "cache"}
+    path = folder / "train-00000.tar"
+    place = path.read_bytes().index(b"gcd_000000001.design.txt\0") + BLOCK + 2
+    flip(path, place)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: bytes differ from the written ones: copy it again"):
+        GarmentDataset(folder, verify="off", **options)[[1]]
+    flip(path, place)
+    assert GarmentDataset(folder, **options)[[1]][0]["design"] == GarmentDataset(folder)[1]["design"]

@@ -1,23 +1,25 @@
 """Reading shards: random access, and detection of every flipped byte."""
 
-import json
 import multiprocessing
 import os
 import pickle
-from collections.abc import Iterable, Sequence
+import shutil
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gcd_dataset.cli.inspect import info_lines
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index
+from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards import folder as folders
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.reader import Verify
-from gcd_dataset.shards.store import MemberLocation
+from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import key_of
 from tests.shards.folders import fill, forbidden, public_folder
 
 
@@ -28,27 +30,28 @@ def folder(tmp_path: Path) -> Path:
 
 def flip(folder: Path, sample: int, member: str) -> None:
     """Change one bit in the middle of a member."""
-    index = read_index(folder)
-    column = MEMBERS.index(member)
-    place = int(index.table.offset[sample, column]) + int(index.table.size[sample, column]) // 2
-    path = folder / index.shards[index.shard[sample]]
-    content = bytearray(path.read_bytes())
-    content[place] ^= 4
-    path.write_bytes(content)
+    for path in (folder / "train-00001.tar", folder / "views" / "train-00001.tar"):
+        content = bytearray(path.read_bytes())
+        place = content.find(f"{key_of(sample)}.{member}\0".encode())
+        if place >= 0:
+            content[place + 512 + int(content[place + 124 : place + 135], 8) // 2] ^= 4
+            path.write_bytes(content)
 
 
 def test_members_are_read_in_any_order(folder: Path) -> None:
     shards = ShardReader(folder)
     for position in np.random.default_rng(0).permutation(10).tolist():
         assert shards.read(position, MEMBERS) == encode_sample(fake_sample(0, position))
-    assert shards.read(3, ["verts.npy", "faces.npy"]).keys() == {"faces.npy", "verts.npy"}
+    assert list(shards.read(3, ["verts.z", "mesh.z"])) == ["verts.z", "mesh.z"]
+    assert list(shards.read(3, ["back.jpg", "meta.json"])) == ["back.jpg", "meta.json"]
+    with pytest.raises(ConfigError, match=r"its samples have no caption\.txt"):
+        shards.read(3, ["caption.txt"])
 
 
-def test_distant_members_are_read_by_separate_calls(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folders, "GAP", 0)
-    expected = encode_sample(fake_sample(0, 4))
-    read = ShardReader(folder).read(4, ["back.jpg", "meta.json", "verts.npy"])
-    assert read == {name: expected[name] for name in ("meta.json", "verts.npy", "back.jpg")}
+def test_the_caller_owns_what_is_read(folder: Path) -> None:
+    shards = ShardReader(folder)
+    shards.read(3, ["verts.z"])["verts.z"][:] = bytes(len(shards.read(3, ["verts.z"])["verts.z"]))
+    assert shards.read(3, ["verts.z"])["verts.z"] == encode_sample(fake_sample(0, 3))["verts.z"]
 
 
 def test_short_reads_are_continued(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,162 +64,112 @@ def test_short_reads_are_continued(folder: Path, monkeypatch: pytest.MonkeyPatch
     assert ShardReader(folder).read(4, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 
-@pytest.mark.parametrize("member", ["meta.json", "verts.npy", "back.jpg"])
+@pytest.mark.parametrize("member", ["meta.json", "verts.z", "back.jpg"])
 def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
-    flip(folder, 5, member)
+    """Damage after the first read is found by a check."""
     message = f"train-00001.tar: sample gcd_000000005, member {member}"
-    lazy = ShardReader(folder)
+    early, lazy, blind = ShardReader(folder), ShardReader(folder), ShardReader(folder, verify="off")
+    early.read(5, MEMBERS)
+    flip(folder, 5, member)
     lazy.read(4, MEMBERS)
-    lazy.read(5, [name for name in MEMBERS if name != member])
-    with pytest.raises(ShardError, match=message):
-        lazy.read(5, [member])
+    for _ in range(2):
+        with pytest.raises(ShardError, match=message):
+            lazy.read(5, [member])
     with pytest.raises(ShardError, match=message):
         ShardReader(folder, verify="full")
-    blind = ShardReader(folder, verify="off")
-    blind.read(5, MEMBERS)
-    with pytest.raises(ShardError, match=message):
-        blind.check(5)
-
-
-def test_both_copies_of_a_sample_requested_twice_are_checked(folder: Path) -> None:
-    """With a store that reads all samples before the first check, and fetches damaged members again."""
-
-    class Mended(FolderStore):
-        def read_many(
-            self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]
-        ) -> Iterable[dict[int, memoryview]]:
-            return list(super().read_many(wanted))
-
-        def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview:
-            return memoryview(encode_sample(fake_sample(0, 5))["verts.npy"])
-
-    flip(folder, 5, "verts.npy")
-    reader = ShardReader(folder)
-    reader.store = Mended(folder)
-    expected = encode_sample(fake_sample(0, 5))["verts.npy"]
-    assert [sample["verts.npy"] for sample in reader.read_many([5, 5], ["verts.npy"])] == [expected, expected]
-
-
-def test_a_flipped_bit_is_found_without_an_index(folder: Path) -> None:
-    (folder / "index-train.npz").unlink()
-    flip_at = read_index(folder).table.offset[5, MEMBERS.index("verts.npy")]
-    assert flip_at
-    flip(folder, 5, "verts.npy")
-    with pytest.raises(ShardError, match=r"gcd_000000005, member verts\.npy"):
-        ShardReader(folder).read(5, MEMBERS)
-
-
-def test_an_unknown_schema_is_reported_with_both_versions(folder: Path) -> None:
-    path = folder / "manifest.json"
-    manifest = json.loads(path.read_text())
-    path.write_text(json.dumps({**manifest, "schema": 99, "generator": "7.2.0"}))
-    with pytest.raises(ShardError, match=r"schema 99 by gcd_dataset 7\.2\.0.*reads schema 1 and 2"):
-        ShardReader(folder)
+    for reader in (early, blind):
+        reader.read(5, MEMBERS)
+        with pytest.raises(ShardError, match=message):
+            reader.check(5)
 
 
 def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
     path = folder / "train-00001.tar"
-    content = path.read_bytes()
-    path.write_bytes(content[:5000])
-    with pytest.raises(ShardError, match=rf"train-00001\.tar: 5000 of the {len(content)} bytes"):
-        ShardReader(folder)
+    size = path.stat().st_size
+    os.truncate(path, 5000)
+    with pytest.raises(ShardError, match=rf"train-00001\.tar: 5000 bytes, but {size} in manifest\.json"):
+        ShardReader(folder).read(5, MEMBERS)
     path.unlink()
-    with pytest.raises(ShardError, match=r"train-00001\.tar: 0 of the"):
+    with pytest.raises(ShardError, match=r"train-00001\.tar: no such file, but manifest\.json lists it: copy it again"):
         ShardReader(folder)
 
 
-def test_shards_are_read_without_index_and_manifest(folder: Path) -> None:
-    (folder / "index-train.npz").unlink()
-    (folder / "manifest.json").unlink()
-    assert len(ShardReader(folder, verify="full")) == 10
+def test_other_members_are_read_where_pictures_are_missing(folder: Path) -> None:
+    shutil.rmtree(folder / "views")
+    message = (
+        r"views/train-00000\.tar: no such file, but manifest\.json lists it: copy it again, or delete train-00000\.t"
+    )
+    assert len(GarmentDataset(folder, fields=["verts"])[[0, 1]]) == 2
+    for read in (lambda: ShardReader(folder).read(0, ["front.jpg"]), lambda: GarmentDataset(folder, fields=["front"])):
+        with pytest.raises(ShardError, match=message):
+            read()
+    lines = set()
+    with pytest.raises(ShardError, match=message):
+        for line in info_lines(FolderStore(folder)):
+            lines.add(line.partition(":")[0])
+    assert {"  bytes by field", "  panels"} <= lines
 
 
-@pytest.mark.parametrize("name", ["index-train.npz", "manifest.json"])
-def test_a_broken_index_or_manifest_is_named(folder: Path, name: str) -> None:
-    (folder / name).write_bytes(b"PK nonsense")
-    with pytest.raises(ShardError, match=name):
-        ShardReader(folder)
+@pytest.mark.parametrize(
+    "lost", [("train.index",), ("manifest.json",), ("train.index", "manifest.json", "train-*.json")]
+)
+def test_shards_are_read_without_index_manifest_and_notes(folder: Path, lost: tuple[str, ...]) -> None:
+    for pattern in lost:
+        for path in folder.glob(pattern):
+            path.unlink()
+    before = sorted(folder.iterdir())
+    reader = ShardReader(folder, verify="full")
+    assert [reader.number(position) for position in range(len(reader))] == list(range(10))
+    assert sorted(folder.iterdir()) == before  # nothing is written
 
 
 def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         ShardReader(folder, "test")
-    with pytest.raises(ShardError, match="give a folder made by gcd generate"):
+    with pytest.raises(ShardError, match="no shards: give a folder made by gcd generate"):
         ShardReader(tmp_path)
     with pytest.raises(ConfigError, match="verify='sometimes'"):
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
 
 
-def test_a_run_killed_in_its_first_shard_is_reported(folder: Path) -> None:
-    for shard in folder.glob("*.tar"):
-        shard.unlink()
-    (folder / "manifest.json").unlink()
-    (folder / "train-00000.tar.part").touch()
-    with pytest.raises(ShardError, match=r"no samples .*run gcd generate again to finish"):
-        ShardReader(folder)
-
-
-@pytest.mark.parametrize("mode", [0o000, 0o444, 0o111])
-def test_an_unreadable_folder_is_named(mode: int) -> None:
-    message = r"data.*cannot be read \(Permission denied\): ask for the right to read it"
+@pytest.mark.parametrize(
+    ("name", "mode"), [("", 0), ("", 0o444), ("manifest.json", 0), ("train.index", 0), ("train-00000.tar", 0)]
+)
+def test_an_unreadable_file_or_folder_is_named(name: str, mode: int) -> None:
+    message = rf"data.*{name}.*: cannot be read \(Permission denied\)"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
-        with forbidden(folder, mode), pytest.raises(ShardError, match=message):
-            ShardReader(folder)
-
-
-@pytest.mark.parametrize("name", ["manifest.json", "index-train.npz", "train-00000.tar"])
-def test_an_unreadable_file_is_named(name: str) -> None:
-    message = rf"{name}: cannot be read \(Permission denied"
-    with public_folder() as place:
-        folder = fill(place / "data", range(3))
-        with forbidden(folder / name, 0o000), pytest.raises(ShardError, match=message):
+        with forbidden(folder / name, mode), pytest.raises(ShardError, match=message):
             ShardReader(folder).read(0, MEMBERS)
-
-
-def test_only_remedies_that_exist_are_named(folder: Path) -> None:
-    (folder / "manifest.json").write_text("{")
-    with pytest.raises(ShardError, match=r"not a manifest.*: delete it") as message:
-        ShardReader(folder)
-    assert "download" not in str(message.value)
-    (folder / "manifest.json").unlink()
-    assert len(ShardReader(folder)) == 10
 
 
 def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
     shards = ShardReader(fill(tmp_path, [1, 7, 3]))
     for position, index in enumerate([1, 3, 7]):
+        assert shards.number(position) == index
         assert shards.read(position, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, index))["meta.json"]
 
 
 @pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_shard_whose_samples_have_moved_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verify: Verify
-) -> None:
-    """Missing samples were inserted after the index was read."""
-    monkeypatch.setattr(folders, "OPEN_FILES", 1)
-    folder = fill(tmp_path, [0, 2, 4])
-    reader = ShardReader(folder, verify=verify)
-    for position in range(3):
-        reader.read(position, MEMBERS)
-    fill(folder, [1, 5])
-    for _ in range(2):
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were inserted.*: open the data set again"):
-            reader.read(1, MEMBERS)
-    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # its shard has only grown at the end
-    assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))
+def test_a_data_set_replaced_meanwhile_is_reported(folder: Path, tmp_path: Path, verify: str) -> None:
+    """By one with shards of the same size."""
+    reader = ShardReader(folder, verify=verify)  # type: ignore[arg-type]
+    shard = folder / "train-00001.tar"
+    shard.write_bytes(shard.read_bytes().replace(b"gcd_000000005", b"gcd_000000077"))
+    with pytest.raises(ShardError, match=r"train-00001\.tar: sample gcd_000000005: "):
+        reader.read(5, MEMBERS)
 
 
 def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folders, "OPEN_FILES", 1)
     shards = ShardReader(folder)
-    expected = [encode_sample(fake_sample(0, position))["verts.npy"] for position in range(10)]
-    assert shards.read(0, ["verts.npy"])["verts.npy"] == expected[0]
+    expected = [encode_sample(fake_sample(0, position))["verts.z"] for position in range(10)]
+    assert shards.read(0, ["verts.z"])["verts.z"] == expected[0]
     copy = pickle.loads(pickle.dumps(shards))
-    assert copy.read(9, ["verts.npy"])["verts.npy"] == expected[9]
+    assert copy.read(9, ["verts.z"])["verts.z"] == expected[9]
     order = np.random.default_rng(1).integers(10, size=200).tolist()
     with ThreadPoolExecutor(4) as pool:
-        read = list(pool.map(lambda position: shards.read(position, ["verts.npy"])["verts.npy"], order))
+        read = list(pool.map(lambda position: shards.read(position, ["verts.z"])["verts.z"], order))
     assert all(data == expected[position] for position, data in zip(order, read, strict=True))
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as processes:
@@ -224,4 +177,12 @@ def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, mon
 
 
 def shards_length(shards: ShardReader) -> tuple[int, int]:
-    return len(shards), len(shards.read(3, ["verts.npy"])["verts.npy"])
+    return len(shards), len(shards.read(3, ["verts.z"])["verts.z"])
+
+
+def test_an_index_pickles_as_its_file(folder: Path) -> None:
+    index = ShardReader(folder).index
+    again = pickle.loads(pickle.dumps(index))
+    assert again.to_bytes() == index.to_bytes() == (folder / "train.index").read_bytes()
+    record = (read_manifest(folder) or pytest.fail("no manifest")).splits["train"]
+    assert SplitIndex.from_bytes(index.to_bytes(), record, "train.index").end.tolist() == index.end.tolist()

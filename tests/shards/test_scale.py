@@ -1,96 +1,119 @@
-"""Index and manifest of the largest data sets are read, with bounded memory and number of writes."""
+"""Index and manifest of large data sets are small, and read within bounded memory."""
 
 import gc
 import hashlib
-import json
+import pickle
 import tracemalloc
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import ShardReader, writer
-from gcd_dataset.shards.index import ShardIndex, ShardTable
-from gcd_dataset.shards.layout import GARMENTS, shard_name, shard_number
-from gcd_dataset.shards.limits import LARGEST_FILE
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, parse_manifest, read_manifest
-from gcd_dataset.shards.writer import SHARD_SIZE
-from gcd_dataset.verbs.making_plan import MOST
-from tests.shards.folders import RECIPE, contents, fill, open_writer
+from gcd_dataset.errors import ShardError
+from gcd_dataset.making.tasks import MOST
+from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import MEMBERS
+from gcd_dataset.shards.limits import LARGEST_MANIFEST
+from gcd_dataset.shards.manifest import Manifest, Plan, ShardRecord, SplitRecord, parse_manifest
+from gcd_dataset.shards.notes import shards_named
+from gcd_dataset.shards.sections import pack
+from gcd_dataset.shards.tar import BLOCK, END
 
-MEMBER = 40_000  # bytes
-
-
-def index_of(count: int) -> ShardIndex:
-    """The index of ``count`` garments in shards of the default size."""
-    members, shards = len(GARMENTS.members), -(-count // SHARD_SIZE)
-    size = np.full((count, members), MEMBER, np.uint32)
-    place = np.arange(count)[:, None] % SHARD_SIZE * members + np.arange(members)[None]
-    crc = np.random.default_rng(0).integers(0, 1 << 32, (count, members), np.uint32)
-    table = ShardTable(
-        np.arange(count), place * 2 * MEMBER, size, crc, np.ones(count, bool), np.full(count, 3, np.uint8)
-    )
-    shard = np.repeat(np.arange(shards, dtype=np.int32), SHARD_SIZE)[:count]
-    length = np.full(shards, SHARD_SIZE * members * 2 * MEMBER)
-    return ShardIndex(tuple(shard_name("train", number) for number in range(shards)), length, shard, table)
+SIZE = 128  # samples of a shard
+SAMPLE = 254  # blocks: 130 kB
 
 
-def test_the_index_of_the_largest_data_set_is_read() -> None:
-    few, more = (len(index_of(count).to_bytes()) for count in (1_000, 2_000))
-    assert (more - few) / 1_000 * MOST < LARGEST_FILE
+def record_of(count: int) -> SplitRecord:
+    """The record of ``count`` garments with pictures."""
+    length = SIZE * SAMPLE * BLOCK + END
+    hashes = [hashlib.sha256(b"%d" % n).hexdigest() for n in range(count // SIZE)]
+    shards = tuple(ShardRecord(n, SIZE, length, sha256, length, sha256) for n, sha256 in enumerate(hashes))
+    plan = Plan("garments", 0, {"stage": "drape"}, count, SIZE)
+    return SplitRecord(plan, shards, MEMBERS, {f"a_rule_with_a_long_name_{n}": 17 for n in range(30)})
+
+
+def index_of(count: int) -> SplitIndex:
+    random = np.random.default_rng(0)
+    blocks = (np.arange(SIZE) * SAMPLE + np.append(0, random.integers(-99, 99, SIZE - 1))).astype(np.int32)
+    blocks = np.tile(blocks, count // SIZE)
+    grade, outcome = random.integers(1, 4, count, np.uint8), np.ones(count, np.uint8)
+    return SplitIndex(record_of(count), np.arange(count, dtype=np.int32), blocks, blocks, grade, outcome)
 
 
 def test_the_manifest_of_the_largest_data_set_is_read() -> None:
-    rejects = {f"a_rule_with_a_long_name_{number}": 17 for number in range(8)}
-    shards = tuple(
-        ShardRecord(shard_name("train", n), SHARD_SIZE, 1 << 28, hashlib.sha256(b"%d" % n).hexdigest(), rejects)
-        for n in range(-(-MOST // SHARD_SIZE))
-    )
-    manifest = Manifest({"train": SplitRecord(0, RECIPE, SHARD_SIZE, shards)})
-    assert parse_manifest(json.dumps(asdict(manifest)).encode(), "manifest.json") == manifest
+    few, more = (len(Manifest({"train": record_of(count)}).to_bytes()) for count in (12_800, 25_600))
+    assert (more - few) / 12_800 * MOST < LARGEST_MANIFEST
+    manifest = Manifest({"train": record_of(256_000)})
+    assert parse_manifest(manifest.to_bytes(), "manifest.json") == manifest
 
 
-def test_an_index_is_read_in_less_than_three_times_its_size() -> None:
-    content = index_of(50_000).to_bytes()
+def test_the_index_of_equally_large_samples_is_read_again() -> None:
+    """It compresses more than any other."""
+    count = 1_280_000
+    record = replace(record_of(SIZE), shards=tuple(replace(one, views_size=0) for one in record_of(count).shards))
+    blocks = np.tile(np.arange(SIZE, dtype=np.int32) * SAMPLE, count // SIZE)
+    none, number = np.zeros(count, np.uint8), np.arange(count, dtype=np.int32)
+    index = SplitIndex(record, number, blocks, blocks[:0], none, none)
+    assert np.array_equal(SplitIndex.from_bytes(index.to_bytes(), record, "train.index").start, index.start)
+
+
+def test_an_index_takes_a_few_bytes_a_sample() -> None:
+    """On disk, in memory and pickled."""
+    count = 128_000
+    index = index_of(count)
+    content = index.to_bytes()
+    assert len(content) < 8 * count
+    assert len(pickle.dumps(index)) < 8 * count + 400 * count // SIZE
     gc.collect()
     tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    index = ShardIndex.parse(content, "index-train.npz")
-    peak = tracemalloc.get_traced_memory()[1] - before
+    again = SplitIndex.from_bytes(content, index.record, "train.index")
+    kept, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert len(index) == 50_000
-    assert peak < 2 * len(content)  # in addition to the content
+    assert len(again) == count
+    assert kept < 20 * count
+    assert peak < 100 * count
+
+
+def test_positions_are_those_that_were_given() -> None:
+    index = index_of(12_800)
+    again = SplitIndex.from_bytes(index.to_bytes(), index.record, "train.index")
+    for name in ("number", "start", "end", "views_start", "views_end", "shard", "grade", "outcome", "settled"):
+        assert np.array_equal(getattr(again, name), getattr(index, name)), name
+    assert (again.end[:-1] == again.start[1:])[again.shard[:-1] == again.shard[1:]].all()
+    assert set(again.end[again.first[1:] - 1].tolist()) == {SIZE * SAMPLE * BLOCK}
+
+
+HOSTILE: dict[str, list[Callable[[Any], Any]]] = {
+    "number": [lambda a: a - 1, lambda a: a * 0, lambda a: a[:-1], lambda a: a.astype(float)],
+    "start": [lambda a: a - 1, lambda a: a[::-1].copy(), lambda a: a + SIZE * SAMPLE, lambda a: a * 0],
+    "views_start": [lambda a: a[:0], lambda a: a * 0],
+    "grade": [lambda a: a + np.uint8(200), lambda a: np.tile(a, 1000)],
+    "outcome": [lambda a: a + np.uint8(200), lambda a: a.reshape(-1, 1)],
+}
+
+
+@pytest.mark.parametrize(("name", "number"), [(name, k) for name in HOSTILE for k in range(len(HOSTILE[name]))])
+def test_an_index_that_does_not_fit_its_shards_is_refused(name: str, number: int) -> None:
+    index = index_of(256)
+    arrays = {"number": index.number, "start": index.blocks, "views_start": index.views_blocks}
+    arrays |= {"grade": index.grade, "outcome": index.outcome}
+    arrays[name] = HOSTILE[name][number](arrays[name])
+    with pytest.raises(ShardError, match=r"train\.index: not the index of these shards \(.*\): run gcd index"):
+        SplitIndex.from_bytes(pack(arrays), index.record, "train.index")
+
+
+def test_an_index_that_declares_gigabytes_is_refused_before_they_are_allocated() -> None:
+    content = pack({"number": np.zeros(1 << 24, np.int32)})
+    tracemalloc.start()
+    with pytest.raises(ShardError, match=r"train\.index: not the index"):
+        SplitIndex.from_bytes(content, replace(record_of(256)), "train.index")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
 
 
 def test_shards_beyond_the_five_digits_of_their_names_stay_in_order() -> None:
-    names = [shard_name("train", number) for number in (99_999, 100_000, 390_624)]
-    assert [shard_number(name, "train") for name in names] == [99_999, 100_000, 390_624]
-
-
-def test_the_manifest_is_written_less_often_with_more_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = []
-
-    def counted(folder: Path, split: str, record: SplitRecord) -> None:
-        kept.append(len(record.shards))
-        keep_split(folder, split, record)
-
-    monkeypatch.setattr(writer, "keep_split", counted)
-    monkeypatch.setattr(writer, "UNLISTED", 1 / 4)
-    fill(tmp_path, range(100))
-    assert kept == [0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 25]
-
-
-def test_a_kill_leaves_shards_that_the_manifest_lists_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writer, "UNLISTED", 1 / 2)
-    writing = open_writer(tmp_path / "killed")
-    for index in range(13):
-        writing.write(fake_sample(0, index))
-    del writing  # without close, as after kill -9
-    behind = read_manifest(tmp_path / "killed")
-    assert behind is not None
-    assert len(behind.splits["train"].shards) == 2
-    fill(tmp_path / "killed", range(13, 16))
-    assert contents(tmp_path / "killed") == contents(fill(tmp_path / "whole", range(16)))
-    assert len(ShardReader(tmp_path / "killed")) == 16
+    names = ["train-100000.tar", "train-99999.tar", f"train-{'9' * 5004}.tar", "train-1.tar", ".train-00001.tar", "x/a"]
+    assert shards_named(names) == [("train", 99_999), ("train", 100_000)]

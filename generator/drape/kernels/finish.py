@@ -10,10 +10,12 @@ from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest
 from gcd_dataset.generator.drape.kernels.crossing import BodyEdges, crosses_skin
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, segment_crosses
 from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
+from gcd_dataset.records import POSITION_STEP
 
 wp.set_module_options({"enable_backward": False})
 
 SHARE = 0.45  # largest move of a vertex, as a share of its distance from other cloth
+STEPS = wp.constant(1.0 / POSITION_STEP)  # in a centimetre
 CLEAR = 0.12  # cm, target distance from the skin
 DEEPEST = 3.0  # cm: cloth deeper inside stays there
 
@@ -185,3 +187,16 @@ def leave_skin(
     if length > allowed[i]:
         moved = moved * (allowed[i] / length)
     x_out[i] = x_start[i] + moved
+
+
+@wp.kernel
+def round_positions(
+    cloth: Cloth,
+    chosen: wp.array(dtype=int),
+    # state in and out
+    x: wp.array(dtype=wp.vec3),
+):
+    """Round the positions of the chosen worlds to multiples of 1 / ``STEPS``."""
+    i = wp.tid()
+    if chosen[cloth.vertex_world[i]] != 0:
+        x[i] = wp.vec3(wp.rint(x[i][0] * STEPS), wp.rint(x[i][1] * STEPS), wp.rint(x[i][2] * STEPS)) / STEPS

@@ -50,7 +50,7 @@ def test_the_mesh_of_the_pattern_is_that_of_the_garment(draped: GarmentSet) -> N
     own = box_mesh_of(draped, 0)
     assert np.array_equal(mesh.faces, own.faces)
     assert np.allclose(mesh.vertices, own.vertices, atol=1e-3)
-    assert np.allclose(transferred(mesh.vertices, mesh, draped, 0), own.vertices, atol=1e-3)
+    assert np.allclose(transferred(mesh.vertices, mesh, draped, 0), own.vertices, atol=2e-3)
 
 
 def test_a_finer_mesh_carries_a_linear_map_exactly(draped: GarmentSet) -> None:

@@ -1,0 +1,352 @@
+"""Makes the shards of a data set that are missing; any number of runs, jobs and machines may do so at a time.
+
+    begin ─► missing tasks ─► samples, streamed in the order of the tasks ─► drafts ─► shards ─► index
+
+Equal plans give equal bytes, whoever makes which shard, and however often the work is interrupted.
+"""
+
+import contextlib
+import logging
+import shutil
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.files import make_folder
+from gcd_dataset.generator.recipes import find_recipe, recipe_names
+from gcd_dataset.making.log import run_log
+from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
+from gcd_dataset.making.tasks import Job, Task, Work
+from gcd_dataset.shards.access import locked, reading, writing
+from gcd_dataset.shards.layout import FAILED, Bytes
+from gcd_dataset.shards.manifest import MANIFEST, Plan, ShardRecord, parse_manifest
+from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.notes import (
+    EARLIER,
+    META,
+    OLD,
+    Gathered,
+    Note,
+    gather,
+    note_name,
+    plan_of_sample,
+    read_note,
+    shards_named,
+    stored_samples,
+)
+from gcd_dataset.shards.place import FolderPlace, Place
+from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
+from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
+
+NO_WAITS: Waits = {}
+OTHER_PATTERNS = (
+    "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, draws "
+    "different patterns; the data set can be used, but not under that name"
+)
+
+logger = logging.getLogger("gcd_dataset")
+
+
+class Made(NamedTuple):
+    """A sample that was made, encoded; or the fault for which it was skipped."""
+
+    number: int
+    members: Mapping[str, Bytes] | None
+    fault: str = ""
+    failed: bool = False
+    """Whether it goes to the split ``failed``."""
+    rejects: tuple[str, ...] = ()
+    """``rule: reason`` of each attempt rejected for its design; given for one sample of a design."""
+    outcome: str | None = None
+    """Name of the outcome of the drape; ``None`` without a drape."""
+    waits: Waits = NO_WAITS
+    """Waits of its worker, and of the draping processes, since the previous sample."""
+
+
+Wanted = Sequence[tuple[Task, Sequence[int]]]
+"""Tasks, each with the indices of its missing samples."""
+Maker = Callable[[Wanted], Iterator[Made]]
+"""Makes the missing samples of tasks, in order; its iterator is closed when the run stops."""
+MakeShards = Callable[[Place, Sequence[Task], Maker], Generator[Made, None, None]]
+"""Makes the shards of tasks, as ``make_shards`` does."""
+
+
+def run(
+    work: Work,
+    maker: Maker,
+    *,
+    job: Job | None = None,
+    engine: MakeShards | None = None,
+    on_progress: ProgressCallback = ignore_progress,
+    log: Path | str | None = None,
+    options: Mapping[str, Any] | None = None,
+    devices: Sequence[str] = (),
+) -> Progress:
+    """Make the missing shards of a data set, or of one job, then manifest and index if all shards are there.
+
+    ``engine``: by default ``make_shards``, in this process. ``log``: file for ``run_log``, with further ``options`` of
+    the call and the ``devices`` of its samples. Raises as ``begin`` and the engine do.
+    """
+    place, plan = work.place, work.plan
+    given = {"out": place.location(), "count": plan.count, "seed": plan.seed, "name": plan.named and plan.named[0]}
+    given |= {**plan.recipe, "job": job and str(job), **(options or {})}
+    with run_log(log, on_progress, options=given, recipe=plan.recipe, devices=devices) as report:
+        begin(work)
+        tasks, names = work.tasks(), place.names()
+        if any(task.tar not in names for task in tasks):
+            place.remove(MANIFEST)  # of the shards before, or of a set with a shard that was deleted
+        own = tasks if job is None else tasks[job.number :: job.of]
+        missing = [task for task in own if task.tar not in names]
+        count = sum(len(task.indices) for task in own)
+        progress, pace = Progress(count, count - sum(len(left) for _, left in _wanted(place, missing))), Pace()
+        report(progress)
+        with contextlib.closing((engine or make_shards)(place, missing, maker)) as samples:
+            for made in samples:
+                progress = progress.with_made(made.rejects, made.outcome, made.fault)
+                progress = pace.of(progress, sum_waits(made.waits, take_waits()))
+                report(progress)
+        names = place.names()
+        if MANIFEST not in names and all(task.tar in names for task in tasks):
+            index(place)
+    return progress
+
+
+# ------------------------------------------------------------------------------------------------------------ beginning
+
+
+def begin(work: Work) -> None:
+    """Check that the place holds nothing else, and prepare it: shards of a smaller data set become ``EARLIER``.
+
+    Raises ``ConfigError`` with the first difference to the data set there, ``ShardError`` for a broken one,
+    ``OutputError`` where the place cannot be written.
+    """
+    place = work.place
+    if isinstance(place, FolderPlace):
+        make_folder(place.folder)
+    for earlier in _earlier_places(place):  # of a run that was stopped before it had a shard
+        _count_in(earlier, work.plan)
+    if 0 < _count_in(place, work.plan) < work.plan.count:
+        _grow(work)
+    _restore_notes(work)
+    for name, content in work.files.items():
+        if not place.exists(name):
+            place.write(name, content)
+
+
+def _count_in(place: Place, asked: Plan) -> int:
+    """The planned samples of the data set in a place; 0 without shards.
+
+    Raises ``ConfigError`` for another data set, or one that is larger than the one asked for.
+    """
+    names = place.names()
+    if any(map(OLD.fullmatch, names)):
+        raise ConfigError(f"{place.location()}: a data set of an earlier version: choose another folder")
+    noted = [note_name(*shard) for shard in shards_named(names) if note_name(*shard) in names]
+    if noted:
+        name = place.location(noted[0])
+        plan = Note.from_bytes(next(place.read(noted[:1])), name).plan
+    elif MANIFEST in names:
+        name = place.location(MANIFEST)
+        plan = next((split.plan for split in parse_manifest(next(place.read([MANIFEST])), name).splits.values()), asked)
+    else:
+        return asked.count if shards_named(names) else 0  # ``_restore_notes`` looks at each of these shards
+    plan.require_same(asked, name)
+    if plan.count > asked.count:
+        raise ConfigError(
+            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: give the same number or more, or "
+            "another folder"
+        )
+    return plan.count
+
+
+def _grow(work: Work) -> None:
+    """Move the shards of a smaller data set into ``EARLIER``: their samples are copied into the new shards."""
+    place = work.place
+    if not isinstance(place, FolderPlace):
+        raise ConfigError(f"{place.location()}: holds fewer samples, and only folders grow: choose another URL")
+    earlier = make_folder(place.folder / EARLIER)
+    with locked(earlier / "lock", "moving its shards", wait=True):
+        count = _count_in(place, work.plan)
+        if count in (0, work.plan.count):
+            return  # moved by another process
+        place.remove(MANIFEST)
+        old, names = FolderPlace(make_folder(earlier / str(count))), place.names()
+        for split, number in shards_named(names):
+            record, note = ShardRecord(number, 0, 0, ""), note_name(split, number)
+            old.write(note, read_note(place, split, number).to_bytes())
+            for name in (record.views_name(split), record.name(split)):  # as long as the tar is here, so is its note
+                if name in names:
+                    old.put(place.folder / name, name)
+            place.remove(note)
+
+
+def _restore_notes(work: Work) -> None:
+    """Make lost notes again. Raises ``ConfigError`` for a shard that does not belong to the data set.
+
+    Looked at are the shards without notes, and one with a note: published garments may differ in their numbers alone.
+    """
+    place, names = work.place, work.place.names()
+    shards = shards_named(names)
+    lost = [shard for shard in shards if note_name(*shard) not in names]
+    tasks = {(task.split, task.number): task for task in work.tasks()} if shards else {}
+    for split, number in lost or shards[:1]:
+        own = next(iter(work.splits)) if split == FAILED and FAILED not in work.splits else split
+        task, tar = tasks.get((own, number)), ShardRecord(number, 0, 0, "").name(split)
+        note = None if task is None else read_note(place, split, number, task.plan)
+        if task is None or note is None or not note.done <= set(task.indices):
+            path = place.location(tar)
+            raise ConfigError(f"{path}: not a shard of this data set: move it elsewhere, or choose another folder")
+        if lost:
+            for sample in stored_samples(place.fetch(tar)):
+                plan_of_sample(read_meta(sample.members[META]), task.plan).require_same(task.plan, place.location(tar))
+            place.write(note_name(split, number), note.to_bytes())
+
+
+# --------------------------------------------------------------------------------------------------------------- making
+
+
+def make_shards(place: Place, tasks: Sequence[Task], maker: Maker) -> Generator[Made, None, None]:
+    """Make the shards of tasks that are not done, yielding each sample when it is stored.
+
+    Samples of a killed run's drafts, and of ``EARLIER``, are kept. A task that another process works on is tried
+    last, then waited for. Raises ``OutputError`` where the place cannot be written.
+    """
+    others = set[str]()  # tars of the tasks of other processes
+    while missing := _missing(place, tasks):
+        # Beside another process begin at the end, so that the two meet once.
+        free = [task for task in (missing[::-1] if others else missing) if task.tar not in others]
+        wanted = _wanted(place, free or missing[:1])
+        stream = timed(maker([(task, left) for task, left in wanted if left]), WRITER)
+        with contextlib.closing(stream) as samples:  # type: ignore[type-var]
+            yield from _fill_drafts(place, wanted, samples, others, wait=not free)
+        if not free:
+            others.discard(missing[0].tar)
+
+
+def _missing(place: Place, tasks: Sequence[Task]) -> list[Task]:
+    names = place.names() if tasks else ()
+    return [task for task in tasks if task.tar not in names]
+
+
+def _fill_drafts(
+    place: Place, wanted: Wanted, samples: Iterator[Made], others: set[str], *, wait: bool
+) -> Generator[Made, None, None]:
+    """Make shards from a stream of samples, until a sample of the stream belongs to another process."""
+    earlier = _Earlier(place)
+    for task, left in wanted:
+        draft = Draft.open(place, *task, wait=wait)
+        if draft is None:
+            if not place.exists(task.tar):
+                others.add(task.tar)
+            if left:
+                return
+            continue
+        with draft:
+            done, asked = draft.done, set(left)
+            for index in task.indices:
+                if index in done:
+                    continue
+                if earlier.has(task.split, index):
+                    members, failed = earlier.read(task.split, index)
+                    draft.add(index, members, failed=failed)
+                elif index not in asked:  # the draft has lost it
+                    return
+                else:
+                    made = next(made for made in samples if made.number == index)  # others may have added some
+                    if made.members is None:
+                        draft.skip(index, made.fault)
+                    else:
+                        draft.add(index, made.members, failed=made.failed)
+                    yield made
+            draft.finish()
+
+
+def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
+    """The tasks with the indices of the samples that are neither in their drafts nor in ``EARLIER``."""
+    earlier, drafts = _Earlier(place), set[str]()
+    if place.work.is_dir():
+        with reading(place.work):
+            drafts = {path.name for path in place.work.iterdir() if DRAFT.fullmatch(path.name)}
+    wanted = []
+    for task in tasks:
+        names = {draft_name(split, task.number) for split in (task.split, FAILED)} & drafts
+        done = {sample.number for name in names for sample in stored_samples(place.work / name, damaged=True)}
+        left = [index for index in task.indices if index not in done and not earlier.has(task.split, index)]
+        wanted.append((task, left))
+    return wanted
+
+
+class _Earlier:
+    """The samples in ``EARLIER``, by split and index."""
+
+    def __init__(self, place: Place) -> None:
+        self._where: dict[tuple[str, int], tuple[Path, Path]] = {}
+        self._content = lru_cache(maxsize=2)(_content)
+        for old in _earlier_places(place):
+            for split, number in shards_named(old.names()):
+                try:
+                    note = read_note(old, split, number)
+                except ShardError as error:
+                    if isinstance(error.__cause__, FileNotFoundError):  # another process has finished, and tidied up
+                        continue
+                    raise
+                tars = old.folder / note.record.name(split), old.folder / note.record.views_name(split)
+                self._where |= {(split, row[0]): tars for row in note.rows}
+
+    def has(self, split: str, index: int) -> bool:
+        """Whether a sample of a split, or its failed drape, is known."""
+        return (split, index) in self._where or (FAILED, index) in self._where
+
+    def read(self, split: str, index: int) -> tuple[Mapping[str, Bytes], bool]:
+        """A known sample, and whether it is a failed drape. Keeps the last shards. Raises ``ShardError``."""
+        failed = (split, index) not in self._where
+        return self._content(*self._where[FAILED if failed else split, index])[index], failed
+
+
+def _content(tar: Path, views: Path) -> dict[int, dict[str, memoryview]]:
+    """The samples of a shard with their pictures, by index."""
+    content = {sample.number: sample.members for sample in stored_samples(tar)}
+    for sample in stored_samples(views) if views.exists() else ():
+        content[sample.number] |= sample.members
+    return content
+
+
+def _earlier_places(place: Place) -> list[FolderPlace]:
+    """The folders in ``EARLIER``, each with shards of a smaller data set."""
+    root = place.work / EARLIER
+    if not isinstance(place, FolderPlace) or not root.is_dir():
+        return []
+    with reading(root):
+        return [FolderPlace(folder) for folder in sorted(root.iterdir()) if folder.is_dir()]
+
+
+# ----------------------------------------------------------------------------------------------------------- completing
+
+
+def index(place: Place) -> Gathered:
+    """Gather manifest, index and rejects of the finished shards, and write them; if all are there, tidy up.
+
+    A data set with the patterns of a published recipe gets that recipe's hash of them: machines round differently.
+    Raises ``ShardError`` for a place without shards, and for a broken shard, ``OutputError``.
+    """
+    gathered = gather(place, _published)
+    if gathered.is_complete:
+        remove_drafts(place)
+        earlier = place.work / EARLIER
+        while isinstance(place, FolderPlace) and earlier.is_dir():
+            with writing(earlier), contextlib.suppress(FileNotFoundError):  # another process removes it, too
+                shutil.rmtree(earlier)
+        recipe = gathered.manifest.recipe
+        known = "" if recipe is None else _published(recipe.name, recipe.sha256)
+        if recipe is not None and known and recipe.patterns != known:
+            logger.warning(OTHER_PATTERNS, place.location(), recipe.name)
+    gathered.write(place)
+    return gathered
+
+
+def _published(name: str, sha256: str) -> str:
+    """The hash of the patterns of a recipe of this package; empty if it is not known."""
+    recipe = find_recipe(name) if name in recipe_names() else None
+    return recipe.patterns if recipe is not None and recipe.sha256 == sha256 else ""

@@ -1,0 +1,289 @@
+"""Columns: one mapped file for each field of each shard, in the cache, made from the shard's tar at its first use.
+
+    CACHE/SHA-256 of the shard/verts      head, starts i64 [samples + 1], rows
+    CACHE/SHA-256 of the shard/meta.json  the same, of the bytes of a member that holds no arrays
+
+All checks are made here, once: the SHA-256 of the tar, the key of every sample, the checksum of every member that is
+decoded. Reading a column checks nothing; it costs no more than a memory map. Columns may be deleted at any time: files
+that are mapped stay readable, others are made again. Two processes that make one column write the same bytes.
+"""
+
+import hashlib
+import mmap
+import struct
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.records import MEASURES
+from gcd_dataset.shards.access import mapped as _mapped
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.cache import make_room, touch
+from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
+from gcd_dataset.shards.index import SplitIndex
+from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
+from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.sections import TYPES
+from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.tar import samples_in
+
+HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
+MAGIC = b"gcdcol1\0"
+ALIGNED = 64  # bytes: the rows begin at a multiple of this
+MOST_OPEN = 2_048  # mapped files of a field; Linux allows a process 65,530 maps
+MEASURES_FIELD = "measures"
+DOUBLE = ("panels", "edges")  # fields of float64
+
+
+class Column(NamedTuple):
+    """One field of the samples of a shard."""
+
+    rows: np.ndarray
+    """The rows of all samples, mapped privately: writing to them never changes the file."""
+    starts: list[int]
+    """Where each sample's rows begin, and the end of the last."""
+
+
+class Columns:
+    """The columns of some fields of a split. May be pickled, forked, and read from several threads.
+
+    ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
+    the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        split: str,
+        index: SplitIndex,
+        fields: Iterable[str],
+        *,
+        limit: int | None = None,
+        single: bool = False,
+    ) -> None:
+        self._store, self._split, self._index, self._fields = store, split, index, tuple(fields)
+        self._limit, self._single = limit, single
+        self._starts: list[int] = index.first.tolist()
+        self._fit: bool | None = None
+        self._close()
+
+    def _close(self) -> None:
+        """Forget the open columns."""
+        self._opened_shards: set[int] = set()
+        self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_open", "_opened_shards")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._close()
+
+    def views(self, rows: Iterable[int]) -> dict[str, list[np.ndarray]]:
+        """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
+
+        ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
+        """
+        begins = self._starts
+        places = [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
+        if unopened := {shard for shard, _ in places} - self._opened_shards:
+            self._fetch(unopened)
+            self._opened_shards |= unopened
+        views: dict[str, list[np.ndarray]] = {}
+        for field, opened in self._open.items():
+            views[field] = values = []
+            for shard, number in places:
+                stored, starts = opened[shard]
+                values.append(stored[starts[number] : starts[number + 1]])
+        return views
+
+    def fetch(self, rows: Iterable[int]) -> None:
+        """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
+        self._fetch({self._shard_of(row) for row in rows} - self._opened_shards)
+
+    def _fetch(self, shards: Iterable[int]) -> None:
+        """Bring the tars of the shards whose columns are missing onto this machine, at once."""
+        records = [self._index.record.shards[shard] for shard in shards]
+        for views in (False, True):
+            files = [self._file(field) for field in self._fields if is_picture(member_of(field)) == views]
+            missing = [one for one in records if not all((self._folder(one) / name).exists() for name in files)]
+            if missing:
+                self._store.ensure(self._split, missing, views=views)
+
+    def has(self, row: int) -> bool:
+        """Whether the columns of a sample are made."""
+        shard = self._shard_of(row)
+        folder = self._folder(self._index.record.shards[shard])
+        return all(shard in self._open[field] or (folder / self._file(field)).exists() for field in self._fields)
+
+    def fit(self) -> bool:
+        """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
+        if self._fit is None:
+            counts = np.diff(self._starts)
+            shard = int(np.argmax(counts > 0))
+            columns = [self._open[field][shard] for field in self._fields] if self._limit is not None else []
+            size = sum(column.rows.nbytes + 8 * len(column.starts) for column in columns)
+            self._fit = self._limit is None or size / max(counts[shard], 1) * len(self._index) <= self._limit
+        return self._fit
+
+    def _file(self, field: str) -> str:
+        """The file name of a field's column."""
+        name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
+        return f"{name}.f4" if self._single and field in DOUBLE else name
+
+    def _shard_of(self, row: int) -> int:
+        return bisect_right(self._starts, row) - 1
+
+    def _folder(self, shard: ShardRecord) -> Path:
+        return self._store.cache / shard.sha256
+
+    def _column(self, field: str, number: int) -> Column:
+        """The column of a field in a shard, made with those of the other fields that are missing too."""
+        folder = self._folder(self._index.record.shards[number])
+        path = folder / self._file(field)
+        try:
+            column = _open_column(path)
+        except (OSError, ValueError):
+            missing = [name for name in self._fields if name == field or not (folder / self._file(name)).exists()]
+            self._make(number, missing)
+            with reading(path):
+                column = _open_column(path)
+        touch(folder)
+        return column
+
+    def _make(self, number: int, fields: Sequence[str]) -> None:
+        """Make columns of a shard by one pass over its tar, and one over its pictures."""
+        shard = self._index.record.shards[number]
+        numbers = self._index.number[self._starts[number] : self._starts[number + 1]].tolist()
+        folder = make_folder(self._folder(shard))
+        for views in (False, True):
+            chosen = [field for field in fields if is_picture(member_of(field)) == views]
+            if not chosen:
+                continue
+            path = self._store.path(self._split, shard, views=views)
+            content = _mapped(path)
+            _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
+            try:
+                for key, members in _samples(content, numbers):
+                    for field, rows in _rows_of(chosen, members, key).items():
+                        columns[field].append(_as_single(field, rows) if self._single and field in DOUBLE else rows)
+            except ShardError as error:
+                raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
+            size = sum(rows.nbytes for column in columns.values() for rows in column)
+            make_room(self._store.cache, size, self._limit)
+            for field, column in columns.items():
+                _write_column(folder / self._file(field), column)
+
+
+class _Opened(dict[int, Column]):
+    """The open columns of a field, by the number of their shard; opens missing ones."""
+
+    def __init__(self, open_column: Callable[[int], Column]) -> None:
+        super().__init__()
+        self._open_column = open_column
+
+    def __missing__(self, shard: int) -> Column:
+        column = self._open_column(shard)
+        if len(self) >= MOST_OPEN:
+            self.pop(next(iter(list(self))), None)
+        self[shard] = column
+        return column
+
+
+def value_of(field: str, rows: np.ndarray) -> Any:
+    """The value of a field from its column: the array itself, a decoded picture, text, or parsed JSON."""
+    if field in SECTIONS:
+        return rows
+    if field == MEASURES_FIELD:
+        return {name: value for name, value in zip(MEASURES, rows.tolist(), strict=True) if value != MISSING_MEASURE}
+    return DECODERS[field](rows.tobytes())
+
+
+# ------------------------------------------------------------------------------------------------------------- reading
+
+
+def _open_column(path: Path) -> Column:
+    """A column. Raises ``ValueError`` for a file that is none, or cut off."""
+    with path.open("rb") as file:
+        memory = mmap.mmap(file.fileno(), 0, flags=mmap.MAP_PRIVATE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
+    if len(memory) < HEAD.size:
+        raise ValueError(f"{path}: cut off")
+    magic, kind, columns, _, samples, count = HEAD.unpack_from(memory)
+    begin = _aligned(HEAD.size + 8 * (samples + 1))
+    if magic != MAGIC or kind not in TYPES or len(memory) != begin + count * max(columns, 1) * int(kind[1:]):
+        raise ValueError(f"{path}: not a column, or cut off")
+    starts = np.frombuffer(memory, np.int64, samples + 1, HEAD.size).tolist()
+    shape = (count, columns) if columns else (count,)
+    return Column(np.ndarray(shape, f"<{kind.decode()}", memory, begin), starts)
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNED) * ALIGNED
+
+
+# -------------------------------------------------------------------------------------------------------------- making
+
+
+def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> None:
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ShardError(f"{path}: bytes differ from the written ones: {remedy}")
+
+
+def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str, Mapping[str, Bytes]]]:
+    """Key and members of each sample of a tar. Raises ``ShardError`` for other samples than the index has."""
+    samples = samples_in(content)
+    for number in numbers:
+        key, members = next(samples, ("no sample", {}))
+        if key != key_of(number):
+            raise ShardError(f"holds {key} where the index has {key_of(number)}")
+        yield key, members
+    if (more := next(samples, None)) is not None:
+        raise ShardError(f"holds {more[0]}, which the index lacks")
+
+
+def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> dict[str, np.ndarray]:
+    """Field to its rows in a column, for one sample. Raises ``ShardError``."""
+    arrays = [field for field in fields if field in SECTIONS]
+    needed = dict.fromkeys([*map(member_of, fields), *(members_of(["box"]) if "box" in fields else ())])
+    if lacking := [member for member in needed if member not in members]:
+        raise ShardError(f"sample {key} has no {lacking[0]}")
+    try:
+        rows: dict[str, np.ndarray] = decode_fields(members, arrays) if arrays else {}
+        for field in fields:
+            if field == MEASURES_FIELD:
+                measures = read_measures(members[member_of(field)])
+                rows[field] = np.array([measures.get(name, MISSING_MEASURE) for name in MEASURES])
+            elif field not in SECTIONS:
+                rows[field] = np.frombuffer(members[member_of(field)], np.uint8)
+    except ShardError as error:
+        raise ShardError(f"sample {key}, {error}") from error
+    return rows
+
+
+def _as_single(field: str, rows: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        narrow = rows.astype(np.float32)
+    if not np.isfinite(narrow).all():
+        raise ShardError(f"field {field}: numbers beyond the range of float32: dtype=None keeps the stored type")
+    return narrow
+
+
+def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
+    """Write a column under another name, then rename it. Raises ``OutputError``."""
+    first = rows[0]
+    starts = np.cumsum([0, *map(len, rows)], dtype=np.int64)
+    columns = first.shape[1] if first.ndim > 1 else 0
+    head = HEAD.pack(MAGIC, first.dtype.str[1:].encode(), columns, 0, len(rows), int(starts[-1])) + starts.tobytes()
+    begin = _aligned(len(head))
+    content = np.empty(begin + sum(value.nbytes for value in rows), np.uint8)
+    content[:begin] = np.frombuffer(head.ljust(begin, b"\0"), np.uint8)
+    np.concatenate(rows, out=content[begin:].view(first.dtype).reshape(-1, *first.shape[1:]))
+    with open_whole(path) as file:
+        file.write(content.data)  # in one call: the page cache then holds it in large pages, which read faster

@@ -1,0 +1,225 @@
+"""Data sets of recipes: splits, manifest and making on demand."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gcd_dataset.cli.recipes import recipe_faults
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.hub.partition import leaks
+from gcd_dataset.hub.publish import stage
+from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
+from gcd_dataset.making.recipes import LOCK, ensure_recipe
+from gcd_dataset.patternhash import PatternHash
+from gcd_dataset.shards import ShardReader, read_manifest
+from gcd_dataset.shards.access import locked
+from gcd_dataset.shards.pattern_arrays import stored_patterns
+from gcd_dataset.verbs import Job, generate, generate_recipe
+from tests.generator.test_recipes import TINY, written
+from tests.making.real import contents, stopped
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("recipe"))
+
+
+@pytest.fixture(scope="module")
+def recipe(toml: Path) -> Recipe:
+    return find_recipe(toml)
+
+
+@pytest.fixture(scope="module")
+def made(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten designs as patterns, in two splits."""
+    folder = tmp_path_factory.mktemp("made") / "tiny"
+    assert generate_recipe(folder, recipe, workers=0).made == 20
+    return folder
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copy"))
+
+
+def test_a_sample_is_the_same_with_and_without_splits(made: Path, recipe: Recipe) -> None:
+    whole: Any = GeneratedGarments(20, 3, bodies="both", stage="pattern", on_fail="keep", fields=["panels", "edges"])
+    for split, count in recipe.sizes().items():
+        ds: Any = GarmentDataset(made, split, fields=["panels", "edges"])
+        assert len(ds) == count
+        for item, index in zip(ds, recipe.indices_in(split).tolist(), strict=True):
+            assert all(item[name].equal(whole[index][name]) for name in item)
+
+
+def test_no_design_and_no_body_but_the_neutral_one_is_in_two_splits(made: Path, recipe: Recipe) -> None:
+    readers = {split: ShardReader(made, split) for split in recipe.splits}
+    assert not leaks(readers)
+    worn: dict[str, set[bytes]] = {}
+    for split, reader in readers.items():
+        samples = [reader.sample(position) for position in range(len(reader))]
+        shapes = {sample.provenance.body_name: sample.shape for sample in samples}
+        worn[split] = {shape.weights.tobytes() for name, shape in shapes.items() if name != "neutral" and shape}
+        assert len(worn[split]) == len(samples) / 2
+    assert not set.intersection(*worn.values())
+
+
+def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> None:
+    manifest = read_manifest(made)
+    assert manifest is not None
+    assert manifest.recipe is not None
+    assert (manifest.recipe.name, manifest.recipe.sha256) == ("tiny", recipe.sha256)
+    assert len(manifest.recipe.patterns) == 64
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    stopped(partial(generate_recipe, tmp_path, recipe, workers=0), after=7)
+    assert any(
+        "no split train: run gcd generate --recipe tiny again" in fault for fault in recipe_faults(tmp_path, recipe)
+    )
+    assert generate_recipe(tmp_path, recipe, workers=2).made == 13
+    assert contents(tmp_path) == contents(made)
+
+
+def test_jobs_make_the_data_set_of_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The pattern hashes of the shards add up, whoever made them."""
+    for number in (1, 0, 2):
+        generate_recipe(tmp_path, recipe, workers=0, job=Job(number, 3))
+    assert contents(tmp_path) == contents(made)
+
+
+def test_the_hash_of_the_notes_is_that_of_the_stored_patterns(made: Path, recipe: Recipe) -> None:
+    stored = (PatternHash.of(stored_patterns(ShardReader(made, split))) for split in recipe.splits)
+    whole = sum(stored, PatternHash())
+    record = (read_manifest(made) or pytest.fail("no manifest")).recipe
+    assert record is not None
+    assert (record.patterns, whole.count) == (whole.text, 20)
+
+
+def test_a_complete_data_set_is_not_made_again(copy: Path, recipe: Recipe) -> None:
+    before = contents(copy)
+    assert generate_recipe(copy, recipe).made == 0
+    assert contents(copy) == before
+
+
+def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+    other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
+    with pytest.raises(ConfigError, match=r"made with recipe='tiny \(\w{12}\)', asked for recipe='tiny \(\w{12}\)'"):
+        generate_recipe(copy, other)
+    with pytest.raises(ConfigError, match=r"made with recipe='tiny \(\w{12}\)', asked for recipe=None"):
+        generate(copy, 20, seed=3, config=recipe.config)
+    generate(tmp_path / "plain", 1, seed=3, config=recipe.config)
+    with pytest.raises(ConfigError, match="made with recipe=None, asked for recipe='tiny"):
+        generate_recipe(tmp_path / "plain", recipe)
+
+
+# ------------------------------------------------------------------------------------------------------------- publish
+
+
+def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    staged = stage(made, "org/tiny", tmp_path / "up", endpoint="https://hub.example")
+    assert {split: sum(shard.count for shard in record.shards) for split, record in staged.manifest.splits.items()} == (
+        recipe.sizes()
+    )
+    assert not list(recipe_faults(staged.folder, recipe))
+    card = (staged.folder / "README.md").read_text()
+    assert "No design, and no body but the neutral one, is in two splits." in card
+    assert f"- recipe `tiny` of sha256 `{recipe.sha256}`" in card
+
+
+# -------------------------------------------------------------------------------------------------------------- loading
+
+
+def test_a_missing_data_set_is_made_on_demand(
+    toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    ds = GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, fields=["panels"])
+    assert len(ds) == 6
+    assert f"tiny: making 20 garments in {tmp_path / 'tiny'} takes about" in caplog.text
+    assert "20/20" in capsys.readouterr().err
+    caplog.clear()
+    again = GarmentDataset(f"recipe:{toml}", "train+test", root=tmp_path, fields=["panels"], download=False)
+    assert len(again) == 20
+    assert not caplog.text
+
+
+def test_the_data_set_of_a_recipe_is_made_in_the_cache(toml: Path, tmp_path: Path) -> None:
+    GarmentDataset(f"recipe:{toml}", cache_dir=tmp_path, fields=["panels"])
+    assert (tmp_path / "recipes" / "tiny" / "manifest.json").exists()
+
+
+def test_impossible_options_are_reported_before_anything_is_made(toml: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"tiny has no split tset: there are test, train: did you mean test\?"):
+        GarmentDataset(f"recipe:{toml}", "tset", root=tmp_path)
+    with pytest.raises(ConfigError, match="revision is for URLs and the Hub"):
+        GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, revision="main")
+    with pytest.raises(ShardError, match="tiny is not there, and download=False"):
+        GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, download=False)
+    with pytest.raises(ConfigError, match="no recipe nothing"):
+        GarmentDataset("recipe:nothing")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_path: Path) -> None:
+    """The recipe's hash differs from the hash of the stored patterns."""
+    shutil.copytree(made, tmp_path / "tiny")
+    newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
+    with pytest.raises(ConfigError, match="patterns drawn by another version of the package: delete the folder"):
+        GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
+
+
+SCRIPT = """
+import sys
+import gcd_dataset.making.garments as garments
+garments.STARTUP = 0.1  # s: start workers for few samples, too
+from gcd_dataset.loaders import GarmentDataset
+print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[Path]:
+    path = tmp_path / "train.py"
+    path.write_text(SCRIPT)
+    yield path
+
+
+def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
+    """Two programs request the data set at the same time; its workers do not import the programs again."""
+    command = [sys.executable, str(program), str(toml), str(tmp_path)]
+    with locked(_folder(tmp_path) / LOCK, "making tiny"):
+        both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+        for process in both:
+            assert process.stderr is not None
+            assert "another process is making tiny there: waiting for it" in process.stderr.readline()
+    ended = [process.communicate(timeout=120) for process in both]
+    assert [out for out, _ in ended] == ["6\n", "6\n"], ended
+    assert sum(": making " in err for _, err in ended) == 1
+
+
+def _folder(root: Path) -> Path:
+    folder = root / "tiny"
+    folder.mkdir()
+    return folder
+
+
+def test_an_interrupted_making_goes_on(
+    recipe: Recipe, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "tiny"
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gcd_dataset.making.run.gather", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ensure_recipe(recipe, folder)
+    ensure_recipe(recipe, folder)
+    assert contents(folder) == contents(made)

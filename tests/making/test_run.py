@@ -1,0 +1,349 @@
+"""Equal plans give equal bytes: by one run, several jobs, racing or killed runs, on a full disk, in a store."""
+
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.errors import ConfigError, OutputError, ShardError
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.making import garments, store
+from gcd_dataset.making.tasks import parse_job
+from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
+from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.verbs import Job, generate, generate_people, index
+from tests.making.real import COUNT, CUFFED, contents, killed, made_once, stopped
+from tests.shards.folders import forbidden, public_folder
+
+make = partial(generate, config=CUFFED, workers=0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cached() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(garments, "produce", made_once)
+        yield
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("first") / "set"
+    assert make(folder, COUNT).made == COUNT
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(first: Path) -> dict[str, bytes]:
+    """The files of one run."""
+    return contents(first)
+
+
+@pytest.fixture
+def copy(first: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(first, tmp_path / "copy"))
+
+
+def forked(work: Callable[[], Any]) -> int:
+    """Start ``work`` in a process that exits with 0 if it succeeds; its number."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            work()
+            code = 0
+        finally:
+            os._exit(code)
+    return child
+
+
+# ---------------------------------------------------------------------------------------------------------- equal bytes
+
+
+def test_the_files_of_a_data_set(whole: dict[str, bytes]) -> None:
+    """Twelve shards of a design each, on two bodies: 23 // 20 samples, rounded up to whole designs."""
+    names = {f"train-{number:05d}.{ending}" for number in range(12) for ending in ("tar", "json")}
+    assert whole.keys() == names | {"manifest.json", "train.index", "rejects.jsonl"}
+
+
+def test_samples_are_encoded_as_ever(first: Path) -> None:
+    reader = ShardReader(first)
+    for position, sample in enumerate(produce(0, range(4), CUFFED)):
+        assert reader.read(position, reader.layout.members) == encode_sample(sample)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_jobs_in_any_order_are_one_run(order: tuple[int, ...], tmp_path: Path, whole: dict[str, bytes]) -> None:
+    for number in order:
+        assert not (tmp_path / "manifest.json").exists()
+        make(tmp_path, COUNT, job=Job(number, 3))
+    assert contents(tmp_path) == whole
+
+
+def test_workers_change_no_byte(tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(garments, "produce", produce)
+    generate(tmp_path, COUNT, config=CUFFED, workers=2)
+    assert contents(tmp_path) == whole
+
+
+def test_whole_samples_of_a_killed_run_are_not_made_again(tmp_path: Path) -> None:
+    killed(partial(make, tmp_path, COUNT), after=5)
+    again = make(tmp_path, COUNT)
+    assert (again.existing, again.made) == (5, COUNT - 5)
+
+
+def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    children = [forked(lambda: make(tmp_path, COUNT)) for _ in range(3)]
+    assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
+    assert contents(tmp_path) == whole
+
+
+def test_ctrl_c_keeps_finished_shards_and_hides_the_one_in_work(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    stopped(partial(make, tmp_path, COUNT), after=5)
+    found = contents(tmp_path)
+    shards = {f"train-0000{number}.{ending}" for number in (0, 1) for ending in ("tar", "json")}
+    assert found.keys() == shards | {".train-00002.part"}
+    assert make(tmp_path, COUNT).made == COUNT - 5
+    assert contents(tmp_path) == whole
+
+
+def test_a_full_disk_is_reported_and_the_next_run_goes_on(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    size = max(len(content) for name, content in whole.items() if name.startswith("train-"))
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size - 2048, size - 2048))
+        with pytest.raises(OutputError, match=r"\.train-000\d\d\.part: cannot be written .*samples in it are kept"):
+            make(tmp_path, COUNT)
+
+    assert os.waitpid(forked(limited), 0)[1] == 0
+    make(tmp_path, COUNT)
+    assert contents(tmp_path) == whole
+
+
+def test_a_read_only_folder_is_reported(first: Path) -> None:
+    with public_folder() as parent:
+        folder = Path(shutil.copytree(first, parent / "set"))
+        (folder / "train-00003.tar").unlink()
+        with forbidden(folder, 0o555), pytest.raises(OutputError, match="cannot be written"):
+            make(folder, COUNT)
+
+
+@pytest.mark.parametrize(
+    "name", ["train-00003.tar", "train-00003.json", "train.index", "manifest.json", "rejects.jsonl"]
+)
+def test_a_deleted_file_is_made_again(name: str, copy: Path, whole: dict[str, bytes]) -> None:
+    (copy / name).unlink()
+    make(copy, COUNT)
+    index(FolderPlace(copy))
+    assert contents(copy) == whole
+
+
+def test_index_twice_is_index_once(copy: Path, whole: dict[str, bytes], capsys: pytest.CaptureFixture[str]) -> None:
+    for path in copy.glob("*.json"):  # the notes too: they follow from the tars
+        path.unlink()
+    for _ in range(2):
+        assert main(["index", str(copy)]) == 0
+        assert "train: 23 samples in 12 shards" in capsys.readouterr().out
+    assert {name: data for name, data in contents(copy).items() if not name.endswith(".json")} == {
+        name: data for name, data in whole.items() if not name.endswith(".json")
+    }
+    assert len(ShardReader(copy, verify="full")) == COUNT
+
+
+# ------------------------------------------------------------------------------------------------------------- growing
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+@pytest.mark.parametrize("counts", [(7,), (3, 10)])
+def test_a_set_grows_to_the_bytes_of_the_larger_one(
+    counts: tuple[int, ...], is_killed: bool, tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    for count in counts:
+        make(tmp_path, count)
+    if is_killed:
+        killed(partial(make, tmp_path, COUNT), after=0)  # its shards are set aside
+        assert (tmp_path / ".earlier" / str(counts[-1]) / "train-00000.tar").exists()
+    assert make(tmp_path, COUNT).made == COUNT - counts[-1]
+    assert contents(tmp_path) == whole
+
+
+def test_a_set_does_not_shrink(copy: Path) -> None:
+    with pytest.raises(ConfigError, match="a data set of 23 samples, asked for 7: give the same number or more"):
+        make(copy, 7)
+
+
+# -------------------------------------------------------------------------------------------------------------- stores
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    yield "memory://bucket/set"
+    fsspec.filesystem("memory").store.clear()
+
+
+def stored(url: str) -> dict[str, bytes]:
+    fs, root = fsspec.core.url_to_fs(url)
+    return {path.removeprefix(f"{root}/"): fs.cat_file(path) for path in fs.find(root)}
+
+
+def test_a_store_holds_the_bytes_of_a_folder(
+    url: str, tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    stopped(partial(make, url, COUNT), after=5)
+    assert stored(url).keys() < whole.keys()
+    make(url, COUNT, job=Job(0, 2))
+    make(url, COUNT, job=Job(1, 2))
+    assert stored(url) == whole
+    assert make(url, COUNT).made == 0
+    fsspec.filesystem("memory").rm("/bucket/set/train-00003.tar")
+    assert make(url, COUNT).made == 2
+    assert stored(url) == whole
+    assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
+    with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):
+        make(url, COUNT, seed=1)
+    with pytest.raises(ConfigError, match="only folders grow"):
+        make(url, COUNT + 1)
+
+
+def test_a_store_that_does_not_answer_is_reported(
+    url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def stall(*_: object, **__: object) -> None:
+        time.sleep(0.3)
+        raise TimeoutError("read timed out")
+
+    monkeypatch.setattr(store, "SLOW", 0.05)
+    monkeypatch.setattr(type(fsspec.filesystem("memory")), "find", stall)
+    with pytest.raises(
+        ShardError, match=r"does not answer, or refuses \(TimeoutError: read timed out; tried for 0 s\)"
+    ):
+        make(url, COUNT)
+    assert f"{url}: no answer for 0 s; still trying, and Ctrl-C stops" in caplog.text
+
+
+@pytest.mark.parametrize("out", ["http://server/set", "hf://org/set", "zip://a::http://b", "nothing://bucket"])
+def test_urls_that_cannot_be_written_to_are_refused(out: str) -> None:
+    with pytest.raises(ConfigError, match=r"cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX"):
+        make(out, COUNT)
+
+
+# ------------------------------------------------------------------------------------------------------ other data sets
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": 1}, "made with seed=0, asked for seed=1: use the same or another folder"),
+        ({"config": MakeConfig(stage="mesh", bodies="both")}, "made with design=.*, asked for design={}"),
+    ],
+)
+def test_another_data_set_is_refused(options: dict[str, Any], message: str, copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make(copy, COUNT, **options)
+    stopped(partial(make, tmp_path / "draft", COUNT), after=1)  # no shard is finished: its sample tells
+    with pytest.raises(ConfigError, match=message):
+        make(tmp_path / "draft", COUNT, **options)
+
+
+def test_garments_and_bodies_do_not_mix(copy: Path) -> None:
+    with pytest.raises(ConfigError, match="kind='garments', asked for kind='bodies'"):
+        generate_people(copy, 3)
+
+
+def test_another_version_is_refused(copy: Path) -> None:
+    path = copy / "train-00000.json"
+    path.write_text(path.read_text().replace('"generator":"', '"generator":"7.'))
+    with pytest.raises(ConfigError, match=r"made by gcd_dataset 7\..*: choose another folder, or install 7\."):
+        make(copy, COUNT)
+
+
+def test_an_older_format_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "index-train.npz").write_bytes(b"")
+    with pytest.raises(ConfigError, match="a data set of an earlier version: choose another folder"):
+        make(tmp_path, COUNT)
+    with pytest.raises(ShardError, match=r"of schema 2.*reads schema 3 alone"):
+        ShardReader(tmp_path)
+
+
+def test_tars_of_others_are_not_taken_for_shards(copy: Path, tmp_path: Path) -> None:
+    shutil.copy(copy / "train-00000.tar", copy / "train-00012.tar")
+    with pytest.raises(ConfigError, match=r"train-00012\.tar: not a shard of this data set: move it elsewhere"):
+        make(copy, COUNT)
+
+
+def test_other_files_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "thesis.tex").write_text("")
+    make(tmp_path, 2)
+    make(tmp_path, 2)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path}: holds other files (thesis.tex), which stay beside the data set: right folder?"
+    ]
+
+
+@pytest.mark.parametrize("text", ["8/8", "-1/8", "1", "a/b", "1/0"])
+def test_a_job_that_is_none_is_wrong_usage(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path / "out"), "--count", "4", f"--job={text}"]) == 2
+    assert "give I/N, such as 0/8" in capsys.readouterr().err
+    assert parse_job("7/8") == (7, 8)
+
+
+# ---------------------------------------------------------------------------------------------------- unfinished sets
+
+
+def test_an_unfinished_set_is_read_and_says_how_to_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    out = tmp_path / "set"
+    generate(out, 9, config=MakeConfig(stage="pattern"), job=Job(0, 3), workers=0)
+    message = f"3 of 9 samples are made: gcd generate {out} --count 9 --seed 0"
+    dataset: Any = GarmentDataset(out, fields=["panels"])
+    assert len(dataset) == 3
+    assert message in caplog.text
+    caplog.clear()
+    GarmentDataset(out, fields=["panels"], partial=True)
+    assert not caplog.text
+
+
+# ------------------------------------------------------------------------------------------------------------- rejects
+
+
+def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, bytes], first: Path) -> None:
+    lines = [json.loads(line) for line in whole["rejects.jsonl"].splitlines()]
+    assert len(lines) > 2
+    assert list(lines[0]) == ["seed", "design", "attempt", "index", "rule", "reason", "figures"]
+    attempts = [(line["design"], line["attempt"]) for line in lines]
+    assert attempts == sorted(set(attempts))
+    for line in lines:
+        assert line["index"] // 2 == line["design"]
+        assert 0 < line["figures"]["cuff_cm"] < line["figures"]["limb_cm"]
+        assert f"a cuff of {line['figures']['cuff_cm']:.1f} cm round a leg of" in line["reason"]
+    split = (read_manifest(first) or pytest.fail("no manifest")).splits["train"]
+    assert split.rejects == {"tight_cuff": sum(2 if 2 * design + 1 < COUNT else 1 for design, _ in attempts)}
+    redraws = Counter[str]()
+    for sample in produce(0, range(COUNT), CUFFED):
+        redraws.update(sample.provenance.redraws)
+    assert split.redraws == redraws
+
+
+def test_progress_counts_an_attempt_once_for_all_wearers(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    assert make(tmp_path, COUNT).rejects == {"tight_cuff": len(whole["rejects.jsonl"].splitlines())}
+
+
+def test_the_manifest_names_the_hash_of_every_file(first: Path, whole: dict[str, bytes]) -> None:
+    split = (read_manifest(first) or pytest.fail("no manifest")).splits["train"]
+    assert hashlib.sha256(whole["train.index"]).hexdigest() == split.index_sha256
+    for shard in split.shards:
+        assert hashlib.sha256(whole[shard.name("train")]).hexdigest() == shard.sha256

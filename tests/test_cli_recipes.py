@@ -1,0 +1,156 @@
+"""``gcd generate``, ``info`` and ``verify`` with recipes."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.cli.recipes import recipe_faults
+from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.shards import read_manifest
+from gcd_dataset.shards.manifest import RecipeRecord
+from gcd_dataset.verbs import generate, generate_recipe
+from tests.generator.test_recipes import TINY, written
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("recipe"))
+
+
+@pytest.fixture(scope="module")
+def recipe(toml: Path) -> Recipe:
+    return find_recipe(toml)
+
+
+@pytest.fixture(scope="module")
+def made(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten designs as patterns, in two splits."""
+    folder = tmp_path_factory.mktemp("made") / "tiny"
+    generate_recipe(folder, recipe, workers=0)
+    return folder
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copy"))
+
+
+def test_a_folder_is_the_data_set_of_its_recipe(made: Path, recipe: Recipe) -> None:
+    assert not list(recipe_faults(made, recipe))
+
+
+def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    (message,) = recipe_faults(made, other)
+    assert "names recipe tiny" in message
+
+
+def manifest_with(folder: Path, seed: int | None = None, **entries: str) -> None:
+    """Set entries of ``recipe``, and the seed of all splits, in a folder's ``manifest.json``."""
+    manifest = read_manifest(folder) or pytest.fail("no manifest")
+    recipe = replace(manifest.recipe or RecipeRecord("tiny", ""), **entries)
+    splits = {
+        name: split if seed is None else replace(split, plan=replace(split.plan, seed=seed))
+        for name, split in manifest.splits.items()
+    }
+    (folder / "manifest.json").write_bytes(replace(manifest, recipe=recipe, splits=splits).to_bytes())
+
+
+def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The same indices of another seed, with a manifest that names the recipe."""
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    renamed = tmp_path / "other"
+    generate_recipe(renamed, other, workers=0)
+    manifest_with(renamed, sha256=recipe.sha256)
+    message = list(recipe_faults(renamed, recipe))
+    assert any("split test: made with seed=4, asked for seed=3" in line for line in message)
+    # The right patterns with a wrong hash in the manifest are reported too.
+    manifest_with(copy, patterns="0" * 64)
+    assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
+
+
+def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -> None:
+    """Ten patterns of another seed, with a manifest that names the recipe."""
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    same = written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 1.0"))
+    asked, folder = find_recipe(same), tmp_path / "other"
+    generate(folder, 20, seed=4, config=other.config)
+    manifest_with(folder, seed=3, sha256=asked.sha256)
+    message = list(recipe_faults(folder, asked))
+    assert "no hash of the patterns yet" in message[0]
+    assert len(message) == 21
+    assert all("has another pattern when made again" in line for line in message[1:])
+
+
+def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:
+    manifest = read_manifest(copy) or pytest.fail("no manifest")
+    splits = {name.replace("test", "tset"): split for name, split in manifest.splits.items()}
+    (copy / "manifest.json").write_bytes(replace(manifest, splits=splits).to_bytes())
+    for path in copy.rglob("*test*"):
+        path.rename(path.with_name(path.name.replace("test", "tset")))
+    message = list(recipe_faults(copy, recipe))
+    assert any("split tset does not belong to tiny" in line for line in message)
+    assert any("no split test: run gcd generate --recipe tiny again" in line for line in message)
+
+
+def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """Splits with other shares, with a manifest that names the recipe."""
+    other = find_recipe(written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 0.2\ntest = 0.8")))
+    folder = tmp_path / "other"
+    generate_recipe(folder, other, workers=0)
+    manifest_with(folder, sha256=recipe.sha256)
+    message = list(recipe_faults(folder, recipe))
+    assert any("samples of other splits" in line for line in message)
+    assert any("split train lacks" in line for line in message)
+
+
+def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
+    shard = copy / "test-00000.tar"
+    content = bytearray(shard.read_bytes())
+    content[content.index(b".pattern.z\0") + 600] ^= 1
+    shard.write_bytes(content)
+    (message,) = recipe_faults(copy, recipe)
+    assert "test-00000.tar" in message
+    assert "pattern.z" in message
+
+
+def test_the_command_line_makes_describes_and_verifies(
+    toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(tmp_path / "tiny")
+    assert main(["generate", folder, "--recipe", str(toml), "--quiet", "--workers", "0"]) == 0
+    assert "20 garments, 20 of them made now" in capsys.readouterr().out
+    assert main(["info", folder]) == 0
+    assert "  recipe tiny, sha256 " in capsys.readouterr().out
+    assert main(["verify", folder, "--recipe", str(toml)]) == 0
+    assert "no fault found: this is tiny" in capsys.readouterr().out
+    assert main(["verify", folder, "--recipe", "smoke-64-draft"]) == 1
+    assert "names recipe tiny" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [("--count 5", "count"), ("--seed 0", "seed"), ("--resolution 2", "resolution"), ("--stage body", "stage")],
+)
+def test_options_that_a_recipe_gives_are_refused(
+    given: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", str(tmp_path / "a"), "--recipe", "smoke-64-draft", *given.split()]) == 2
+    assert f"--{option} is fixed by the recipe: leave it out" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
+
+
+def test_without_count_and_recipe_there_is_nothing_to_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path / "a")]) == 2
+    assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
+
+
+def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "recipe:"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed][:2] == ["smoke-64-draft", "standard-1k-draft"]
+    assert main(["info", "recipe:standard-1k"]) == 0
+    assert "splits: test 50, validation 52, train 898" in capsys.readouterr().out
