@@ -184,7 +184,7 @@ def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
             raise KeyboardInterrupt from None
 
     monkeypatch.setattr("logging.basicConfig", interrupted)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process inherits that it is ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background process
     try:
         assert main(["info", "nowhere"]) == code
     finally:
