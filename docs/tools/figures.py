@@ -393,7 +393,7 @@ def _table(figures: tuple[Figure, ...] | list[Figure], folder: str) -> str:
 def _shortened(command: str) -> str:
     """The command without options for its report, and with ``…`` in place of the files of a body.
 
-    >>> _shortened("python -m benchmarks.run parity ../shared/examples/patterns --keep")
+    >>> _shortened("python -m benchmarks.run parity EXAMPLES/patterns --keep")
     'python -m benchmarks.run parity EXAMPLES/patterns'
     >>> _shortened("run drape --body mean.obj --measurements mean.yaml --seed 1 --report out.md")
     'run drape --body … --seed 1'
