@@ -24,6 +24,7 @@ from gcd_dataset.shards.layout import FAILED, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Plan, ShardRecord, parse_manifest
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
+    DRAFT,
     EARLIER,
     META,
     OLD,
@@ -37,7 +38,7 @@ from gcd_dataset.shards.notes import (
     stored_samples,
 )
 from gcd_dataset.shards.place import FolderPlace, Place
-from gcd_dataset.shards.writer import DRAFT, Draft, draft_name, remove_drafts
+from gcd_dataset.shards.writer import Draft, draft_name, remove_drafts
 from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
 NO_WAITS: Waits = {}

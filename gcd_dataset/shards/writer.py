@@ -8,7 +8,6 @@ The draft of the split's own shard is locked (``flock``) by the process that fil
 """
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, is_pictur
 from gcd_dataset.shards.manifest import MOST as MOST_SAMPLES
 from gcd_dataset.shards.manifest import Plan, shard_name
 from gcd_dataset.shards.notes import (
+    DRAFT,
     META,
     Note,
     Row,
@@ -42,7 +42,6 @@ from gcd_dataset.shards.tar import END, tar_entry
 
 LARGE, SHARDS, MOST = 8192, 20, 32
 LARGEST = 128  # samples of a shard, in a split of more than ``LARGE``
-DRAFT = re.compile(r"\..+-\d{5,}\.part")
 
 
 def shard_size_of(count: int, wearers: int = 1) -> int:

@@ -186,3 +186,9 @@ def test_an_index_pickles_as_its_file(folder: Path) -> None:
     assert again.to_bytes() == index.to_bytes() == (folder / "train.index").read_bytes()
     record = (read_manifest(folder) or pytest.fail("no manifest")).splits["train"]
     assert SplitIndex.from_bytes(index.to_bytes(), record, "train.index").end.tolist() == index.end.tolist()
+
+
+def test_a_data_set_without_a_finished_shard_says_how_it_goes_on(tmp_path: Path) -> None:
+    (tmp_path / ".train-00000.part").write_bytes(bytes(512))
+    with pytest.raises(ShardError, match=r"no shard is finished yet: give the command .* again"):
+        ShardReader(tmp_path)
