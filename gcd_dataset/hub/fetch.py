@@ -44,6 +44,7 @@ WEB, S3 = ("http://", "https://"), ("s3://", "s3a://")
 BUSY, REFUSED, GONE = frozenset({408, 425, 429, 500, 502, 503, 504}), frozenset({401, 403}), frozenset({404, 410})
 NO_CREDENTIALS = re.compile("Credential|NoAuth")  # in names of errors of botocore, google.auth, azure.identity
 INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
+"""Errors of fsspec's file systems for requests that no repetition helps."""
 # s3fs sets these for HTTP status 301, 400, 405, 416 and 501.
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
 

@@ -236,7 +236,7 @@ def _connect(ray: Any) -> None:
         raise ConfigError(f"RAY_ADDRESS {shown(address)}: no Ray cluster answers ({_line(error)}): {remedy}") from error
     finally:
         with contextlib.suppress(ValueError):  # not in the main thread
-            signal.signal(signal.SIGTERM, handler or signal.SIG_DFL)  # that of Ray aborts the process
+            signal.signal(signal.SIGTERM, handler or signal.SIG_DFL)  # Ray's handler aborts the process
 
 
 def _line(error: object) -> str:

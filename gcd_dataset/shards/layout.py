@@ -57,17 +57,6 @@ class Layout:
     schema: int = SCHEMA
     """The version of the format."""
 
-    def holds(self, members: Sequence[str]) -> bool:
-        """Whether these are members of the layout in its order, beginning with its first.
-
-        Garments may also have a caption and views.
-        """
-        known = self.members
-        if self.kind == "garments":
-            views = [int(match[1]) for member in members if (match := VIEW.fullmatch(member))]
-            known = garments_layout(caption=CAPTION in members, views=max(views, default=-1) + 1).members
-        return list(members) == [m for m in known if m in members] and list(members[:1]) == list(known[:1])
-
     def of(self, members: Sequence[str]) -> "Layout":
         """The layout reduced to these members."""
         return replace(self, members=tuple(members))

@@ -135,7 +135,7 @@ class Draft:
 
 
 class _DraftTar:
-    """The draft of one tar, and that of its pictures; empty unless ``restore`` is called."""
+    """The drafts of a tar and of the tar of its pictures; ``restore`` reads what a killed process has left."""
 
     def __init__(self, place: Place, plan: Plan, split: str, number: int) -> None:
         self.split, self.number, self.plan, self.rows = split, number, plan, list[Row]()

@@ -62,7 +62,7 @@ def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
 
 
 def node_task(place: Path, maker: Maker, wanted: dict[str, str]) -> None:
-    """Make a shard as a node does whose driver has the versions ``wanted``."""
+    """Make a shard on this node; the driver has the versions ``wanted``."""
     task = Task(Plan("garments", 0, {"stage": "pattern"}, 1, 1), "train", 0, [0])
     ray._make(FolderPlace(place), task, maker, wanted)
 

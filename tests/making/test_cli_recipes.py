@@ -15,24 +15,6 @@ from gcd_dataset.verbs import generate, generate_recipe
 from tests.generator.test_recipes import TINY, written
 
 
-@pytest.fixture(scope="module")
-def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("recipe"))
-
-
-@pytest.fixture(scope="module")
-def recipe(toml: Path) -> Recipe:
-    return find_recipe(toml)
-
-
-@pytest.fixture(scope="module")
-def made(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten designs as patterns, in two splits."""
-    folder = tmp_path_factory.mktemp("made") / "tiny"
-    generate_recipe(folder, recipe, workers=0)
-    return folder
-
-
 @pytest.fixture
 def copy(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "copy"))
