@@ -92,17 +92,17 @@ def write_whole(path: Path | str, content: bytes) -> None:
 
 
 @contextlib.contextmanager
-def open_whole(path: Path | str) -> Iterator[BinaryIO]:
+def open_whole(path: Path | str, *, synced: bool = True) -> Iterator[BinaryIO]:
     """A file open for writing, renamed to ``path`` when the block succeeds and deleted when it raises.
 
-    Raises ``OutputError`` with the file, the system's reason and a remedy.
+    Without ``synced`` it may be lost, or be shorter, after a power failure. Raises ``OutputError`` with the file, the system's reason and a remedy.
     """
-    with drafted(path) as draft, draft.open("wb") as file:
+    with drafted(path, synced=synced) as draft, draft.open("wb") as file:
         yield file
 
 
 @contextlib.contextmanager
-def drafted(path: Path | str) -> Iterator[Path]:
+def drafted(path: Path | str, *, synced: bool = True) -> Iterator[Path]:
     """Path of an empty draft file, renamed to ``path`` when the block succeeds and deleted when it raises.
 
     The writer holds a lock on its draft (``flock``). The next writer of ``path`` deletes unlocked drafts, left behind
@@ -115,8 +115,9 @@ def drafted(path: Path | str) -> Iterator[Path]:
         draft, descriptor = _begin_draft(path)
         try:
             yield draft
-            with draft.open("rb+") as file:
-                os.fsync(file.fileno())
+            if synced:
+                with draft.open("rb+") as file:
+                    os.fsync(file.fileno())
             draft.replace(path)
         except BaseException:
             with contextlib.suppress(OSError):

@@ -71,19 +71,21 @@ class GarmentDataset(Garments):
     - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
       garments over ranks and workers; remote data is not cached.
 
+    The cache:
+
+    - ``cache_dir``, ``max_cache_size``: the folder of columns and of remote shards, by default ``~/.cache/gcd_dataset``,
+      and its limit, by default ``"50 GB"``; ``None`` for no limit. Any number of processes may share a cache.
+    - ``window``: number of shards among which a loader's random order moves freely, 0 for all; by default 32 for a
+      server or a set larger than the cache, else all.
+
     Remote data:
 
     - ``root``: download the split, or its selected fields, to this folder first, and read it there. A recipe's data set
       is made in the subfolder NAME of ``root``, by default in the cache.
     - ``download``: ``False`` sends no request and makes nothing: ``root`` or the cache must hold the data.
-    - ``cache_dir``, ``max_cache_size``: the cache and its limit, such as ``"20GB"``; any number of processes may share
-      a cache. By default ``~/.cache/gcd_dataset``, without limit.
-    - ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30, ``math.inf``
+    - ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 300, ``math.inf``
       for no limit.
     - ``endpoint``, ``token``: address and token of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
-
-    Foreign tars for ``webdataset`` are read too. Their fields are the extensions of their files, such as ``seg.png``;
-    the last extension decides the decoding. A sample without such a file has ``None``.
 
     Raises ``ShardError`` for a missing split, or a damaged or newer source, ``RemoteError`` for a server that does not
     answer, and ``ConfigError`` for options that contradict each other and for a field that no garment of the split

@@ -5,7 +5,8 @@
 
 All checks are made here, once: the SHA-256 of the tar, the key of every sample, the checksum of every member that is
 decoded. Reading a column checks nothing; it costs no more than a memory map. Columns may be deleted at any time: files
-that are mapped stay readable, others are made again. Two processes that make one column write the same bytes.
+that are mapped stay readable, others are made again, as is one that a power failure has cut off. Two processes that
+make one column write the same bytes.
 """
 
 import hashlib
@@ -285,5 +286,5 @@ def _write_column(path: Path, rows: Sequence[np.ndarray]) -> None:
     content = np.empty(begin + sum(value.nbytes for value in rows), np.uint8)
     content[:begin] = np.frombuffer(head.ljust(begin, b"\0"), np.uint8)
     np.concatenate(rows, out=content[begin:].view(first.dtype).reshape(-1, *first.shape[1:]))
-    with open_whole(path) as file:
+    with open_whole(path, synced=False) as file:
         file.write(content.data)  # in one call: the page cache then holds it in large pages, which read faster

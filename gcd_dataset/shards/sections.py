@@ -218,10 +218,9 @@ def _numbers(content: bytes, start: int, count: int, planes: int) -> Int[np.ndar
 
 def _summed(numbers: Int[np.ndarray, "k n"], order: int) -> Iterator[Int[np.ndarray, " n"]]:
     """The columns whose differences these are."""
-    first = np.cumsum(numbers[0], dtype=np.int32)
+    sums = (np.cumsum(values, dtype=np.int32) for values in numbers)
     if order == 3:
+        first = next(sums)
         yield from (first, first + numbers[1], first + numbers[2])
-        return
-    for values in numbers:
-        sums = np.cumsum(values, dtype=np.int32)
-        yield sums if order == 1 else np.cumsum(sums, out=sums)
+    else:
+        yield from sums if order == 1 else (np.cumsum(values, out=values) for values in sums)
