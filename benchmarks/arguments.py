@@ -3,8 +3,6 @@
 import argparse
 from pathlib import Path
 
-__all__ = ["jpeg_file"]
-
 
 def jpeg_file(text: str) -> Path:
     """The path of a JPEG file. Raises ``ArgumentTypeError`` for the name of another format."""

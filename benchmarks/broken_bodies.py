@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.records import Body, BodyPart, Measurements
 
-__all__ = ["KINDS", "BrokenBody", "broken_body", "fused_by_scanner", "obj_bytes"]
-
 SMOOTHING = 10 * (0.5, -0.53)
 """Smoothing steps of alternating sign, which remove the steps between cells without shrinking (Taubin, 1995)."""
 

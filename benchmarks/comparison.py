@@ -10,8 +10,6 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, curve_length, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["Comparison", "Difference", "compare"]
-
 STEP = 0.25  # cm between compared points of an outline
 CURVE_POINTS = 65
 

@@ -17,8 +17,6 @@ from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["SPECIMEN", "SUPPORT", "Draped", "disc", "drape_coefficient", "drape_disc", "folds", "shadow"]
-
 SPECIMEN, SUPPORT = 15.0, 9.0  # cm, radii of the cloth and of the support
 # Positions are single precision: at 80 cm discs of 0.5 cm stopped before rest, 0.8 points high, since displacements of
 # a substep below 4e-6 cm are lost.

@@ -16,8 +16,6 @@ from gcd_dataset.generator.drapers import DrapeRequest, SharedDraper, address_fo
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
 
-__all__ = ["gpu_idle", "own_rate"]
-
 SAMPLE_EVERY = 200  # ms between samples of nvidia-smi
 SHIFT = 1e-6  # cm, change of a body that makes the draper treat it as another body
 QUEUED = 256  # requests in the queue: more than a GPU drapes at a time

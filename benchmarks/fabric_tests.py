@@ -13,8 +13,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, fabric_named
 from gcd_dataset.generator.drape.fabric import STIFFEST
 
-__all__ = ["TARGETS", "Target", "read_targets", "results"]
-
 TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "relation", "set", "none")
 SPECIMENS = 2  # discs whose drape coefficients are averaged; one without a target

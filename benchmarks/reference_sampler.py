@@ -10,13 +10,12 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
+from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
 from gcd_dataset.generator.garments.space import DesignSpace, draw
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
 from gcd_dataset.validate import Rule, check_pattern
-
-__all__ = ["reference_design", "reject_reason"]
 
 SPACE = DesignSpace.declared(OutfitDesign)
 FLOOR_SLACK = 1.0  # cm by which a garment may be longer than from the neck to the floor

@@ -14,8 +14,6 @@ import torch
 
 from benchmarks.cases.figures import Measured
 
-__all__ = ["report_text"]
-
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = (
     "gcd-dataset", "newton", "numpy", "scipy", "shapely", "torch", "warp-lang", "webdataset", "litdata", "h5py",

@@ -14,8 +14,6 @@ from benchmarks.report import report_text
 from gcd_dataset.errors import GcdError
 from gcd_dataset.files import write_whole
 
-__all__ = ["main"]
-
 REPORTS = Path(__file__).resolve().parent / "reports"
 
 

@@ -10,8 +10,6 @@ from typing import Any, TypeAlias
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import Leaf
 
-__all__ = ["FEWEST", "UNUSED", "Shift", "shift", "used"]
-
 UNUSED = "unused"
 """The value of a parameter in a design that does not use it."""
 FEWEST = 20  # least number of designs for a comparison

@@ -13,8 +13,6 @@ from gcd_dataset.generator.drape.kernels.world import Cloth
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body
 
-__all__ = ["skin_crossings"]
-
 
 def skin_crossings(body: Body) -> int:
     """Number of edges of trunk, arms and legs that pass through the skin.

@@ -17,8 +17,6 @@ from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, BodyShape
 
-__all__ = ["SMPLX_VERTICES", "SMPL_VERTICES", "coarser", "like_smpl", "like_smplx"]
-
 SMPL_VERTICES = 6890
 SMPLX_VERTICES = 10475
 EYE = 642  # vertices of an eyeball; SMPL-X has 546

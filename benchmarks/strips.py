@@ -16,19 +16,6 @@ from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
-__all__ = [
-    "HALF_ROW",
-    "Direction",
-    "Grain",
-    "bending_length",
-    "cantilever",
-    "hold_fast",
-    "one_panel",
-    "strip",
-    "strip_job",
-    "tensile_stiffness",
-]
-
 Grain = Literal["warp", "weft"]
 Direction = Literal["warp", "weft", "bias"]
 DUMMY_MEASURES = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)

@@ -9,8 +9,6 @@ from jaxtyping import Float, Float32, Int, UInt8
 from gcd_dataset.errors import BodyError
 from gcd_dataset.records import MEASURES, Body, BodyShape, Measurements, Record
 
-__all__ = ["POSES", "BodyMesh", "Person", "measure_row"]
-
 POSES: tuple[str, ...] = ("straight", "apart")
 """Poses of the legs; trousers are draped on ``apart``."""
 

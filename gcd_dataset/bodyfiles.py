@@ -21,18 +21,6 @@ from gcd_dataset.measurements import ANGLES, MEASURE, Measure
 from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import read_yaml
 
-__all__ = [
-    "OTHER_UNITS",
-    "measurements_text",
-    "obj_lines",
-    "parse_measurements",
-    "read_body_file",
-    "read_body_parts",
-    "read_measurements",
-    "require_same_body",
-    "write_measurements",
-]
-
 log = logging.getLogger(__name__)
 
 LARGEST_BODY_FILE = 512 << 20  # bytes: a mesh, or a shape space with its components

@@ -16,8 +16,6 @@ from jaxtyping import Bool, Complex, Float, Int
 from gcd_dataset.curves import Arc, Cubic, Curve, Line, Quadratic, curve_points
 from gcd_dataset.records import Panel
 
-__all__ = ["Crossing", "edge_hulls", "find_crossings"]
-
 TOUCH = 0.01  # cm: edges that meet within this distance of a shared corner do not cross
 SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
 FEW = 64  # edges: larger panels are swept; for smaller ones comparing all pairs is faster

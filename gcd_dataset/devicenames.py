@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["devices_name", "named_devices"]
-
 
 def devices_name(devices: Sequence[str]) -> str:
     """One name for several devices; the inverse of ``named_devices``.

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from gcd_dataset.files import open_regular
 
-__all__ = ["BODY_FOLDERS", "find_batches", "is_batch", "is_published", "other_kind"]
-
 BODY_FOLDERS: Mapping[str, str] = {"default": "default_body", "random": "random_body"}
 """Choice of ``bodies`` to the folder of a batch."""
 

@@ -15,18 +15,6 @@ from typing import BinaryIO
 
 from gcd_dataset.errors import GcdError, OutputError, shown
 
-__all__ = [
-    "discard_stdout",
-    "drafted",
-    "make_folder",
-    "open_regular",
-    "open_whole",
-    "read_whole",
-    "user_path",
-    "write_whole",
-    "writing_to",
-]
-
 URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # pathlib turns s3://bucket into s3:/bucket
 DRAFTS = 8  # numbered draft names for one target; further concurrent writers use random names
 REMEDIES = {
@@ -95,7 +83,8 @@ def write_whole(path: Path | str, content: bytes) -> None:
 def open_whole(path: Path | str, *, synced: bool = True) -> Iterator[BinaryIO]:
     """A file open for writing, renamed to ``path`` when the block succeeds and deleted when it raises.
 
-    Without ``synced`` it may be lost, or be shorter, after a power failure. Raises ``OutputError`` with the file, the system's reason and a remedy.
+    Without ``synced`` it may be lost, or be shorter, after a power failure. Raises ``OutputError`` with the
+    file, the system's reason and a remedy.
     """
     with drafted(path, synced=synced) as draft, draft.open("wb") as file:
         yield file

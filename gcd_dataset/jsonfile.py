@@ -13,8 +13,6 @@ from gcd_dataset.errors import GcdError, SpecError, shown
 from gcd_dataset.filekinds import other_kind
 from gcd_dataset.files import read_whole
 
-__all__ = ["LARGEST_JSON", "JsonPath", "found", "given", "is_flat", "loads", "parse_json", "read_json", "whole"]
-
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # larger than any length, angle or count; its square is finite
 DEEPEST = 64  # levels of lists and objects; a pattern has nine

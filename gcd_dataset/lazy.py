@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any
 
-__all__ = ["lazy_names"]
-
 ROOT = "gcd_dataset."
 
 

@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-__all__ = ["MeshEdges", "mesh_edges"]
-
 
 class MeshEdges(NamedTuple):
     """Every undirected edge once."""

@@ -14,8 +14,6 @@ from collections.abc import Sequence
 
 from gcd_dataset.errors import ShardError
 
-__all__ = ["LONGEST", "plain_names", "require_name", "safe_name"]
-
 NAME = re.compile(r"\w[\w .()+-]*")
 OTHERS = re.compile(r"[^\w .()+-]+")
 LONGEST = 120  # bytes in UTF-8: file systems allow 255, and endings such as _vertex_labels.yaml are appended

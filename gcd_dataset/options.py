@@ -12,8 +12,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from gcd_dataset.errors import ConfigError, did_you_mean, shown
 from gcd_dataset.tomlfile import read_toml
 
-__all__ = ["Option", "OptionField", "add_options", "given_options", "options_of", "read_options", "require_options"]
-
 
 @dataclass(frozen=True)
 class Option:

@@ -30,8 +30,6 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import PatternError
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 
-__all__ = ["STEP", "PatternHash", "hash_pattern"]
-
 STEP = 1e-4  # cm; unitless for quaternions
 NEAR = 1e-5  # of a step: a number so near to half-way is a tie; 1e-9 cm, 50 times the largest observed difference
 MOST_TIES = 6  # largest number of ties of a pattern for which all roundings, 2^6, are hashed

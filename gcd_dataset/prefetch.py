@@ -9,8 +9,6 @@ from typing import TypeVar
 
 from gcd_dataset.waits import WaitClock, record_wait
 
-__all__ = ["prefetch"]
-
 Item = TypeVar("Item")
 
 

@@ -8,8 +8,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import read_whole
 from gcd_dataset.jsonfile import is_flat
 
-__all__ = ["read_toml"]
-
 LARGEST_TOML = 1 << 20  # bytes, a second to parse; a config file has some kilobytes
 MOST_DOTS = 1000  # in a line; for a dotted key tomllib takes time and memory that grow with the square of its parts
 

@@ -10,19 +10,6 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from typing import NamedTuple, TypeVar
 
-__all__ = [
-    "MAKERS",
-    "WRITER",
-    "Wait",
-    "WaitClock",
-    "Waits",
-    "record_wait",
-    "sum_waits",
-    "take_waits",
-    "timed",
-    "wait_shares",
-]
-
 MAKERS = "makers"
 """Worker processes that make samples: they wait while the writer's queue is full."""
 WRITER = "writer"

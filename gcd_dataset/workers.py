@@ -19,8 +19,6 @@ from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["parallel_map", "parallel_map_chunks", "streams", "without_main_module"]
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

@@ -12,8 +12,6 @@ from gcd_dataset.errors import GcdError, shown
 from gcd_dataset.files import read_whole
 from gcd_dataset.jsonfile import DEEPEST, is_flat
 
-__all__ = ["PlainLoader", "read_yaml", "require_shallow", "require_small", "strict_yaml"]
-
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
 MOST_VALUES = 300_000  # in one level; the labels of a published garment list some ten thousand vertices

@@ -3,8 +3,6 @@
 import colorsys
 from typing import TypeAlias
 
-__all__ = ["INK", "PALETTE", "PAPER", "PLAIN_EDGE", "RGB", "cloth_colour", "seam_colour"]
-
 RGB: TypeAlias = tuple[int, int, int]
 
 PAPER: RGB = (250, 250, 248)

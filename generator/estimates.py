@@ -1,7 +1,5 @@
 """Estimates of draping time, fitted to measurements; logged before long runs."""
 
-__all__ = ["core_seconds"]
-
 FIXED, PER_DENSITY = 0.8, 6.5  # s, s cm²; fitted to 7.2, 2.4 and 1.2 core-seconds measured at 1, 2 and 4 cm
 
 

@@ -32,16 +32,6 @@ from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 from gcd_dataset.validate import Severity, require_valid
 
-__all__ = [
-    "Fitting",
-    "Refusal",
-    "drape_patterns",
-    "read_patterns",
-    "write_drawn",
-    "write_fitting",
-    "write_report",
-]
-
 log = logging.getLogger(__name__)
 
 PICTURE_SIZE = 800  # pixels

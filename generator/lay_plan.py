@@ -10,8 +10,6 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["LayPlan", "SheetPanel", "lay_out"]
-
 CURVE_POINTS = 33  # points along a drawn curve
 NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # heights to try, as shares of a panel's height
 GRAIN_OFFSETS = (0.25, 0.75, 0.18, 0.82, 0.32, 0.68, 0.1, 0.9, 0.5)  # the same, shares of a panel's width

@@ -32,8 +32,6 @@ from gcd_dataset.records import Rejected, Sample
 from gcd_dataset.waits import MAKERS
 from gcd_dataset.workers import streams
 
-__all__ = ["AHEAD", "READY", "LastDesign", "make", "produce"]
-
 DEFAULT = MakeConfig()
 # Samples in work in a worker: twice the number at its draper, so that the draper stays busy while finished samples wait
 # for an earlier one on its next attempt.

@@ -13,8 +13,6 @@ from gcd_dataset.generator.body.population import GROUPS
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["make_person", "model_mesh", "people_recipe"]
-
 
 def people_recipe(bodies: str) -> dict[str, Any]:
     """The options of a person besides seed, index and mesh, as stored in a body set's manifest.

@@ -53,21 +53,6 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob, Fabric
     from gcd_dataset.generator.drapers import DrapeReply
 
-__all__ = [
-    "NO_REDRAWS",
-    "DressedDesign",
-    "DressedWearer",
-    "build_pattern",
-    "drape_jobs",
-    "finish",
-    "fit",
-    "prepare",
-    "rejection",
-    "sample_fabric",
-    "sample_key",
-    "view_requests",
-]
-
 NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 

@@ -5,8 +5,6 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.shards.codec import spread
 
-__all__ = ["sample_surface"]
-
 
 def sample_surface(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], count: int, rng: np.random.Generator

@@ -12,18 +12,6 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.options import Option
 from gcd_dataset.shards.layout import Layout, garments_layout
 
-__all__ = [
-    "LastStage",
-    "MakeConfig",
-    "MakeOptions",
-    "check_resolution",
-    "device_kind",
-    "devices_of",
-    "layout_of_samples",
-    "recipe_of",
-    "versions",
-]
-
 Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]

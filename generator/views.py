@@ -20,21 +20,6 @@ from gcd_dataset.shards.layout import recipe_hash
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import Camera, Cloth, Lights, Picture, Ranges, View
 
-__all__ = [
-    "CONVENTION",
-    "MISSING_VIEW",
-    "RenderedView",
-    "ViewRequest",
-    "finished_view",
-    "picture_seed",
-    "requested_scene",
-    "requested_views",
-    "stored_body",
-    "stored_scene",
-    "view_facts",
-    "views_of",
-]
-
 CONVENTION = (
     "OpenCV: camera axes x right, y down, z forward; x = K (R X + t), X in cm; the centre of the upper left pixel is "
     "(0, 0)"

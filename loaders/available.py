@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterable, Mapping
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import JOINT, select_fields
 
-__all__ = ["absent_at_stage", "absent_when_empty", "select_present_fields"]
-
 MESH = ("faces", "uv", "panel_id", "corners", "uv_vertex", "box", "labels", "seams")
 OFTEN_EMPTY = ("labels", "seams")  # empty for a garment without labelled edges or without seams
 ADDED: Mapping[str, tuple[str, ...]] = {"mesh": (*MESH, "points"), "drape": ("verts", "front", "back")}

@@ -30,26 +30,6 @@ from gcd_dataset.shards.codec import decode_fields, decode_sample
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, is_picture, key_of, members_of
 from gcd_dataset.shards.meta import read_meta
 
-__all__ = [
-    "DerivedGarments",
-    "GarmentItem",
-    "Garments",
-    "Item",
-    "SelectedGarments",
-    "Transform",
-    "as_transform_error",
-    "decode_item",
-    "load_items",
-    "note_items",
-    "recipe_from_meta",
-    "require_callable",
-    "require_garments",
-    "require_integer",
-    "require_number",
-    "require_ranges",
-    "tensor_of",
-]
-
 Item: TypeAlias = Mapping[str, Any]
 """An item: ``GarmentFields``, or fields with what users' transforms made of them."""
 Transform: TypeAlias = Callable[[Any], Any]

@@ -20,8 +20,6 @@ from gcd_dataset.prefetch import prefetch
 if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views
 
-__all__ = ["BATCHES_AHEAD", "BatchIndices", "BatchMaker", "BatchPlan", "Collate", "Cursor", "IndexedPlan", "StreamPlan"]
-
 Collate: TypeAlias = Callable[[list[Any]], Any]
 Cursor: TypeAlias = Any
 """How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""

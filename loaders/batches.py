@@ -14,8 +14,6 @@ from gcd_dataset.loaders.indexing import UnknownKeyError
 from gcd_dataset.loaders.one_thread import as_type, pin_tensor
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
-__all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "Varlen", "starts_of"]
-
 RAGGED = (
     "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
     "panel_corners", "panel_corner_pixels", "panel_corner_visible",

@@ -31,8 +31,6 @@ from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_pe
 from gcd_dataset.shards.layout import BODIES, select_fields
 from gcd_dataset.shards.reader import ShardReader, Verify
 
-__all__ = ["Bodies", "BodyDataset", "PublishedBodies"]
-
 FIELDS = ("name", "shape", "arm_angle", "measures", *POSES)
 
 

@@ -18,8 +18,6 @@ from gcd_dataset.loaders.stored import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
 
-__all__ = ["collate_list", "collate_packed", "collate_padded"]
-
 
 def collate_list(items: Sequence[Any]) -> list[Any]:
     """The items in a list, unchanged."""

@@ -33,8 +33,6 @@ from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import Bytes, key_of
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 
-__all__ = ["FakeGarments", "fake_sample"]
-
 LABEL = "lower_interface"  # the label of a skirt's upper edge; a drape holds it at the waist
 COMPONENTS = 8
 POINTS = 64

@@ -34,8 +34,6 @@ from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, u
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["FreshGarments"]
-
 
 class FreshGarments(IterableDataset[GarmentFields]):
     """A stream of garments generated during training, each used ``replay`` times.

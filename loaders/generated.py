@@ -47,8 +47,6 @@ from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.tar import END, samples_in, tar_entry
 
-__all__ = ["GeneratedGarments", "Stage"]
-
 logger = logging.getLogger("gcd_dataset")
 
 LOGGED_FROM = 2.0  # s for each garment

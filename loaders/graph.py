@@ -13,8 +13,6 @@ from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.batches import PackedBatch
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
-__all__ = ["SeamGraph", "mesh_edges", "seam_graph", "to_pyg"]
-
 Kind = Literal["mesh", "pattern"]
 
 

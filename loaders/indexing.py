@@ -21,17 +21,6 @@ import torch
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import key_of
 
-__all__ = [
-    "IndexRangeError",
-    "InvalidIndexError",
-    "UnknownKeyError",
-    "index_from_key",
-    "index_list",
-    "require_whole_number",
-    "resolve_index",
-    "unknown_key",
-]
-
 MOST_COMPARED = 10_000  # keys that are compared with an unknown one
 
 

@@ -5,8 +5,6 @@ from typing import Any, TypedDict
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-__all__ = ["BodyFields", "GarmentFields"]
-
 
 class GarmentFields(TypedDict, total=False):
     """The fields of a garment; ``fields`` of its data set, and transforms, decide which of them an item holds.

@@ -19,8 +19,6 @@ from gcd_dataset.prefetch import prefetch
 if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views
 
-__all__ = ["GarmentLoader"]
-
 
 class GarmentLoader:
     """Batches in an order that depends on ``seed``, epoch and position alone; each ``iter()`` is the next epoch.

@@ -17,8 +17,6 @@ from gcd_dataset.loaders.order import cached_permutation
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.layout import Bytes
 
-__all__ = ["MixedDataset"]
-
 LONGEST_EPOCH = 1 << 62  # Python's limit for a length
 
 

@@ -11,8 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["add", "as_type", "concatenate", "copy_tensor", "fill", "pin_tensor"]
-
 CHUNK = 1 << 15  # elements: torch converts larger tensors with several threads
 
 

@@ -22,16 +22,6 @@ from gcd_dataset.loaders.base import Garments, require_integer
 from gcd_dataset.loaders.ranks import current_rank, require_rank, sharding_library
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 
-__all__ = [
-    "ElasticSampler",
-    "Pad",
-    "Permutation",
-    "RankShare",
-    "SampleOrder",
-    "WindowedPermutation",
-    "cached_permutation",
-]
-
 Pad = Literal["none", "repeat"]
 
 ROUNDS = 8  # rounds of the Feistel network: four change the row, four the column

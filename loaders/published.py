@@ -29,8 +29,6 @@ from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_partial_sample, encode_sample
 from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 
-__all__ = ["PublishedGarmentCodeData"]
-
 LARGEST_PICTURE = 8192  # pixels per side; published pictures have 800
 POINTS = 8192  # sampled points per garment, as in generated data sets
 META, MEASURES = "meta.json", "measures.json"

@@ -12,18 +12,6 @@ from gcd_dataset.devicenames import devices_name, named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import require_integer
 
-__all__ = [
-    "accelerate_is_active",
-    "current_rank",
-    "device_of_process",
-    "devices_of_process",
-    "gpu_of_rank",
-    "gpus_of_rank",
-    "in_process_group",
-    "require_rank",
-    "sharding_library",
-]
-
 GLOBAL = ("RANK", "WORLD_SIZE")  # environment variables of ``torchrun``
 LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # the same within this machine
 

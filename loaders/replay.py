@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Replay", "ReplayRate", "ReplayWindow"]
-
 CHUNK = 1024  # random words that are drawn at once
 WORD_BITS = 64
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.depth_noise import DepthNoise
     from gcd_dataset.generator.render.scans import PointScan, ScanRanges
 
-__all__ = ["Scan"]
-
 
 class Scan(SceneTransform):
     """Scans each garment with ``n`` depth cameras: a transform, or an augmentation.

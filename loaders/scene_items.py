@@ -22,8 +22,6 @@ from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["VIEW_FIELDS", "BodyOf", "SceneTransform", "StoredGarment", "bodies_by_name", "wearer_of"]
-
 VIEW_FIELDS: tuple[str, ...] = (
     "meta", "spec", "panels", "edges", "stitches", "body",
     "faces", "uv", "panel_id", "seams", "corners", "uv_vertex", "verts",

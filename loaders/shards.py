@@ -73,8 +73,9 @@ class GarmentDataset(Garments):
 
     The cache:
 
-    - ``cache_dir``, ``max_cache_size``: the folder of columns and of remote shards, by default ``~/.cache/gcd_dataset``,
-      and its limit, by default ``"50 GB"``; ``None`` for no limit. Any number of processes may share a cache.
+    - ``cache_dir``, ``max_cache_size``: the folder of columns and of remote shards, by default
+      ``~/.cache/gcd_dataset``, and its limit, by default ``"50 GB"``; ``None`` for no limit. Any number of processes
+      may share a cache.
     - ``window``: number of shards among which a loader's random order moves freely, 0 for all; by default 32 for a
       server or a set larger than the cache, else all.
 

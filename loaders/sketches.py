@@ -17,8 +17,6 @@ from gcd_dataset.seeding import rng as seeded_rng
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.sketches import SketchStyle
 
-__all__ = ["Sketch"]
-
 
 class Sketch(SceneTransform):
     """Draws each garment as lines: a transform, or an augmentation.

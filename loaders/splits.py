@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["SplitPart", "parse_splits"]
-
 BOUND = r"-?[0-9]{1,18}%?"  # 18 digits fit an int64
 PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
 

@@ -13,8 +13,6 @@ from torch.utils.data import ConcatDataset, Subset
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments
 
-__all__ = ["dataset_entries", "position_in_state", "require_whole"]
-
 LARGEST_POSITION = 1 << 62  # Python's limit for a length
 LONGEST_REPR = 60  # characters of a value in a message
 

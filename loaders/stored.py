@@ -12,8 +12,6 @@ from gcd_dataset.shards.codec import SECTIONS, decode_field
 from gcd_dataset.shards.columns import value_of
 from gcd_dataset.shards.layout import JOINT
 
-__all__ = ["StoredItems"]
-
 
 class StoredItems(Sequence[GarmentItem]):
     """The items of a batch, made when they are asked for; ``collate_packed`` takes the stored rows themselves.

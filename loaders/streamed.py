@@ -26,8 +26,6 @@ from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import CheckedTar
 
-__all__ = ["StreamedGarments", "StreamedTar"]
-
 META = MEMBERS[0]
 LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
 

@@ -35,8 +35,6 @@ from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
-__all__ = ["Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"]
-
 Augment: TypeAlias = Callable[[Any, np.random.Generator], Any]
 """A function of an item and a random stream that returns the changed item."""
 

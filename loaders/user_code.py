@@ -20,8 +20,6 @@ from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_pa
 from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.transforms import Augmented
 
-__all__ = ["UserCode", "is_package_code", "isolated_rng", "separate_user_code"]
-
 UserCode: TypeAlias = Callable[[Any, int], Any]
 """``(item, index)`` to the transformed item."""
 

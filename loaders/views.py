@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.pictures import MapName
 
-__all__ = ["Views", "garments_in", "render_ahead"]
-
 MOST_VIEWS = 4096
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 

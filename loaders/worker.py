@@ -17,8 +17,6 @@ from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import ConfigError, GcdError
 
-__all__ = ["begin_worker", "naming_full", "require_semaphores", "sent", "shared_number", "unwrap", "with_traceback"]
-
 POLL = 1.0  # s between two looks at the parent and the done event
 
 Value = TypeVar("Value")

@@ -46,8 +46,6 @@ from gcd_dataset.generator.body.survey import (
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["add_arguments", "run"]
-
 GROUPS = ("random", "random", "random", POOLED)
 """Groups from which the bodies are drawn, in turn."""
 LEAST = 4 * len(GROUPS)

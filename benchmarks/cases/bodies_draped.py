@@ -39,8 +39,6 @@ from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Outcome
 
-__all__ = ["add_arguments", "run"]
-
 EXAMPLES = Path("GarmentCode/assets/bodies")
 TILE = 320  # side of a garment's picture on a sheet [pixels]
 SHOWN = 16  # most garments on the sheet of a body

@@ -63,8 +63,6 @@ from gcd_dataset.generator.garments.space import Leaf, leaves
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["add_arguments", "run"]
-
 LARGE = 0.05  # least total variation of a parameter that counts as moved
 Values = Mapping[str, list[Any]]
 """The values of each parameter, one for each design; ``UNUSED`` in designs without the parameter."""

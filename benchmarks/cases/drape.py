@@ -57,8 +57,6 @@ from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Grade, Measurements, Outcome, Pattern
 
-__all__ = ["add_arguments", "run"]
-
 TILE = 256  # side of a garment's picture on a sheet [pixels]
 TIMED_MESHES = 16  # number of garments that are coarsened to time the making of a coarse mesh
 

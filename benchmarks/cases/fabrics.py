@@ -51,8 +51,6 @@ from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["add_arguments", "run"]
-
 FABRICS_SHOWN = ("gcd_soft", "wool_light", "denim", "gcd_stiff")
 SKIRT = Overlay.from_dict(
     {

@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-__all__ = ["Case", "Figure", "Measured"]
-
 
 class Figure(NamedTuple):
     """One measured number, printed as ``case.metric value unit``."""

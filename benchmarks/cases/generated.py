@@ -28,8 +28,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import devices_of
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 
-__all__ = ["add_arguments", "run"]
-
 COUNT = 10**6  # garments, more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")

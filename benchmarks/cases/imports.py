@@ -13,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["add_arguments", "run"]
-
 COMMANDS: Mapping[str, Sequence[str]] = {
     "python": ("-c", "pass"),
     "gcd_dataset": ("-c", "import gcd_dataset"),

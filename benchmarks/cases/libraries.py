@@ -13,8 +13,6 @@ from typing import Any
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.libraries.locks import LOCKS, lock_cost
 
-__all__ = ["add_arguments", "run"]
-
 UNITS = {"alone": "µs", "wait": "ms", "freed": "ms", "left": "files"}
 VERDICTS: Mapping[str, str] = {
     "shards.access": "kept: the kernel wakes a waiter, and no lock file stays in a published folder",

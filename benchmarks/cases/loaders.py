@@ -34,8 +34,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed
 from gcd_dataset.shards import ShardReader, encode_sample
 
-__all__ = ["add_arguments", "run"]
-
 MEMMAPS = ("memmap", "memmap as ndarray")
 SAMPLES = 229_376  # of the large data set
 TIMES = 5  # repetitions of short measurements

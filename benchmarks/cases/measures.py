@@ -27,8 +27,6 @@ from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["add_arguments", "run", "tolerance"]
-
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
 CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # tolerances: heights and girths [cm], other lengths [cm], angles [degrees]
 STATED = "doubtful"  # first word of a remark on a doubtful measure

@@ -27,8 +27,6 @@ from gcd_dataset.records import EdgeRef, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.tomlfile import read_toml
 
-__all__ = ["add_arguments", "run"]
-
 OUTLINE, FRONT_OUTLINE, SLEEVE_OUTLINE = 0.2, 0.5, 1.0  # tolerances of outlines [cm]
 CAP_LENGTH = 0.1  # cm: tolerance between the lengths of a cap and its armhole
 PLACEMENT = 1.0  # cm: tolerance of a panel's position

@@ -27,8 +27,6 @@ from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.validate import Rule, Severity, check_pattern
 
-__all__ = ["add_arguments", "run"]
-
 MOST_ATTEMPTS = 30
 ON_SHEET = 64  # most designs on the sheet
 

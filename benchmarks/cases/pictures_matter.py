@@ -14,7 +14,3 @@ Each network has the same first weights, steps and order of draws. All are teste
 colour, contrast) that no training drew. ``gap_to_X_on_Y``: the score of the network trained on ``drawn`` minus that of
 the network trained on X, both tested on Y, with a 95 % interval (bootstrap over garments, paired).
 """
-
-from benchmarks.reconstruction.picture_training import add_arguments, run
-
-__all__ = ["add_arguments", "run"]

@@ -23,8 +23,6 @@ from benchmarks.loading.workload import CONFIGS, write_shards
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader
 from gcd_dataset.shards import ShardReader
 
-__all__ = ["add_arguments", "run"]
-
 FIELDS = CONFIGS["geometry"]
 
 

@@ -49,8 +49,6 @@ from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.records import Sample
 
-__all__ = ["add_arguments", "run"]
-
 SIZES = (256, 512)  # pixels
 DEPTH = 0.05  # cm
 LIFT = 0.25  # cm from a surface to the start of a shadow ray, as in the renderer

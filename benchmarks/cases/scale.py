@@ -30,8 +30,6 @@ from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.codec import encode_sample
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=64, help="garments written")

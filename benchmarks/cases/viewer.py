@@ -24,8 +24,6 @@ from benchmarks.viewing.server import shown
 from benchmarks.viewing.workload import FULL, full_range, write_set
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["add_arguments", "run"]
-
 ROUNDS = 3
 NEXT, JUMPS = 12, 6  # garments after the first; garments jumped to, not adjacent, so that none is made ahead
 

@@ -13,8 +13,6 @@ from benchmarks.draping.workload import Worn
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape
 
-__all__ = ["Variant", "measure_ablation", "variants"]
-
 PULLS = ("pull_to_parts", "pull_from_body")
 
 

@@ -19,8 +19,6 @@ from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import BoxMesh, Drape, Outcome
 
-__all__ = ["picture_failure", "write_failures"]
-
 TILE = 320  # side of a view [pixels]
 TITLE = 28  # height of a line of the title [pixels]
 

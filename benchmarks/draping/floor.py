@@ -12,8 +12,6 @@ from benchmarks.draping.workload import Worn
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.records import Outcome
 
-__all__ = ["compare_devices"]
-
 
 def compare_devices(worn: Sequence[Worn], device: str, other: str, *, batch: int) -> Measured:
     """Distances [cm] between corresponding vertices of the two drapes of each garment that settles on both devices."""

@@ -12,8 +12,6 @@ from benchmarks.draping.workload import Worn
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import drape_batch, resolve_device
 
-__all__ = ["gpu_peak_mb", "gpu_used_mb", "measure_memory", "rss_mb"]
-
 EVERY = 50  # drapes between records; the first interval is the warm-up
 MB = 1e6  # bytes
 

@@ -17,8 +17,6 @@ from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 
-__all__ = ["measure_ordering"]
-
 MID_DRAPE = 40  # frames
 LAUNCHES = 200
 

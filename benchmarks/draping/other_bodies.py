@@ -29,8 +29,6 @@ from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["OTHER_BODIES", "OtherBody", "arms_forward", "decimated", "dressed", "other_body", "with_holes"]
-
 ATTEMPTS = 30  # designs tried for one garment
 ARM_TURN = np.radians(40.0)  # raising or lowering of the arms from the A-pose
 CLEAR_ARM_TURN = np.radians(25.0)  # arms lowered further make the neutral body pass through itself in the armpits

@@ -8,8 +8,6 @@ from benchmarks.cases.figures import Figure
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["is_clean", "pass_paper", "quality"]
-
 SHARES = (50, 80, 95, 99)
 LIMITS = DrapeConfig()
 

@@ -15,8 +15,6 @@ from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 
-__all__ = ["measure_sewn"]
-
 SHARES = (50, 80, 95, 99)
 
 

@@ -18,8 +18,6 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["Wearer", "Worn", "kind_of", "reference_sampled", "sampled"]
-
 Wearer = tuple[Body, Measurements]
 
 

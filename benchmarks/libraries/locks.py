@@ -16,8 +16,6 @@ from filelock import FileLock
 
 from gcd_dataset.shards.access import locked
 
-__all__ = ["LOCKS", "LockCost", "lock_cost"]
-
 ROUNDS = 5
 USES = 1000
 TURNS = 100

@@ -20,8 +20,6 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["compare_solvers"]
-
 
 def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
     """Drape batches of each size with every solver, cycling through the garments; one row per solver and size.

@@ -23,8 +23,6 @@ from gcd_dataset.generator.drape.fabric import shear_stiffness
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["PeerDrapes", "drape_with_newton", "require_newton", "unmirrored"]
-
 M = 0.01  # metres in a cm
 SPACING = 3.0  # m between garments
 SUBSTEPS = 2

@@ -21,8 +21,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render import Camera, Picture, Scene, View, render
 from gcd_dataset.generator.render.geometry import solid_of
 
-__all__ = ["compare_with_pyrender", "pyrender_depths", "require_pyrender"]
-
 NEAR, FAR = 10.0, 5000.0  # cm
 GREY = (0.7, 0.7, 0.7, 1.0)
 

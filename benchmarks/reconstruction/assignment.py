@@ -5,8 +5,6 @@ import warp as wp
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-__all__ = ["least_cost"]
-
 WORST = 1e6  # stands for costs that are no numbers
 
 

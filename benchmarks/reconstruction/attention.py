@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["DecoderLayer", "EncoderLayer", "hiding"]
-
 
 def hiding(hidden: Bool[Tensor, "b t"]) -> Float[Tensor, "b t"]:
     """The mask of tokens that others do not attend to: -inf for these, else 0."""

@@ -8,8 +8,6 @@ from jaxtyping import Float
 
 from gcd_dataset.measurements import ANGLES, MEASURES
 
-__all__ = ["MeasureScore", "score_measures"]
-
 MeasureScore: Any = make_dataclass(
     "MeasureScore",
     [("error_cm", float), ("error_degrees", float), *((name, float) for name in MEASURES)],

@@ -55,8 +55,6 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
 
-__all__ = ["State", "main"]
-
 OF_FRESH = ("workers", "make_device", "fresh")
 """Options of garments that are made during a training; all cores and GPUs make the others."""
 DRAPING = 0.8  # minutes to drape the answers of a run

@@ -36,8 +36,6 @@ from gcd_dataset.jsonfile import LARGEST_JSON, read_json
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
 
-__all__ = ["Difference", "Scores", "differences", "main", "read_scores"]
-
 LEAST_GARMENTS = 30  # of fewer, bootstrap intervals are too narrow: 12 % of equal models would differ on 8 garments
 DIGITS = 6  # decimals: differences of rounding errors count as 0
 NOT_SCORES = ("name", "key", "kind", "failure", "remarks", *TIMES)

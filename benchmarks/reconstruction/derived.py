@@ -16,23 +16,6 @@ from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
-__all__ = [
-    "CENTRE",
-    "DERIVED",
-    "MIRRORED",
-    "MIRRORED_EDGES",
-    "PANEL_CLASSES",
-    "PANEL_NAMES",
-    "PICTURES",
-    "PICTURE_SIZE",
-    "POINT_LABELS",
-    "Derived",
-    "derived_arrays",
-    "item_fields",
-    "panel_class",
-    "picture_views",
-]
-
 SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
 PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0

@@ -11,8 +11,6 @@ from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.design_net import DesignTargets
 from gcd_dataset.measurements import ANGLES, MEASURES
 
-__all__ = ["DesignAugmentation"]
-
 Targets = TypeVar("Targets", bound=DesignTargets)
 
 PATHS = [leaf.path for leaf in PARAMETERS]

@@ -11,8 +11,6 @@ from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.space import Leaf, leaves
 
-__all__ = ["PARAMETERS", "decode_design", "encode_design", "have_effect", "options_of"]
-
 UNDER_COLLAR = {"Turtle": (False, False), "Hood2Panels": (False, False), "SimpleLapel": (True, False)}
 """Whether a collar leaves the neckline's shape in front and behind to the design; otherwise it is a circle."""
 CUT = ("cut.add", "cut.depth", "cut.width", "cut.place")

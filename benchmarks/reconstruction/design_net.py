@@ -39,8 +39,6 @@ from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
 
-__all__ = ["Answer", "DesignDecoder", "DesignTargets", "Words", "drawn"]
-
 FEW = 12  # a whole number of at most this many values is a choice among them
 VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square
 LARGEST_BACK = 0.95  # of the girth

@@ -22,8 +22,6 @@ from gcd_dataset.generator.mesh.coarse import coarse_start
 from gcd_dataset.generator.mesh.locate import barycentric, locate
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["DrapeScore", "DrapedVertices", "counted", "redraped", "score_drapes", "transferred"]
-
 AT_ONCE = 32  # garments whose crossings are counted together
 CLOSE = 1.0  # cm
 

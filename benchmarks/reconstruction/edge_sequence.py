@@ -15,25 +15,6 @@ from benchmarks.reconstruction.panel_net import axes_of
 from benchmarks.reconstruction.panel_targets import UNIT, PanelTargets, ToTargets
 from gcd_dataset.tensors import PANEL_LABELS
 
-__all__ = [
-    "CENTIMETRE",
-    "CLOSING_CURVE",
-    "CLOSING_LINE",
-    "CURVE",
-    "EDGE_KINDS",
-    "END",
-    "KINDS",
-    "LINE",
-    "START",
-    "Sequence",
-    "ToCanonical",
-    "Tokens",
-    "canonical",
-    "rows_of",
-    "sequence_of",
-    "tokens_of",
-]
-
 LINE = len(PANEL_LABELS)  # kinds below: a new panel, with the row of its label
 CURVE, CLOSING_LINE, CLOSING_CURVE, END, START = range(LINE + 1, LINE + 6)
 KINDS = START  # kinds that are predicted

@@ -21,8 +21,6 @@ from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern
 
-__all__ = ["AGAIN", "COLUMNS", "losses_of", "main"]
-
 AGAIN: Mapping[str, Callable[[Pattern], Pattern]] = {
     "NeuralTailor, 23 × 14 × 4": lambda p: neuraltailor.decode(neuraltailor.encode(p)),
     "SewFormer, 25 × 14 × 4": lambda p: sewformer.decode(sewformer.encode(p)),

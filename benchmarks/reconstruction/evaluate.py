@@ -22,7 +22,6 @@ import numpy as np
 from benchmarks.reconstruction.scoring.files import match_folders
 from benchmarks.reconstruction.scoring.garments import SPACING, Scored, score_cases
 from benchmarks.reconstruction.scoring.table import (
-    UNITS,
     garment_table,
     line_of,
     summaries,
@@ -39,8 +38,6 @@ from gcd_dataset.workers import parallel_map
 if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.bodies import Wearers
     from benchmarks.reconstruction.scoring.distances import Shape
-
-__all__ = ["PRESETS", "UNITS", "evaluate", "evaluator", "main", "scores_of"]
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")

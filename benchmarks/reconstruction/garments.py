@@ -30,21 +30,6 @@ from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, EdgeColumn, PanelColumn, PatternTensor, decode_pattern
 from gcd_dataset.verbs.statistics import garment_type
 
-__all__ = [
-    "CENTRE",
-    "FIELDS",
-    "Arrays",
-    "GarmentSet",
-    "Ragged",
-    "Split",
-    "fresh_garments",
-    "generated",
-    "pattern_of",
-    "read_folder",
-    "read_garments",
-    "split_off",
-]
-
 Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``."""
 

@@ -32,8 +32,6 @@ from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import write_pattern
 
-__all__ = ["FORMATS", "Garment", "garment_name", "main", "read_garments"]
-
 ARRAY_FILES = (".npz", ".npy", ".pt", ".pth")
 FILES = (".json", *ARRAY_FILES)
 PREDICTED = re.compile(r"_*pred(icted|iction)?(_single)?(_[0-9.e-]+)?_*$")  # …_predicted_, …_predicted_single_, …_pred

@@ -9,8 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import UInt8
 
+from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.evaluate import scores_of
-from benchmarks.reconstruction.garments import CENTRE, GarmentSet
+from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import Task
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.colours import PALETTE
@@ -18,19 +19,6 @@ from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.spec import write_pattern
-
-__all__ = [
-    "Drapes",
-    "Judge",
-    "Measures",
-    "Patterns",
-    "Vertices",
-    "beside_truth",
-    "draw_mesh",
-    "intervals",
-    "judge_of",
-    "means_of",
-]
 
 SHOWN = 8  # garments in pictures
 SIDE = 320  # pixels of a picture

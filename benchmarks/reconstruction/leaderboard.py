@@ -23,8 +23,6 @@ from benchmarks.reconstruction.tasks import TASKS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import write_whole
 
-__all__ = ["REPORTS", "RESULTS", "commit_here", "curves", "main", "pages", "write_pages"]
-
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
 CURVES, COLUMNS = 3, 5  # of the scores of ``HEADLINES``: drawn and shown by kind, and in the table of all tasks

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
     from gcd_dataset.records import Pattern
 
-__all__ = ["Examples", "Learner", "Reference", "TensorExamples", "mean_of", "squared_distances", "uploaded"]
-
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
 Answer = TypeVar("Answer")

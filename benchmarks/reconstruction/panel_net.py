@@ -19,8 +19,6 @@ from benchmarks.reconstruction.panel_targets import BENDS
 from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, waves
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
-__all__ = ["NEVER", "Edges", "NetConfig", "PanelDecoder", "Predicted", "Sewn", "axes_of", "edge_numbers", "rotation_of"]
-
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm
 FIRST_EXTENT = 0.3  # UNIT, of panels before training
 NEVER = -1e4  # score of an edge as its own partner

@@ -14,7 +14,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from benchmarks.reconstruction.garments import CENTRE, GarmentSet
+from benchmarks.reconstruction.derived import CENTRE
+from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, uploaded
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
 from gcd_dataset.errors import ConfigError
@@ -23,17 +24,6 @@ from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Patte
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.validate import Severity, check_pattern
-
-__all__ = [
-    "BENDS",
-    "UNIT",
-    "PanelTargets",
-    "ToTargets",
-    "fitted_curve",
-    "patterns_from",
-    "scaled_points",
-    "simple_panel",
-]
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
 BENDS = 5  # inner points of an edge, at equal shares of its length

@@ -52,20 +52,6 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.tensors import PANEL_LABELS
 from gcd_dataset.workers import streams
 
-__all__ = [
-    "HELD_OUT",
-    "SIDES",
-    "TRAINING",
-    "Garment",
-    "Input",
-    "Rendered",
-    "Share",
-    "load_garment",
-    "rendered",
-    "rendering",
-    "views_of",
-]
-
 SIDES = 2  # pictures of a garment: front, back
 
 

@@ -11,8 +11,6 @@ from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, Map
 from gcd_dataset.records import BodyPart
 from gcd_dataset.tensors import PANEL_LABELS
 
-__all__ = ["FIRST_PANEL", "MAPS", "MIRRORED_PIXELS", "MOST_PANELS", "SHOWN_CLASSES", "pixel_labels"]
-
 MAPS: tuple[MapName, ...] = ("part", "panel_id")
 """The maps of a picture that tell it."""
 _HAIR, _BACKGROUND = len(BodyPart), len(BodyPart) + 1

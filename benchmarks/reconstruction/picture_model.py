@@ -26,8 +26,6 @@ from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS
 
-__all__ = ["STRIDE", "DrawnPictures", "PictureNet", "PictureTokens", "pictures_of", "require_views"]
-
 STRIDE = 8  # pixels along each side of a token's cell
 NUMBERS = 6  # of a distortion
 MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3

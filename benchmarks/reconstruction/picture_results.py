@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases.figures import Figure
-from benchmarks.reconstruction.evaluate import UNITS
 from benchmarks.reconstruction.picture_inputs import Input
+from benchmarks.reconstruction.scoring.table import UNITS
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
-
-__all__ = ["TESTS", "Result", "figures_of", "gaps", "log", "read_result", "rows_of", "write_result"]
 
 TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
 METRICS = ("panel_count_acc", "edge_count_acc", "iou")

@@ -46,8 +46,6 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.verbs import Progress, generate
 from gcd_dataset.workers import parallel_map_chunks
 
-__all__ = ["Pool", "add_arguments", "run", "train"]
-
 Curve: TypeAlias = Callable[[Mapping[str, Any]], None]
 """Writes a row of the curves."""
 

@@ -17,8 +17,6 @@ from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import MINUTES, SMOKE, add_arguments, options_from, require_usable
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["Planned", "read_plan"]
-
 PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}
 OWN = ("program", "model", "spare", "expected")
 """Keys of a plan that are no options of the program."""

@@ -23,22 +23,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
-__all__ = [
-    "CHUNK",
-    "FREQUENCIES",
-    "TOGETHER",
-    "DrawnPoints",
-    "EncoderConfig",
-    "PointConfig",
-    "PointLearner",
-    "PointTokens",
-    "encoder",
-    "regions_of",
-    "require_tokens",
-    "some_of",
-    "waves",
-]
-
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 OF_EDGES = ("edge_panels", "edge_slots", "edge_kinds", "edge_labels", "partners", "turned")

@@ -12,8 +12,6 @@ from torch import Tensor
 from benchmarks.reconstruction.learners import Learner, TensorExamples
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["FreshPool"]
-
 Batch = TypeVar("Batch")
 WAITING = 256  # examples that wait to be taken
 

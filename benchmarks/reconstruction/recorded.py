@@ -11,8 +11,6 @@ from typing import Any, Generic, TypeVar, cast
 import torch
 from torch import Tensor, nn
 
-__all__ = ["RecordedStep", "replace_tensors", "tensors_of"]
-
 Batch = TypeVar("Batch")
 WARM_UP = 3  # passes before the recording, in which kernels are loaded and tuned
 

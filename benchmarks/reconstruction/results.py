@@ -17,8 +17,6 @@ from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 
-__all__ = ["HEADLINES", "USUAL", "Entry", "add", "by_test_set", "read_entries", "shown"]
-
 LEAST_MADE = 0.5  # of the garments asked for; a set with fewer is shown with its own number
 LEAST_TESTED = 0.9  # of the task's number of test garments; some cannot be draped
 HEADLINES: Mapping[str, Sequence[str]] = {

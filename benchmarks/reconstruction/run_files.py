@@ -1,7 +1,5 @@
 """Names of the files in the folder of a training, ``train --out``, which other programs read."""
 
-__all__ = ["EVALUATION", "REPORT", "SCORES"]
-
 REPORT = "report.json"
 """Mean scores, options, and hashes of the data."""
 SCORES = "scores.csv"

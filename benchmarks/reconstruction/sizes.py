@@ -6,8 +6,6 @@ from typing import Any, TypeVar
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["sizes_from"]
-
 Config = TypeVar("Config")
 NONE: Mapping[str, Any] = {}
 

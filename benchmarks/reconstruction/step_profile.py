@@ -24,8 +24,6 @@ from benchmarks.reconstruction.train import Options, add_arguments, load_split, 
 from benchmarks.reconstruction.training import TrainConfig, step_of
 from gcd_dataset.errors import ConfigError, GcdError
 
-__all__ = ["Operations", "main"]
-
 STEPS = 20
 SHOWN = 15  # kernels
 FREE = ("aten::empty", "aten::empty_like", "aten::new_empty", "aten::empty_strided", "aten::detach")

@@ -15,18 +15,6 @@ from torch.nn import functional
 from benchmarks.reconstruction.surfaces import SHAPE, SurfaceBatch
 from gcd_dataset.errors import ConfigError
 
-__all__ = [
-    "FREQUENCIES",
-    "LAYER_OPTIONS",
-    "EdgeConvolution",
-    "SurfaceNet",
-    "SurfaceNetConfig",
-    "gathered",
-    "mlp",
-    "of_neighbours",
-    "waves",
-]
-
 FREQUENCIES = 8  # octaves of the positional encoding
 EDGE_SCALE = 20.0  # scales offsets along edges to about 1: 5 cm
 EDGE_FEATURES = 7

@@ -21,23 +21,6 @@ from benchmarks.reconstruction.derived import CENTRE
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.workers import parallel_map
 
-__all__ = [
-    "METRE",
-    "NEIGHBOURS",
-    "SHAPE",
-    "Surface",
-    "SurfaceBatch",
-    "SurfaceStore",
-    "Turn",
-    "cloud_of",
-    "drawn_turn",
-    "farthest_points",
-    "packed_rows",
-    "surface_of",
-    "surfaces_of",
-    "vertex_normals",
-]  # fmt: skip
-
 METRE = 100.0  # cm: unit of positions in networks
 NEIGHBOURS = 10  # of a vertex, the nearest along edges; in a mesh of ours 6 on average
 SHAPE = 6  # numbers of ``Surface.shape``

@@ -13,18 +13,6 @@ from benchmarks.reconstruction.panel_net import NEVER
 from benchmarks.reconstruction.panel_targets import BENDS
 from gcd_dataset.tensors import EDGE_LABELS
 
-__all__ = [
-    "EdgeConv",
-    "LoopDecoder",
-    "PairNet",
-    "PointFeatures",
-    "SlotEncodings",
-    "TailorConfig",
-    "mlp",
-    "nearest",
-    "sparsemax",
-]
-
 EDGE_NUMBERS = 3 * 2 + 3 * 3 + 1 + 2  # of ``edge_numbers``
 RARE = -2.0  # first logit of what is rare: filled slots, sewn pairs
 

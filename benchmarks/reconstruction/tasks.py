@@ -13,8 +13,6 @@ from typing import Any
 from benchmarks.reconstruction.garments import Split, generated, read_folder, split_off
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["CHECK_SEED", "FRESH_SEED", "NAMED", "SURFACES", "TASKS", "TEST_SEED", "TRAIN_SEED", "Task", "task_named"]
-
 TRAIN_SEED, TEST_SEED, CHECK_SEED, FRESH_SEED = 0, 1, 2, 1000
 CHECKED = 32  # garments that watch a training
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}

@@ -58,18 +58,6 @@ from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import png_bytes
 
-__all__ = [
-    "UNFINISHED",
-    "Options",
-    "add_arguments",
-    "is_draped",
-    "load_split",
-    "main",
-    "options_from",
-    "require_usable",
-    "run",
-]
-
 MINUTES, TRAINED = 8.0, 4000
 OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")
 """Folders of the files of test garments, and how these end after the garment's key."""

@@ -33,23 +33,6 @@ from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder
 
-__all__ = [
-    "CHECKPOINT",
-    "CURVES",
-    "Check",
-    "Growing",
-    "StoppedError",
-    "TrainConfig",
-    "Trained",
-    "TrainingError",
-    "learning_rate",
-    "one_of_several_ranks",
-    "step_of",
-    "train",
-    "training_device",
-    "turn",
-]
-
 Batch = TypeVar("Batch")
 Check = Callable[[int, Learner[Any, Any]], Mapping[str, float]]
 """Called on the way with the step and the averaged learner; the figures returned become columns of the curves."""

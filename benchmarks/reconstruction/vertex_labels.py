@@ -15,8 +15,6 @@ from benchmarks.reconstruction.derived import PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from gcd_dataset.tensors import EDGE_LABELS
 
-__all__ = ["TrueLabels", "VertexLabels", "VertexScore", "assigned", "score_labels", "true_labels"]
-
 LEAST_EXACT = 0.99  # share of the vertices of a garment whose panels count as right throughout
 
 

@@ -18,8 +18,6 @@ from gcd_dataset.records import Body, BodyPart, BodyShape, BoxMesh
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["body_points", "box_mesh_of", "dressed_scans", "measurements_of", "shape_of", "wearer_of"]
-
 SCAN_CAMERAS, SCAN_POINTS, SCAN_SIZE = 4, 4096, 200
 HIDDEN = tuple(part.value for part in (BodyPart.INTERNAL, BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET))
 

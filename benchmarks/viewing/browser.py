@@ -9,8 +9,6 @@ from typing import Any
 
 from benchmarks.viewing.server import PAUSE, started
 
-__all__ = ["Pictures", "pictures_of"]
-
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WARM_UP = """() => {
   const context = document.createElement("canvas").getContext("webgl2");

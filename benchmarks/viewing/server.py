@@ -16,8 +16,6 @@ from urllib.parse import urlsplit
 
 from benchmarks.viewing.workload import KIND, OUTCOME
 
-__all__ = ["Cost", "Shown", "shown", "started"]
-
 PAUSE = 0.3  # s between garments: a glance
 POLL = 0.5  # s
 

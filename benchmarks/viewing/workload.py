@@ -14,8 +14,6 @@ from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.manifest import MANIFEST
 from gcd_dataset.shards.meta import SEAL, sealed
 
-__all__ = ["FULL", "KIND", "OUTCOME", "full_range", "write_set"]
-
 FULL = 32  # garments of full size
 KINDS = ("top", "dress", "jumpsuit", "skirt", "trousers")
 STYLES = ("mini", "maxi", "slit")

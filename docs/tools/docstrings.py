@@ -5,8 +5,6 @@ from typing import Any
 
 import griffe
 
-__all__ = ["AsMarkdown", "as_markdown"]
-
 RULE = re.compile(r"^=+( +=+)+$")
 TREE = re.compile(r"[├└│◄►─]")
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-__all__ = ["FIGURES", "Figure", "Report", "StaleError", "figures_table", "read_report", "report_list", "short_figures"]
-
 REPORTS = Path(__file__).resolve().parents[2] / "benchmarks" / "reports"
 FIGURE = re.compile(r"^\| ([a-z_]+\.[\w.]+) \| (\S+) \|", re.MULTILINE)
 OTHERS = ("mosaicml streaming", "litdata", "webdataset")  # loaders; the report has more

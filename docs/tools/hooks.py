@@ -13,8 +13,6 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-__all__ = ["on_config", "on_files", "on_page_markdown"]
-
 ROOT = Path(__file__).resolve().parents[2]
 SHOWN = {
     "ARCHITECTURE.md": "project/architecture.md",

@@ -7,8 +7,6 @@ generated text
 
 import re
 
-__all__ = ["marked_names", "with_parts"]
-
 PART = re.compile(r"(<!-- (?P<name>[\w-]+): begin[^>]*-->\n)(?P<text>.*?)(<!-- (?P=name): end -->)", re.DOTALL)
 
 

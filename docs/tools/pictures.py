@@ -56,8 +56,6 @@ from gcd_dataset.records import Body, BodyPart, BodyShape, BoxMesh, Sample
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import encode_sample
 
-__all__ = ["PICTURES", "SEED", "SHOWN"]
-
 FOLDER = Path(__file__).resolve().parents[1] / "images"
 SEED, SHOWN = 3, 0
 """Seed and index of the garment on all concept pages."""

@@ -34,8 +34,6 @@ from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.sections import unpack
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PanelColumn, StitchColumn
 
-__all__ = ["DOCUMENTS", "TABLES", "rst_rows", "updated"]
-
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
     "README.md",

@@ -9,8 +9,6 @@ from typing import Any
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb
 
-__all__ = ["add_verbs"]
-
 
 def add_verbs(verbs: Any) -> None:
     """Add this verb to ``gcd``."""

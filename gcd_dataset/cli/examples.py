@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping
 
-__all__ = ["EXAMPLES"]
-
 EXAMPLES: Mapping[str, tuple[str, str]] = {
     "generate": (
         "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",

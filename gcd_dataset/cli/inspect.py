@@ -35,8 +35,6 @@ from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, tar_entries
 
-__all__ = ["faults", "info_lines"]
-
 FIRST_CAPTIONS = 3
 DRAPE = "drape"  # the stage that drapes
 SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent

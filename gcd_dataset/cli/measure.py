@@ -10,8 +10,6 @@ from gcd_dataset.generator.body.measuring import measure_closely
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.tailor import MeasureResult
 
-__all__ = ["measured_text"]
-
 
 def measured_text(
     body: str, landmarks: Path | None = None, segmentation: Path | None = None, height: float | None = None

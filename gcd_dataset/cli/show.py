@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from gcd_dataset.viewer.album import Album
     from gcd_dataset.viewer.server import Design
 
-__all__ = ["add_verbs"]
-
 DEFAULT_DESIGN = "default"
 HIGHEST_PORT = 65_535
 MOST_TILES = 400  # garments on a contact sheet

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from gcd_dataset.records import Pattern, Sample
     from gcd_dataset.shards import ShardReader
 
-__all__ = ["design_in", "names_a_file", "pattern_of", "position_of", "reader_of", "sample_of"]
-
 
 def names_a_file(source: str) -> bool:
     """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""

@@ -12,8 +12,6 @@ from jaxtyping import Int
 from gcd_dataset.doctor.duplicates import DIMENSIONS, _hash, fingerprint
 from gcd_dataset.doctor.garment import ARRAYS, Garment
 
-__all__ = ["Census", "SplitCensus"]
-
 NOBODY = 0  # hash of a body that garments may share: the neutral one, or one without name and weights
 COMMON_BODIES = ("neutral", "female", "male", "mean_all", "")
 DOMINANT, FEWEST = 0.9, 20  # share of one kind, among at least so many garments

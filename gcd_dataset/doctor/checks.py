@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["CHECKS", "Check", "Harm"]
-
 
 class Harm(StrEnum):
     """What a finding means for a training."""

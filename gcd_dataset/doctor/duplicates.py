@@ -16,8 +16,6 @@ from jaxtyping import Float, Float32, Int
 
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 
-__all__ = ["NEAR", "Fingerprint", "difference", "fingerprint", "near_pairs"]
-
 NEAR = 0.2  # cm: largest difference of a coordinate of two patterns that count as one
 DIMENSIONS = 16
 NEAREST = 4  # neighbours of each pattern that are looked at

@@ -20,8 +20,6 @@ from gcd_dataset.shards.notes import shards_named
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.tar import tar_entries
 
-__all__ = ["published_faults", "shard_file_faults", "split_file_faults"]
-
 FileFault = tuple[Check, str, str]
 """A check, the file or key, and the fault in words."""
 PEOPLE_FILES = ("measurements/{}.yaml", "meta/{}_meta.json", "meshes/{}_straight.obj", "meshes/{}_apart.obj")

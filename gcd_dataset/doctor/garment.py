@@ -16,8 +16,6 @@ from gcd_dataset.records import Grade, Outcome, Pattern
 from gcd_dataset.tensors import PatternTensor, StitchColumn, decode_pattern
 from gcd_dataset.validate import Rule, Severity, check_pattern
 
-__all__ = ["ARRAYS", "FIELDS_READ", "Fault", "Garment", "garment_faults"]
-
 Fault = tuple[Check, str]
 """A check, and the fault in words without figures of the garment: equal faults are counted together."""
 

@@ -10,8 +10,6 @@ from gcd_dataset.doctor import checks
 from gcd_dataset.doctor.checks import Check
 from gcd_dataset.tensors import CurveKind, EdgeColumn
 
-__all__ = ["flat_areas", "loop_areas", "loop_outwardness", "orientation_faults", "outwardness"]
-
 MIXED = 0.02  # share of a panel's area whose triangles may wind against the rest: slivers of a bad mesh
 INWARD = -0.2  # outwardness of a garment that is inside out; garments reach 0.5 to 1
 SIDES: Mapping[str, tuple[str, str]] = {

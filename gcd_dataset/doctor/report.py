@@ -7,8 +7,6 @@ from typing import Any
 
 from gcd_dataset.doctor.checks import CHECKS, Check, Harm
 
-__all__ = ["Finding", "Report", "SplitSummary", "Tally"]
-
 EXAMPLES = 5
 MOST_DETAILS = 1000  # different faults of one check that are kept
 WIDTH = 9  # characters of the left column

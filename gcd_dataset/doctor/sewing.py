@@ -10,8 +10,6 @@ from gcd_dataset.doctor import checks
 from gcd_dataset.doctor.checks import Check
 from gcd_dataset.records import Pattern
 
-__all__ = ["open_edges", "sewing_faults"]
-
 OPEN = 0.2  # share of a seam's mesh edges on the border of the mesh, above which it is open
 RATIO = 0.01  # relative error of a stored gather ratio
 GATHERED = 6.0  # ratio of two lengths sewn together; ruffles of the design space reach 2, of the published data 3

@@ -9,8 +9,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.records import BoxMesh, Pattern
 
-__all__ = ["SKIN", "TILE", "panel_colour", "seam_vertices", "smooth_normals", "texture_coordinates"]
-
 TILE = 10.0  # cm of cloth that a texture covers
 SMALLEST_TILE, LARGEST_TILE = 0.01, 10_000.0  # cm: beyond, texture coordinates lose their digits as f32
 SKIN = (0.80, 0.77, 0.74)

@@ -29,8 +29,6 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.names import plain_names
 from gcd_dataset.records import Pattern, Sample
 
-__all__ = ["DxfLayer", "dxf", "dxf_bytes"]
-
 MM = 10.0  # millimetres in a centimetre
 DECIMALS = 2  # of a millimetre
 STANDARD = "ASTM/D13Proposal 1 Version:D6673-10"

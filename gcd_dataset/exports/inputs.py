@@ -13,8 +13,6 @@ from gcd_dataset.records import Body, BoxMesh, Drape, Pattern, Sample
 if TYPE_CHECKING:
     from gcd_dataset.generator.fitting import Fitting
 
-__all__ = ["EXTRA", "Draped", "body_of", "draped_mesh", "key_of", "optional", "pattern_of", "require_suffix"]
-
 EXTRA = "export"
 Draped: TypeAlias = Union[Sample, "Fitting"]
 """A garment with a drape: of a data set, or as ``drape_patterns`` makes it."""

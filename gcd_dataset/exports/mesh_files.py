@@ -13,8 +13,6 @@ from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, req
 from gcd_dataset.files import open_whole, write_whole
 from gcd_dataset.records import Body
 
-__all__ = ["BODY", "GLB_FACTS", "PANEL", "glb", "glb_bytes", "obj", "obj_text", "ply", "ply_bytes"]
-
 METRE = 0.01  # of a centimetre: glTF is in metres
 ROUGHNESS = 0.9  # of cloth
 GLB_FACTS = "gcd"

@@ -26,8 +26,6 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.names import plain_names
 from gcd_dataset.records import Panel, Pattern, Sample
 
-__all__ = ["bezier_pieces", "pdf", "pdf_bytes"]
-
 POINTS = 72 / 2.54  # of a PDF in a centimetre
 CUT_WIDTH, SEW_WIDTH, GRAIN_WIDTH, FRAME_WIDTH = 0.035, 0.02, 0.025, 0.01  # cm
 DASH = (0.4, 0.2)  # cm, of the sew line

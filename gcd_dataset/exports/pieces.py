@@ -22,8 +22,6 @@ from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern, Record, Seam
 from gcd_dataset.validate import require_valid
 
-__all__ = ["FOLD", "CutPiece", "EdgeText", "Notch", "cut_pieces", "polygon_area"]
-
 FOLD = "fold"
 """Label of an edge at which the cloth is folded: it gets no allowance."""
 TOLERANCE = 0.001  # cm between a curve and its polyline: areas of the narrowest panels are true to 0.05 %

@@ -15,8 +15,6 @@ from jaxtyping import Float
 from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.exports.packing import pack
 
-__all__ = ["PAPERS", "Page", "Paper", "Tiling", "paper_named", "tile"]
-
 MARGIN = 1.0  # cm that printers leave blank
 OVERLAP = 1.0  # cm
 GAP = 0.6  # cm between pieces on the sheet

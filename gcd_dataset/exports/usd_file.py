@@ -22,8 +22,6 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.names import plain_names
 from gcd_dataset.records import Body
 
-__all__ = ["usd"]
-
 METRES_PER_UNIT = 0.01
 SEAM_WIDTH = 0.3  # cm
 SEAM_COLOUR = (0.15, 0.15, 0.15)

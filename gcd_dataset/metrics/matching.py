@@ -12,8 +12,6 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.metrics.shapes import PanelShape, shape_or_none
 from gcd_dataset.records import EdgeRef, Pattern
 
-__all__ = ["FAR", "PanelPair", "match_panels", "match_shapes", "matched_edges"]
-
 DISTANCE_SCALE = 20.0  # cm: a distance that costs as much as outlines without overlap
 ANGLE_SCALE = np.pi / 2  # rad: a rotation that costs as much as outlines without overlap
 FAR = 40.0  # cm: panels further apart match only if their outlines are alike

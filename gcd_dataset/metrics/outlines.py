@@ -8,8 +8,6 @@ from jaxtyping import Float
 
 from gcd_dataset.metrics.shapes import PanelShape
 
-__all__ = ["Outline", "OutlineMap"]
-
 GAPS = (0.5, 10.0)  # cm: bounds of the cost of a corner without a match
 NOISE = 2.0  # gaps for each cm between corners and their nearest corner: matched corners are less than two gaps apart
 

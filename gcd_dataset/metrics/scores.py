@@ -13,8 +13,6 @@ from gcd_dataset.metrics.shapes import CONTOUR_POINTS, PanelShape, resample_loop
 from gcd_dataset.records import Pattern
 from gcd_dataset.validate import Severity, check_pattern
 
-__all__ = ["PatternScore", "bootstrap_interval", "bootstrap_means", "failed_score", "mean_scores", "score_pattern"]
-
 SHIFTS = 64  # starts of the predicted contour that are tried, besides its corners
 SMALLEST_AREA = 1.0  # cm²: a smaller panel cannot be sewn
 SAME_OUTLINE = 0.9  # least intersection over union of a right panel

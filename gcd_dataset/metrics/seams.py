@@ -18,8 +18,6 @@ from gcd_dataset.metrics.outlines import Outline, OutlineMap
 from gcd_dataset.metrics.shapes import PanelShape
 from gcd_dataset.records import EdgeRef, Pattern
 
-__all__ = ["SewnPiece", "seam_counts", "seam_lengths_score", "seam_mismatch", "sewn_pieces"]
-
 NEAR = 2.0  # cm: the partner of a point is right within this distance along the outline
 SHORT = 1e-6  # cm: shorter pieces are rounding errors
 

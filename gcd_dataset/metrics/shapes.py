@@ -11,8 +11,6 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Panel
 from gcd_dataset.tensors import area_centroid, require_closed
 
-__all__ = ["PanelShape", "resample_loop", "shape_or_none", "signed_area"]
-
 CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
 CONTOUR_POINTS = 256
 LARGEST = 1e12  # cm: specification files hold no larger number

@@ -29,8 +29,6 @@ from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.tar import BLOCK, padded
 
-__all__ = ["Archive"]
-
 logger = logging.getLogger("gcd_dataset")
 
 SCHEMA = 1

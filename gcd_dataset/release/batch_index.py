@@ -12,8 +12,6 @@ from gcd_dataset.release.properties import Properties, read_properties
 from gcd_dataset.release.published_names import SPLIT_FILE, batch_order, body_folders, properties_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["PublishedBatches"]
-
 logger = logging.getLogger("gcd_dataset")
 
 

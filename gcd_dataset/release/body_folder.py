@@ -26,8 +26,6 @@ from gcd_dataset.records import BodyShape, Measurements, Record
 from gcd_dataset.release.obj import ObjText, read_obj
 from gcd_dataset.shards.access import reading
 
-__all__ = ["FOLDER", "KINDS", "PublishedPeople"]
-
 FOLDER = "5000_body_shapes_and_measures"
 METRE = 100.0  # cm
 LARGEST = 1e4  # bound of weights, and of angles in degrees

@@ -14,8 +14,6 @@ from gcd_dataset.files import make_folder, write_whole, writing_to
 from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, reading
 
-__all__ = ["ReleaseDraft", "release_draft"]
-
 UNFINISHED, NOTE, LOCK = ".unfinished", ".garments", ".export.lock"
 
 

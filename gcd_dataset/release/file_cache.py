@@ -8,8 +8,6 @@ from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["cache_path", "file_stamp", "write_cache"]
-
 
 def cache_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
     """Path of the cache file of ``source``: hidden beside it, or in ``cache_dir`` under a unique name."""

@@ -10,8 +10,6 @@ from gcd_dataset.release.archive import Archive
 from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import read_file, reading
 
-__all__ = ["GarmentFiles", "open_batch"]
-
 ARCHIVES = (".tar.gz", ".tgz", ".tar")
 NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders of the authors' tools beside the garments
 

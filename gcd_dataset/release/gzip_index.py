@@ -32,8 +32,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-__all__ = ["WINDOW", "GzipScanner", "SeekPoint", "read_from"]
-
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
 EVERY = (
     1 << 24

@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 from gcd_dataset.bodyfiles import obj_lines, read_body_file
 from gcd_dataset.errors import BodyError
 
-__all__ = ["ObjText", "read_obj"]
-
 
 @dataclass(frozen=True)
 class ObjText:

@@ -24,8 +24,6 @@ from gcd_dataset.bodyfiles import read_body_file
 from gcd_dataset.errors import BodyError
 from gcd_dataset.records import Body, Record
 
-__all__ = ["PcaShapes", "read_pca"]
-
 HEADER = struct.Struct("<II")
 METRE = 100.0  # cm
 UNIT_TOLERANCE = 1e-6  # error of the components' dot products; rounding leaves 1e-12

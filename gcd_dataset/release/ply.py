@@ -14,8 +14,6 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ShardError
 from gcd_dataset.records import Record
 
-__all__ = ["Ply", "read_ply", "weld", "write_ply"]
-
 VERTEX = np.dtype([("position", "<f4", 3), ("texture", "<f8", 2)])
 FACE = np.dtype([("corners", "u1"), ("rows", "<i4", 3)])
 HEADER = """ply

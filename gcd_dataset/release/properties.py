@@ -18,8 +18,6 @@ from gcd_dataset.release.published_names import REMEDY
 from gcd_dataset.shards.access import read_file
 from gcd_dataset.yamlfile import PlainLoader, require_shallow
 
-__all__ = ["Facts", "Properties", "read_properties"]
-
 SCHEMA = 1
 COUNTS = {"frames": "fin_frame", "self_crossings": "self_collisions", "body_crossings": "body_collisions"}
 

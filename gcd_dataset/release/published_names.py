@@ -15,18 +15,6 @@ from collections.abc import Mapping
 from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.filekinds import BODY_FOLDERS
 
-__all__ = [
-    "BODY_FOLDERS",
-    "DEFAULT_BODY",
-    "ENDINGS",
-    "REMEDY",
-    "SPLIT_FILE",
-    "SPLIT_NAMES",
-    "batch_order",
-    "body_folders",
-    "properties_name",
-]
-
 REMEDY = "extract or download it again"
 
 ENDINGS: Mapping[str, str] = {

@@ -23,8 +23,6 @@ from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.yamlfile import PlainLoader, require_shallow, require_small
 
-__all__ = ["PublishedGarment"]
-
 SEAM = "stitch_"  # prefix of seam vertices in the segmentation file
 SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)

@@ -16,8 +16,6 @@ from gcd_dataset.release.body_folder import FOLDER
 from gcd_dataset.release.obj import read_obj
 from gcd_dataset.release.published_names import DEFAULT_BODY
 
-__all__ = ["published_body"]
-
 METRE = 100.0  # cm
 NEUTRAL = "neutral_body"
 KEPT = 4  # bodies: 1.4 MB each

@@ -23,8 +23,6 @@ from gcd_dataset.release.ply import Ply, weld, write_ply
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import spec_from_pattern
 
-__all__ = ["FAIL_CLASSES", "PatternDrawing", "garment_files", "yaml_bytes"]
-
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 PICTURE = 800  # width and height of a render [pixels]
 PICKLE = 4  # pickle protocol

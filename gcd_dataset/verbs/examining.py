@@ -25,8 +25,6 @@ from gcd_dataset.release import PublishedBatches, PublishedGarments
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, key_of
 
-__all__ = ["doctor"]
-
 QUICK = 200  # garments of each split that are read with ``quick``
 BATCH = 16  # garments in one read, in parallel from a server
 MOST_COMPARED = 5000  # candidates for near duplicates that are read again

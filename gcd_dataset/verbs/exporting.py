@@ -18,8 +18,6 @@ from gcd_dataset.shards.tar import END, tar_entry
 if TYPE_CHECKING:
     from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["Form", "export"]
-
 Form = Literal["hdf5", "plain", "published"]
 HDF5 = (".h5", ".hdf5")
 SAMPLES = 256  # of a plain tar

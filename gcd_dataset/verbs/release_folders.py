@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError, shown
+from gcd_dataset.filekinds import BODY_FOLDERS
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.colours import INK, cloth_colour
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
@@ -25,13 +26,11 @@ from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.draft import ReleaseDraft, release_draft
-from gcd_dataset.release.published_names import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
+from gcd_dataset.release.published_names import DEFAULT_BODY, SPLIT_NAMES, properties_name
 from gcd_dataset.release.write import FAIL_CLASSES, PatternDrawing, garment_files, yaml_bytes
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import splits_in
 from gcd_dataset.verbs.statistics import batch_properties, garment_type
-
-__all__ = ["export_published", "exported_splits"]
 
 logger = logging.getLogger("gcd_dataset")
 

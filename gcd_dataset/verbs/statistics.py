@@ -10,8 +10,6 @@ import numpy as np
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.release.published_names import DEFAULT_BODY
 
-__all__ = ["batch_properties", "garment_type"]
-
 UPPERS = {member.value: member.garment for member in Upper}
 BOTTOMS = {member.value: member.garment for member in Bottom}
 DRESS = 1.4  # least sum of the lengths of top, belt and skirt of a dress

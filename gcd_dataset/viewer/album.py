@@ -27,19 +27,6 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.metrics import PatternScore
 
-__all__ = [
-    "ANY",
-    "NO_BODY",
-    "Album",
-    "Filter",
-    "Found",
-    "PublishedAlbum",
-    "ShardAlbum",
-    "SpecAlbum",
-    "published_content",
-    "spec_album",
-]
-
 Source = Callable[[], Pattern]
 KEPT_MATCHES = 32  # albums whose keys are kept as a mapping
 PREDICTED = re.compile("_(predicted|prediction)$")  # ends of names that are not part of a garment's

@@ -13,8 +13,6 @@ from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
 
-__all__ = ["Content", "Rows", "body_of", "content_of", "crossing_vertices"]
-
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
 SPEC_SPACING = 2.0  # cm, of the mesh of a specification file

@@ -16,8 +16,6 @@ from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 from gcd_dataset.records import Body, Pattern
 from gcd_dataset.viewer.content import Content, crossing_vertices
 
-__all__ = ["Control", "Desk", "Drawing", "controls", "measure_controls"]
-
 COARSE = 3.0  # cm, of the mesh that is draped on request
 DRESS: Mapping[str, Any] = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}}
 """The design to start from."""

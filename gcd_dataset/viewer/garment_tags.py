@@ -16,8 +16,6 @@ from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.sections import Coding, pack, unpack
 
-__all__ = ["OUTCOME", "TAG", "GarmentTags"]
-
 CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk
 KEPT_FILES = 64  # data sets in the cache, the latest ones
 FOLDER = "tags"

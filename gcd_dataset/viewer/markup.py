@@ -13,8 +13,6 @@ from gcd_dataset.generator.lay_plan import LayPlan
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Pattern
 
-__all__ = ["asset", "inline_svg", "picture", "script_data", "table"]
-
 
 @cache
 def asset(name: str) -> str:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders import FreshGarments, Garments
     from gcd_dataset.loaders.body_datasets import Bodies
 
-__all__ = ["batch_html", "bodies_html", "dataset_html", "fresh_html", "item_html", "pattern_html", "sample_html"]
-
 SHOWN = 6  # garments of a data set or a batch
 BODY_HEIGHT = 300  # pixels: twice the height of display, for sharp screens
 PICTURES = ("front", "back")

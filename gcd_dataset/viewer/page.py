@@ -24,8 +24,6 @@ from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.markup import asset, inline_svg, picture, script_data, table
 
-__all__ = ["page_of"]
-
 SCRIPTS = ("geometry.js", "scale.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
 COMPRESSION = 6  # of zlib: level 9 takes three times as long and saves 0.3 %

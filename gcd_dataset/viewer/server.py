@@ -33,8 +33,6 @@ from gcd_dataset.viewer.page import page_of
 if TYPE_CHECKING:
     from gcd_dataset.viewer.design_desk import Control, Desk
 
-__all__ = ["Answer", "Design", "Gallery", "serve"]
-
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length

@@ -11,8 +11,6 @@ from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, refinement, 
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.records import BodyPart
 
-__all__ = ["LOCAL", "PHENOTYPES", "AnnyBodies"]
-
 TOPOLOGY = "anny-noeyes-notongue"  # one closed skin of 13,348 vertices
 RACE = {"african": 0.2, "asian": 0.2, "caucasian": 0.6}
 PHENOTYPES = ("gender", "muscle", "weight", "height", "proportions", "cupsize", "age")

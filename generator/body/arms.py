@@ -12,8 +12,6 @@ from gcd_dataset.generator.body.register import ARMS, PIVOT, Alignment, Registra
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
-__all__ = ["A_POSE_TOLERANCE", "ArmPose", "model_mesh_in_a_pose", "turn_off_a_pose"]
-
 A_POSE_TOLERANCE = np.radians(20.0)
 """Arms rotated from the A-pose by less are measured without moving them [rad]; drawn bodies have up to 15°."""
 

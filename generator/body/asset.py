@@ -21,19 +21,6 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.subdivide import refine
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = [
-    "COARSE_PARTS",
-    "MIRROR",
-    "BodyModel",
-    "LandmarkTable",
-    "body_model",
-    "checked_data",
-    "landmark_table",
-    "mirrored_mesh",
-    "refinement",
-    "stored_half",
-]
-
 MIRROR = np.array([-1.0, 1.0, 1.0])
 COARSE_PARTS = (BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET, BodyPart.INTERNAL)  # dense enough unrefined
 

@@ -29,8 +29,6 @@ from gcd_dataset.generator.body.anny_bodies import LOCAL, AnnyBodies
 from gcd_dataset.generator.body.asset import landmark_table
 from gcd_dataset.generator.body.tailor import find_sites, take_measures
 
-__all__ = ["bake"]
-
 ADULTS = 700  # bodies drawn for each sex
 COMPONENTS = 20
 SEED = 1

@@ -13,8 +13,6 @@ from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["named_body", "shape_by_name"]
-
 MAX_SEED_DIGITS = 100
 
 

@@ -32,8 +32,6 @@ from gcd_dataset.generator.body.shape import build_body
 from gcd_dataset.generator.body.survey import Survey, survey_measures, survey_of
 from gcd_dataset.records import BodyPart, BodyShape
 
-__all__ = ["calibrated"]
-
 ROUNDS = 6
 DAMPING = 0.3  # share of the correction that is applied after a round, since measures vary together
 PEOPLE = 700  # bodies drawn in a round, each with its mirror image about the mean (antithetic sampling)

@@ -11,8 +11,6 @@ from gcd_dataset.generator.body.section import section_points
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["arm_clearance"]
-
 X, Y, Z = range(3)
 ARMPIT = 3.0  # cm below the underarm point, where arm and trunk separate; GarmentCode's armholes reach 2.5 cm down
 

@@ -13,8 +13,6 @@ from gcd_dataset.generator.body.holes import Holes, half_edges_of
 from gcd_dataset.generator.body.scan import coincident_vertices
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["WIDEST_HOLE", "ClosedSkin"]
-
 WIDEST_HOLE = 10.0  # cm across; a flat patch over it lies up to 1.3 cm below the skin of a limb of 10 cm radius
 
 

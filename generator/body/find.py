@@ -15,8 +15,6 @@ from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart
 
-__all__ = ["find_landmarks", "find_parts"]
-
 CONFIDENCE_RADIUS = 6.0  # cm about a landmark within which the misfit decides its confidence
 WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
 WRIST_REACH = 7.0  # cm from the ring within which faces are searched for the wrist: excludes the trunk

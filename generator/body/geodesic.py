@@ -14,9 +14,6 @@ from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Record
 
-__all__ = ["GeodesicGraph", "graph_between"]
-
-
 BAND = 0.035  # half width of the searched band about the rough path, as a share of the distance
 
 

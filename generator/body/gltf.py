@@ -8,8 +8,6 @@ from typing import Any
 from gcd_dataset.errors import BodyError
 from gcd_dataset.jsonfile import parse_json
 
-__all__ = ["require_readable"]
-
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 MAX_NODES = 2_000  # a rigged figure has some hundred

@@ -10,8 +10,6 @@ from scipy.spatial.distance import pdist
 
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "VisibleSkin", "half_edges_of"]
-
 MAX_PAIRWISE = 2000  # points of a rim; with more, its width is the diagonal of its bounding box
 
 

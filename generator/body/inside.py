@@ -6,8 +6,6 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Body
 
-__all__ = ["InsideTest"]
-
 SKIN = 0.5  # cm: a point nearer than this to a face centre counts as inside
 EVERY = 4  # sampling: every fourth face
 

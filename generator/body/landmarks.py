@@ -17,8 +17,6 @@ from gcd_dataset.generator.body.asset import landmark_table
 from gcd_dataset.jsonfile import found, read_json, whole
 from gcd_dataset.records import Record
 
-__all__ = ["LEVEL_RINGS", "GivenLandmarks", "Landmarks", "levels_of", "model_landmarks", "read_landmarks"]
-
 LEVEL_RINGS = ("bust", "underbust", "waist", "hips", "leg_right")
 """Rings used for their mean height alone: the level of a girth."""
 OUTSIDE = 0.05  # largest distance of a landmark from the mesh's bounding box, as a share of the box's size

@@ -12,8 +12,6 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.per_body import kept_per_body
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["Limb", "leg_of", "limbs_of"]
-
 FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
 OUTLIERS = 0.5  # percent of the vertices at either end of each axis that a segmentation may mislabel

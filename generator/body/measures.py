@@ -10,22 +10,6 @@ from jaxtyping import Float
 from gcd_dataset.generator.body.section import clipped, girth, tape
 from gcd_dataset.measurements import SIDEWAYS
 
-__all__ = [
-    "above",
-    "along",
-    "apart",
-    "around",
-    "down_spine",
-    "height",
-    "larger_thigh",
-    "leaning",
-    "over_back",
-    "over_breast",
-    "round_section",
-    "sinking",
-    "to_crown",
-]
-
 X, Y = 0, 1
 XZ, ZY = slice(0, 3, 2), slice(2, 0, -1)
 BACK = (0.0, -1.0)  # the backward direction as (x, z), in a level section

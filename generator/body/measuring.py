@@ -27,8 +27,6 @@ from gcd_dataset.generator.body.tailor import MeasureResult, measure_at, model_s
 from gcd_dataset.generator.body.upright import UprightScan, find_upright, unit_of
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["FoundBody", "find_body", "measure", "measure_closely", "measure_model_mesh"]
-
 SAME_VERTICES = 5.0  # cm: median distance of a model mesh's vertices from those of the registered model, if the same
 
 

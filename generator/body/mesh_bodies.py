@@ -21,8 +21,6 @@ from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
 
-__all__ = ["measure_file", "read_body"]
-
 log = logging.getLogger(__name__)
 
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4

@@ -14,8 +14,6 @@ from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import GIRTHS, MeasureResult, Sites, relative_height
 from gcd_dataset.records import BodyPart
 
-__all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_uncertainty"]
-
 MISSING = 3.0  # cm: largest median distance of a present part from the scan
 STRAY = 8.0  # cm: surface further from the registered model is not part of the body
 STRAY_SHARE = 0.02  # largest share of the mesh's area that is stray: a bun, a heel, a fragment

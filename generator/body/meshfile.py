@@ -21,8 +21,6 @@ from gcd_dataset.generator.body.scan import is_convex
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-__all__ = ["read_mesh"]
-
 MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
 MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
 MAIN_SHARE = 0.8  # share of the total area above which one of several meshes is taken for the body

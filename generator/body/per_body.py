@@ -7,8 +7,6 @@ from typing import TypeVar
 
 from gcd_dataset.records import Body
 
-__all__ = ["kept_per_body"]
-
 Derived = TypeVar("Derived")
 
 

@@ -13,8 +13,6 @@ from jaxtyping import Float
 from gcd_dataset.generator.body.asset import checked_data
 from gcd_dataset.records import Record
 
-__all__ = ["FEMALE_SHARE", "GROUPS", "POOLED", "SEXES", "Adults", "adults_of", "weights_of"]
-
 SEXES = ("female", "male")
 POOLED = "pooled"
 """The pool of GarmentCodeData: bodies about the neutral one, mostly between the sexes."""

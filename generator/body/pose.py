@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["LEGS_APART", "T_POSE", "set_pose", "stand"]
-
 LEGS_APART = np.radians(3.0)
 """Rotation of each thigh with legs apart [rad]: moves the feet from 15 to 19 cm off the midplane."""
 

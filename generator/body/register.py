@@ -18,19 +18,6 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = [
-    "ARMS",
-    "PIVOT",
-    "Alignment",
-    "Registration",
-    "coarse_alignment",
-    "joints_of",
-    "model_height",
-    "quick_alignment",
-    "register",
-    "registration_at",
-]
-
 ROUGH, FINE = 500, 1600  # numbers of model vertices matched to the surface
 TANGENTIAL = 0.2  # weight of distances along the surface; 1 along its normal
 BLOCK = 64  # rows in one matrix product

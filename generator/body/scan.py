@@ -14,8 +14,6 @@ from gcd_dataset.generator.body.holes import Holes
 from gcd_dataset.generator.body.surface import subdivide_long_edges
 from gcd_dataset.records import Record
 
-__all__ = ["Scan", "coincident_vertices", "is_convex", "kept_mesh"]
-
 MIN_FACES = 500  # fewer give girths off by more than a centimetre: see the benchmark case `measures`
 BODY_SHARE = 0.8  # share of the area above which the largest piece is taken for the body
 OBJECT_SHARE = 0.02  # share of the area above which a convex piece, such as a floor or a box, is left out of that share

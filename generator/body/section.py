@@ -8,8 +8,6 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["clipped", "contour_length", "girth", "loops", "rough_girths", "section", "section_points", "tape"]
-
 CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
 )

@@ -15,17 +15,6 @@ from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
 from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh, Smoothed
 from gcd_dataset.records import Body, BodyShape
 
-__all__ = [
-    "DrawnShape",
-    "build_body",
-    "draw_from",
-    "draw_shape",
-    "female_shape",
-    "male_shape",
-    "named_shape",
-    "neutral_shape",
-]
-
 SPREAD = 0.7  # standard deviation of pooled weights, as in GarmentCodeData
 CLEFT = 0.1  # cm: least gap between the skin and its mirror image
 MAX_ARM_ANGLE = np.radians(15.0)  # largest sampled turn of the arms, up or down from the A-pose, as in GarmentCodeData

@@ -16,8 +16,6 @@ from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.shape import build_body
 from gcd_dataset.records import ANGLES, MEASURES, BodyShape, Measurements
 
-__all__ = ["FittedShape", "fit_shape"]
-
 STEPS = 12
 DIFFERENCES = (0.3, 0.1)
 """Half widths of the central differences, used in turn [standard deviations]. Girth levels are searched in steps of

@@ -6,8 +6,6 @@ from scipy.sparse import csr_matrix
 
 from gcd_dataset.meshedges import mesh_edges
 
-__all__ = ["refine"]
-
 
 def refine(
     faces: Int[np.ndarray, "f 3"], marked: Bool[np.ndarray, " f"], n_vertices: int

@@ -9,8 +9,6 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "SkinSurface", "subdivide_long_edges"]
-
 LONGEST_EDGE = 6.0  # cm; longer edges are halved, so that the centroid of a near triangle is near
 MAX_TRIANGLES = 300_000  # after subdivision; slivers a metre long would give millions
 CANDIDATES = 8  # triangles with the nearest centroids, whose distances are computed exactly

@@ -20,8 +20,6 @@ from gcd_dataset.generator.body.section import girth, rough_girths, section_poin
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["HANGING", "Survey", "body_weight", "shoulder_breadths", "shoulders_of", "survey_measures", "survey_of"]
-
 X, Y, Z = range(3)
 XZ, ZY = [0, 2], [2, 1]
 BACK = (-1.0, 0.0)  # the backward direction as (z, y), in a sagittal section

@@ -24,19 +24,6 @@ from gcd_dataset.measurements import MEASURE
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, Measurements, Record
 
-__all__ = [
-    "USUAL_HEIGHT",
-    "MeasureResult",
-    "Sites",
-    "arm_graph",
-    "find_sites",
-    "measure_at",
-    "model_sites",
-    "relative_height",
-    "sites_of",
-    "take_measures",
-]
-
 GIRTHS = ("bust", "underbust", "waist", "hips")
 LANDMARKS_AT_LEVEL = {
     "bust": ("bust_left", "bust_right", "bust_side_left", "bust_side_right"),

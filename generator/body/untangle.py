@@ -15,8 +15,6 @@ from scipy.sparse import csr_matrix, diags_array
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Record
 
-__all__ = ["ROUNDS", "SkinMesh", "Smoothed"]
-
 ROUNDS = 20  # most rounds of smoothing; one to five suffice
 PASSES = 4  # smoothing passes in a round
 RINGS = 2  # rings of neighbours that are smoothed with a folded face

@@ -23,8 +23,6 @@ from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.measurements import ADULT, is_adult_height
 from gcd_dataset.records import Record
 
-__all__ = ["UNITS", "StandingTransform", "UprightScan", "find_upright", "unit_of"]
-
 UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
 MAX_MISFIT = 1.0  # cm; of an upright body in a coarse fit; drawn bodies have 0.2 to 0.6
 MIN_GAIN = 1.3  # a turned orientation is chosen if the misfit as given is larger by this factor

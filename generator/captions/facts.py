@@ -14,8 +14,6 @@ from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
 
-__all__ = ["OutfitFacts", "outfit_facts"]
-
 NARROW, WIDE = 4.0, 9.0  # cm: largest height of a narrow and least of a wide waistband
 LOOSE = 1.15  # least girth of a loose waistband over the body's
 AT_WAIST, BELOW_WAIST = 0.95, 0.7  # least rise of a top at the waist, and of one just below it

@@ -8,8 +8,6 @@ from gcd_dataset.generator.garments.description import Words
 from gcd_dataset.generator.garments.tags import HEMS
 from gcd_dataset.records import Measurements
 
-__all__ = ["knee_depth", "leg_words", "shirt_words", "skirt_words"]
-
 KNEE_HEIGHT = 0.285  # of the body's height: R. Drillis and R. Contini, Body Segment Parameters, 1966
 AT_KNEE = 0.05  # of hips to floor: a hem nearer to the knee than this, four to five centimetres, is at the knee
 WAIST = (-0.08, 0.4)  # depth of a shirt's hem below the waist, of waist to hips: largest of cropped and of waist-length

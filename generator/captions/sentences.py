@@ -10,8 +10,6 @@ from gcd_dataset.captions import LEVELS
 from gcd_dataset.generator.captions.facts import OutfitFacts
 from gcd_dataset.generator.garments.description import Place, Words, joined, with_article
 
-__all__ = ["MOST_SHORT_WORDS", "Said", "say"]
-
 MOST_SHORT_WORDS = 12
 USUAL_SHORT_WORDS = 10
 MOST_LISTED = 4  # details in one sentence

@@ -25,8 +25,6 @@ from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_h
 from gcd_dataset.generator.drape.streams import native_builds
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields", "host_field"]
-
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
 CACHED = 8  # fields and skins kept for later drapes

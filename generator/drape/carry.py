@@ -9,8 +9,6 @@ from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts
 from gcd_dataset.generator.drape.solver import Solver
 
-__all__ = ["carry_over"]
-
 VERTEX_ARRAYS = (
     "x",
     "v",

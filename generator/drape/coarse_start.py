@@ -11,8 +11,6 @@ from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh.coarse import CoarseMesh
 
-__all__ = ["start_from_coarse"]
-
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 
 

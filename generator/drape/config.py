@@ -10,8 +10,6 @@ from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
-__all__ = ["DrapeConfig", "DrapeJob"]
-
 GRAVITY = 981.0  # cm/s²
 USUAL_FABRIC = Fabric()
 

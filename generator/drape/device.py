@@ -17,19 +17,6 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError, OutputError
 
-__all__ = [
-    "cores",
-    "device_names",
-    "every_device",
-    "keep_freed_memory",
-    "keep_some_memory",
-    "kernels_cached",
-    "launch_lock",
-    "load_kernels",
-    "resolve_device",
-    "to_host",
-]
-
 logger = logging.getLogger("gcd_dataset")
 
 # Warp logs every module it loads; in a data loader's workers that drowns the user's output.

@@ -12,10 +12,9 @@ from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import cores, resolve_device
 from gcd_dataset.generator.drape.loading import load_drape
-from gcd_dataset.generator.drape.queue import PreparedJob, drape_unordered
+from gcd_dataset.generator.drape.passes import PreparedJob
+from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.records import Drape, Outcome
-
-__all__ = ["batch_capacity", "drape_all", "drape_batch"]
 
 DEFAULT = DrapeConfig()
 AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200

@@ -6,8 +6,6 @@ from typing import NamedTuple, Self
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["POISSON", "STIFFEST", "Bending", "Fabric", "Tensile", "bias_stiffness", "shear_stiffness"]
-
 GRAMS_PER_CM2 = 0.1  # one kg/m²
 DYNES_PER_CM = 1e3  # one N/m
 DYNE_CM = 1e7  # one N·m

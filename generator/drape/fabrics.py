@@ -11,8 +11,6 @@ from types import MappingProxyType
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile, bias_stiffness
 
-__all__ = ["DEFAULT_FABRIC", "FABRICS", "fabric_named"]
-
 DEFAULT_FABRIC = "default"
 # ``Fabric.source`` is stored in samples: rewording a source changes their bytes.
 GARMENTCODE = (

@@ -18,8 +18,6 @@ from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["BodyConstraints", "fell", "find_keepers", "floor_height", "holds", "ignored_parts", "off_body", "own_parts"]
-
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 SLIDING_DROP = 18.0  # cm below its hold at which an edge has slid off: about armpits to waist
 UNDER_HIPS = 4.0  # cm below the hips: the hips do not support a waistband that has slid further

@@ -17,8 +17,6 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.streams import WorkStream
 from gcd_dataset.records import Drape
 
-__all__ = ["Lane"]
-
 POLL_EVERY = 5  # frames between two reads of the status
 AHEAD = 10  # frames queued before the host works for another lane
 IDLE = 0.5  # share of the worlds that may be idle while jobs wait: rebuilding a batch takes time

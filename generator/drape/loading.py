@@ -23,8 +23,6 @@ from gcd_dataset.generator.drape.kernels import (
 )
 from gcd_dataset.generator.estimates import core_seconds
 
-__all__ = ["kernels_compiled", "load_drape", "log_drape_time", "seconds_per_garment", "seconds_to_drape"]
-
 logger = logging.getLogger("gcd_dataset")
 
 KERNELS: tuple[ModuleType, ...] = (

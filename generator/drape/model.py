@@ -18,8 +18,6 @@ from gcd_dataset.generator.drape.kernels.rows import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
 from gcd_dataset.generator.drape.topology import Topology, build_topology
 
-__all__ = ["ClothModel", "build_model"]
-
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # stability limit of (omega h)², see kernels/elastic.py
 SAFETY = 0.9  # share of that limit
 LEAVING_SPEED = 80.0  # cm/s, of cloth that leaves the body's inside

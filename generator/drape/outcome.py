@@ -14,8 +14,6 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.untangling import untangle
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["best_of", "collect", "crosses", "slid_off", "slid_worlds"]
-
 KEEPS_CROSSINGS = (Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.THROUGH_ITSELF, Outcome.OVERSTRETCHED)
 """Outcomes of garments that came to rest on the body, with crossings or without."""
 

@@ -21,8 +21,6 @@ from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
 
-__all__ = ["Pass", "PendingJobs", "PreparedJob", "next_batch"]
-
 
 @dataclass(frozen=True)
 class PreparedJob:

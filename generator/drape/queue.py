@@ -13,8 +13,6 @@ from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.drape.streams import work_streams
 from gcd_dataset.records import Drape
 
-__all__ = ["PreparedJob", "drape_unordered"]
-
 LANES = 3  # batches on a GPU: while the host replaces garments of one, the frames of the others keep the GPU busy
 POLL_SECONDS = 1e-4  # s
 

@@ -7,8 +7,6 @@ import numpy as np
 from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile, bias_stiffness, shear_stiffness
 from gcd_dataset.generator.drape.fabrics import FABRICS
 
-__all__ = ["MEASURED", "RANDOM_FABRIC", "draw_fabric"]
-
 RANDOM_FABRIC = "random"
 MEASURED = (
     "denim",

@@ -7,8 +7,6 @@ from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, F
 from gcd_dataset.generator.drape.kernels.sheet import SLIVER
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["bending_energy", "closest_on_triangle", "segment_crosses_triangle", "stretch_energy"]
-
 
 def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -> float:
     """Membrane energy of all triangles, from the strains of their sides [g cm²/s²].

@@ -17,8 +17,6 @@ from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
 from gcd_dataset.generator.drape.streams import native_builds
 
-__all__ = ["Solver", "nothing"]
-
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer lists in strides

@@ -9,8 +9,6 @@ from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels.world import Contacts, CrossingWatch, FrameCounts, SearchState
 from gcd_dataset.generator.drape.model import ClothModel
 
-__all__ = ["NOT_COUNTED", "ClothState", "new_state"]
-
 NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 

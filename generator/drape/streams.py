@@ -17,8 +17,6 @@ import warp as wp
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.device import launch_lock
 
-__all__ = ["WorkStream", "native_builds", "work_streams"]
-
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING, flag of cuStreamCreate
 
 

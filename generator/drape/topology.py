@@ -15,8 +15,6 @@ from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["Topology", "build_topology"]
-
 WARP = 32  # threads of a CUDA warp
 
 

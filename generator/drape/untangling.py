@@ -15,8 +15,6 @@ from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.state import NOT_COUNTED
 
-__all__ = ["untangle"]
-
 STEP = 1.0 / 120.0  # s
 ITERATIONS = 10  # conjugate gradient iterations in each step; 20 iterations untangle no more garments
 POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it

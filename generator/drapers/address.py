@@ -19,8 +19,6 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, DrapeError
 
-__all__ = ["DRAPERS_PER_GPU", "READY", "DraperAddress", "address_for", "addresses_for", "owner_file", "socket_file"]
-
 READY = "ready"
 DRAPERS_PER_GPU = 2  # processes: one prepares its next batch, or renders pictures, while the other simulates
 MAX_SOCKET_PATH = 90  # characters: systems allow 104 to 108

@@ -19,8 +19,6 @@ from gcd_dataset.waits import Waits
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
 
-__all__ = ["DrapeReply", "DrapeRequest", "Draper", "make_reply", "require_faces"]
-
 
 @dataclass(frozen=True)
 class DrapeRequest:

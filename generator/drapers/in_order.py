@@ -12,8 +12,6 @@ from gcd_dataset.waits import record_wait
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
 
-__all__ = ["Work", "in_order"]
-
 Made = TypeVar("Made")
 
 

@@ -11,8 +11,6 @@ from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, make_reply, require_faces
 from gcd_dataset.records import Drape
 
-__all__ = ["LocalDraper"]
-
 
 class LocalDraper:
     """Drapes in this process, during the calls of ``receive``.

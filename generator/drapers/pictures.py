@@ -13,8 +13,6 @@ from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
 
-__all__ = ["PictureQueue"]
-
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
 SIDES: tuple[View, View] = ("front", "back")
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared

@@ -9,8 +9,6 @@ from gcd_dataset.generator.drapers.address import DraperAddress
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
 from gcd_dataset.generator.drapers.transport import send_object
 
-__all__ = ["AT_ONCE", "SharedDraper"]
-
 AT_ONCE = 24  # requests of each client: eleven clients fill both batches of a GPU, 2 x 128
 
 

@@ -13,8 +13,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import IO, Any
 
-__all__ = ["receive_object", "send_object"]
-
 ALIGNMENT = 64  # bytes
 
 

@@ -11,8 +11,6 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern
 from gcd_dataset.spec import role_by_name
 
-__all__ = ["describe_labels", "label_panels", "trunk_part"]
-
 ASIDE = 0.1  # share of the trunk's half width: a panel nearer to the middle is not on an arm
 BESIDE = 20.0  # cm, largest distance from an arm's axis, across it, to the centroid of a panel on the arm
 BEFORE = 28.0  # cm, largest distance before or behind the arm's axis: lapels, further out, are on the trunk

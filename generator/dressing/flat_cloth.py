@@ -12,8 +12,6 @@ from scipy.sparse.linalg import spsolve
 
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["FlatCloth"]
-
 LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
 
 

@@ -15,8 +15,6 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRole, Panel, PanelRole, Pattern, Placement
 from gcd_dataset.spec import is_bodice, role_by_name
 
-__all__ = ["height_for", "in_body_frame", "moved", "placed_outline"]
-
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 OVER = 20.0  # cm above the height at which an edge is worn: the highest place of one for a taller wearer
 UNDER_NECK = 4.0  # cm below that: shoulders sewn lower slide under the arms

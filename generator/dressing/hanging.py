@@ -23,8 +23,6 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import role_by_name
 
-__all__ = ["hang_from_lay_plan"]
-
 ON_SEAM = 9  # points of a seam, for aligning its two sides
 CLOSED = 12.0  # cm: a seam closes if the mean distance between its sides on the table is smaller
 UPRIGHT = 5.0  # cm: a panel stays upright if turning it would close its seams by less than this

@@ -12,8 +12,6 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["has_legs", "label_edges"]
-
 COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
 HOLDING = frozenset({*COLLARS, EdgeRole.STRAPLESS_TOP, EdgeRole.LOWER_INTERFACE})
 LEGS_WITHIN = 36.0  # cm from the middle to the centre of a leg opening, at most; openings further out belong to sleeves

@@ -9,8 +9,6 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["ASIDE", "Opening", "edge_points", "middle_of", "openings_of", "panel_outline"]
-
 ASIDE = 8.0  # cm from the middle to the centre of an opening: openings further out belong to an arm or a leg
 POINTS = 9  # sample points of an edge
 PAIRED = 40  # largest number of openings compared in pairs, the longest; garments have up to ten

@@ -13,8 +13,6 @@ from gcd_dataset.generator.dressing.openings import panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, Pattern
 
-__all__ = ["place_panels"]
-
 LEVEL = 1.0  # cm: largest distance of panels from the plane in which they lie
 LATTICE = 4.0  # cm between the sample points of a panel
 INSIDE = 0.15  # share of a panel's points inside the body, above which the panel is moved out

@@ -13,8 +13,6 @@ from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["roll_round_limb"]
-
 GAP = 1.0  # cm between a rolled panel and the limb
 ROOT = 10.0  # cm: nearer to its root the panel keeps a share of its position
 BEFORE_END = 1.0  # cm between the end of the panel and that of the limb

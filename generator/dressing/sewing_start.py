@@ -25,8 +25,6 @@ from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["sewing_start"]
-
 ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
 ARMPIT = 22.0  # cm below the top of the arm's skin: the armhole surrounds the arm above this height
 UNDER_CROTCH = 2.0  # cm below the crotch seam, where a trouser leg is a tube

@@ -12,8 +12,6 @@ from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.records import BoxMesh, EdgeRole
 
-__all__ = ["Skirt"]
-
 RISE = 5.0  # cm: a skirt that reaches further above its top starts on a cone
 HALF_WIDTH = 60.0  # cm: a skirt that reaches further to a side of the middle starts on a cone
 SLOPE = 0.5  # cm of descent per cm of distance from a flat panel's top, at least: 60° from the vertical

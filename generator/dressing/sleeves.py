@@ -13,8 +13,6 @@ from gcd_dataset.generator.dressing.openings import edge_points, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement
 
-__all__ = ["turn_sleeves"]
-
 MISAIMED = np.radians(25.0)  # a sleeve further off its arm is turned; arm angles are sampled up to 15°
 SHORTEST = 6.0  # cm from the armhole to the centroid of a sleeve: the direction of a shorter one is uncertain
 

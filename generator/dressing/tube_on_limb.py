@@ -10,8 +10,6 @@ from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["put_on_limb"]
-
 SECTION = 2.0  # median edges: length of a cross section along the tube; shorter ones would miss a side of it
 ROOT = 10.0  # cm: nearer to its root a tube may lie beside the limb's axis
 GAP = 1.0  # cm that a cross section must reach beyond the limb on either side

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, Measurements
 
-__all__ = ["Wearer", "wearer_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Wearer:

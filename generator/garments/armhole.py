@@ -8,8 +8,6 @@ from gcd_dataset.curves import Cubic
 from gcd_dataset.generator.pattern import Outline, Stroke
 from gcd_dataset.records import EdgeRole
 
-__all__ = ["Armhole", "armhole"]
-
 CURVE = Cubic((0.2, -0.35), (0.5, -0.2))  # edge frame, from underarm to shoulder, GarmentCode
 
 

@@ -9,8 +9,6 @@ from gcd_dataset.generator.garments.torso import TorsoHalf
 from gcd_dataset.generator.pattern import Outline, chain_from, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["fitted_back", "fitted_front"]
-
 WAIST_DART_SHARE = 2 / 3  # share of the front's waist excess in the dart; the rest at the side, GarmentCode
 WAIST_DART_LEG = 0.9  # dart leg over waist to bust, GarmentCode
 SIDE_DART_LEG = 0.75  # dart leg over side to bust point, GarmentCode

@@ -24,9 +24,6 @@ from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["CAPE", "CapeDesign", "cape"]
-
-
 HALF_CIRCLE = 0.75  # of a circle: below, descriptions call the cape half a circle
 
 

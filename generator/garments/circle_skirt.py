@@ -21,8 +21,6 @@ from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
 from gcd_dataset.records import Measurements
 
-__all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
-
 LEAST_HEM = 0.01  # share of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
 VISIBLE_CUT = 3.0  # cm: descriptions leave out a shallower cut
 CUT_SIDES = ((0.4, "right"), (0.6, "middle"))  # largest share of the hem, from the wearer's right, of each name

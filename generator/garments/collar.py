@@ -14,8 +14,6 @@ from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
 from gcd_dataset.generator.pattern.piece import Vector
 from gcd_dataset.records import Measurements
 
-__all__ = ["STYLES", "Collar", "CollarDesign", "collar_words", "with_collar"]
-
 TURTLENECK_OUT = 10.0  # cm: z of the front, and -z of the back, before sewing, GarmentCode
 LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm: z of front and back before sewing, GarmentCode
 LAPEL_EDGE = Quadratic((0.7, 0.2))  # edge frame, from the lower tip to the upper, GarmentCode

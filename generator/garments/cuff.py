@@ -20,19 +20,6 @@ from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.pattern import Component, Interface, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
-__all__ = [
-    "Cuff",
-    "PantsCuffDesign",
-    "SleeveCuffDesign",
-    "arm_girth_in_end",
-    "cuff",
-    "cuff_words",
-    "single_cuff_words",
-    "skirt_share",
-    "sleeve_cuff_length",
-    "with_sleeve_cuff",
-]
-
 LONGEST_ON_SLEEVE = 0.7  # longest cuff, as a share of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: the shortest cuff
 ON_SHOULDER = 0.12  # approximate share of shoulder to wrist above the armhole, which no sleeve length includes

@@ -12,21 +12,6 @@ from typing import Self
 from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements
 
-__all__ = [
-    "ASYMMETRIC",
-    "NO_WORDS",
-    "UNGATHERED",
-    "CuffGathers",
-    "Description",
-    "Detail",
-    "Place",
-    "Setting",
-    "Words",
-    "joined",
-    "number_word",
-    "with_article",
-]
-
 Words = tuple[str, ...]
 """Wordings of one fact; a caption chooses one of them."""
 NO_WORDS: Words = ()

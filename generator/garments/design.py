@@ -21,8 +21,6 @@ from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 
-__all__ = ["Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
-
 
 @dataclass(frozen=True)
 class MetaDesign(Design):

@@ -17,8 +17,6 @@ from gcd_dataset.generator.garments.space import DesignSpace, read_values, requi
 from gcd_dataset.tomlfile import read_toml
 from gcd_dataset.yamlfile import read_yaml
 
-__all__ = ["design_from_dict", "design_to_dict", "design_tree", "read_design", "write_design"]
-
 log = logging.getLogger(__name__)
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)

@@ -10,8 +10,6 @@ from jaxtyping import Float
 from gcd_dataset.generator.garments.description import CuffGathers, Detail
 from gcd_dataset.records import Panel, PanelRole, Pattern
 
-__all__ = ["cuff_gathers", "gather", "gather_below", "most_gathered", "part_of", "sides_match"]
-
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
 TORSO, BAND = ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"), ("wb_front", "wb_back")
 ON_LIMBS = ("sleeve", "cuff")

@@ -7,16 +7,6 @@ from gcd_dataset.generator.garments.space import Design, choice, flag, integer, 
 from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements
 
-__all__ = [
-    "AsymmetricSkirtDesign",
-    "FlareSkirtDesign",
-    "HemCutDesign",
-    "PanelSkirtDesign",
-    "flare_nouns",
-    "flare_skirt_length",
-    "flare_tag",
-]
-
 VERY_FULL = 1.5  # suns
 CIRCLES = ((0.375, Tag.A_LINE), (0.75, Tag.HALF_CIRCLE))  # upper bounds of a skirt's suns
 

@@ -19,21 +19,6 @@ from gcd_dataset.records import Measurements, PanelRole
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments.design import OutfitDesign
 
-__all__ = [
-    "BottomGarment",
-    "CombinedBottom",
-    "Cutting",
-    "DesignedBottom",
-    "Garment",
-    "GarmentChoice",
-    "Ring",
-    "SimpleBottom",
-    "SimpleUpper",
-    "UpperGarment",
-    "one_of",
-    "section_of",
-]
-
 D = TypeVar("D", bound=Design)
 
 

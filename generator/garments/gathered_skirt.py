@@ -14,8 +14,6 @@ from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["GATHERED_SKIRT", "GatheredSkirtDesign", "gathered_skirt"]
-
 VISIBLE_SLIT, HIGH_SLIT = 4.0, 0.6  # cm, least slit in a description; share of the part below the hips of a high slit
 HARDLY_FLARED = 2  # cm added to each side of the hem
 FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode

@@ -24,8 +24,6 @@ from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
 from gcd_dataset.records import Measurements
 
-__all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
-
 LEAST_HEM = 0.01  # share of the remaining hem: a smaller gap before a cut is dropped, GarmentCode
 NARROWEST, SHALLOWEST = 1.0, 1.0  # cm: least width and depth of a cut, GarmentCode
 CLOSED = 1e-6  # cm: shorter pieces of hem are left out

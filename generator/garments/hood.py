@@ -6,8 +6,6 @@ from gcd_dataset.curves import Point, Quadratic
 from gcd_dataset.generator.pattern import Component, Outline, Piece, s_shaped_cubic
 from gcd_dataset.records import Measurements
 
-__all__ = ["hood_outline", "with_hood"]
-
 # GarmentCode draws at 10 and 0 cm; its files truncate the pivot, which moves the hood up to 1 cm down and back.
 RAISED, SET_BACK = 9.6, 0.4  # cm above and behind the shoulder
 FORWARD = 1.2  # shoulder to the hood's opening, forward, over half the neckline's width, GarmentCode

@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Any
 
-from gcd_dataset.generator.garments.design import MetaDesign, Upper
+from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.space import DesignSpace
-
-__all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "kind_of", "possible_kinds", "upper_choice"]
+from gcd_dataset.generator.garments.wardrobe import Upper
 
 
 class Kind(Enum):

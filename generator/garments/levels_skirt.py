@@ -25,8 +25,6 @@ from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
-__all__ = ["LEVELS_SKIRT", "DrawLevel", "Level", "LevelsBase", "LevelsSkirtDesign", "with_levels"]
-
 FLARED_LEVEL = 0.375  # suns: descriptions call levels of more flared
 GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 

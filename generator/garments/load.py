@@ -15,8 +15,6 @@ from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
-__all__ = ["STIFFNESS", "STRAPS_GIVE", "HipLoad", "hip_load", "shoulder_width", "strap_stretch"]
-
 GRAVITY = 9.81  # m/s²
 STIFFNESS = 500.0  # N·m/kg: tensile stiffness over density of the default fabric, ``drape.fabric.STIFFEST``
 FRICTION = 0.5  # Coulomb coefficient of cloth against skin, as in ``Fabric``

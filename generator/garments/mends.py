@@ -18,8 +18,6 @@ from enum import Enum
 
 from gcd_dataset.validate import NARROWEST_DART
 
-__all__ = ["ALL_MENDS", "Mend", "folds"]
-
 
 class Mend(Enum):
     """A corrected fault; its value compares the drawings of this package and of GarmentCode."""

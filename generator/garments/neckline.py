@@ -16,21 +16,6 @@ from gcd_dataset.generator.garments.trunk import blend
 from gcd_dataset.generator.pattern import Stroke
 from gcd_dataset.records import EdgeRole, Measurements
 
-__all__ = [
-    "LeftNecklineDesign",
-    "Neckline",
-    "NecklineDesign",
-    "back_neckline_words",
-    "half_neckline",
-    "neckline_drop",
-    "neckline_shape",
-    "neckline_tag",
-    "neckline_width",
-    "neckline_width_parameter",
-    "neckline_words",
-    "worn_neckline",
-]
-
 SHOULDER_LEFT = 1.0  # cm of shoulder beside a neckline of full width, GarmentCode
 CENTRE_LEFT = 1.0  # cm of centre edge under the deepest neckline, GarmentCode
 CURVY = Cubic((0.4, 0.3), (0.8, -0.3))  # edge frame, from shoulder to centre, GarmentCode

@@ -12,8 +12,6 @@ from gcd_dataset.generator.garments.waistband import band_rise, waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
-__all__ = ["bottom", "bottom_rise", "outfit", "parts", "pieces", "upper"]
-
 GAP = 5.0  # cm between the parts of an outfit before sewing, GarmentCode
 MEASURES_USED = (
     "height", "head_l", "neck_w", "shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "arm_pose_angle",

@@ -12,8 +12,6 @@ from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, ne
 from gcd_dataset.generator.pattern import Outline, Piece, Stroke, chain_from
 from gcd_dataset.records import EdgeRole, Measurements
 
-__all__ = ["NeckHole", "both_halves", "neck_hole", "placed_at_neck", "right_neck", "with_shoulder"]
-
 NECK_WIDTH = 0.8  # straight width of the neck over neck_w, which is measured round the back of the neck
 FRONT_DROP, BACK_DROP = 0.42, 0.1  # depth of throat and of nape below the sides of the neck, over neck_w
 FRONT, BACK = 30.0, -25.0  # cm: z of front and back before sewing

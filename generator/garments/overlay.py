@@ -33,8 +33,6 @@ from gcd_dataset.generator.garments.parameter import NONE, Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_no_fault, unknown_parameters
 from gcd_dataset.tomlfile import read_toml
 
-__all__ = ["NO_OVERLAY", "Overlay", "read_overlay"]
-
 
 @dataclass(frozen=True)
 class Overlay:

@@ -5,8 +5,6 @@ from math import cos, pi, sin
 from gcd_dataset.curves import Arc
 from gcd_dataset.generator.pattern import Outline, Piece
 
-__all__ = ["band", "sector", "skirt_panel"]
-
 STRAIGHT = 1e-3  # rad: a narrower sector is drawn as a rectangle
 
 

@@ -16,8 +16,6 @@ from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["PANEL_SKIRT", "panel_skirt"]
-
 
 def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
     """Panels sewn to a ring, each at least 5 cm high; ``suns`` sets the length of all hems as for a circle skirt.

@@ -31,8 +31,6 @@ from gcd_dataset.generator.garments.trunk import (
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PANTS", "PantsDesign", "cuff_and_leg_girth", "pants"]
-
 CROTCH_EASE = 5.0  # cm added to thigh girth minus half the hips, GarmentCode
 FRONT_CROTCH = 0.25  # extent of the front's crotch beyond the centre, as a fraction of the front's hip, GarmentCode
 BACK_RAISE = 1.1  # height from hips to waist at the back over the height at the front, GarmentCode

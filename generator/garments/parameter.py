@@ -14,9 +14,6 @@ import numpy as np
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["NONE", "Choice", "Flag", "Integer", "Real", "Space", "plain"]
-
-
 NONE = "none"  # in a file for ``None``: TOML has no null
 
 

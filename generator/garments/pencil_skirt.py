@@ -35,8 +35,6 @@ from gcd_dataset.generator.pattern import (
 )
 from gcd_dataset.records import Measurements
 
-__all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
-
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 BACK_EASE = 1.05  # height from hips to top behind, over the height in front, GarmentCode

@@ -18,8 +18,6 @@ from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["PONCHO", "PonchoDesign", "PonchoShape", "poncho"]
-
 
 class PonchoShape(Enum):
     """Shape of the cloth."""

@@ -17,8 +17,6 @@ from gcd_dataset.generator.garments.garment import GarmentChoice
 from gcd_dataset.generator.garments.sewable import Fault
 from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
 
-__all__ = ["DrawnDesign", "FindFault", "Redraw", "Redrawing", "Remedy"]
-
 TRIES = 4  # redraws by one remedy
 MOST_REPAIRS = 10  # removed faults of a design: removing one may cause another
 

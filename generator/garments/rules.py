@@ -36,29 +36,6 @@ from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
-__all__ = [
-    "RULES",
-    "DrawnOutfit",
-    "Reject",
-    "bottom_length",
-    "broken_by_weight",
-    "check_outfit",
-    "cuff_and_leg_girth",
-    "garment_length",
-    "has_firm_band",
-    "has_snug_band",
-    "has_tight_bottom",
-    "has_tight_cuffs",
-    "is_flared",
-    "is_gathered",
-    "is_too_tight",
-    "room_to_floor",
-    "top_girth",
-    "top_of_bottom",
-    "top_parameter",
-    "try_on",
-]
-
 LIGHT_LENGTH = 0.5  # largest length of a flared skirt without a firm band, GarmentCode
 LIGHT_SUNS = 0.75  # largest flare-skirt.suns of a flared skirt without a firm band, GarmentCode
 FIRM_BAND = 0.25  # waistband.width above which a snug band is firm, GarmentCode

@@ -37,14 +37,6 @@ from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as stream
 
-__all__ = [
-    "attempted_design",
-    "drafted_design",
-    "sample_design",
-    "sample_draft",
-    "sample_kind",
-]
-
 # Drapes of 1,200 garments at 1 cm: of the skirts alone with less, 7 of 19 and 5 of 15 slid off; with more, 1 of 143 and
 # 1 of 213.
 HIPS_UNDER_SKIRT = 10.0  # cm, least difference of hips and waist that holds a skirt without a band

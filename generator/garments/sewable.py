@@ -24,28 +24,6 @@ from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measur
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
-__all__ = [
-    "CLOTH_GIVES",
-    "CLOTH_OFF_SKIN",
-    "NARROWEST_STRAP",
-    "SHARPEST_CORNER",
-    "SHORTEST_SHOULDER",
-    "Fault",
-    "bottom_fault",
-    "corner_angles",
-    "end_and_arm_girth",
-    "girth_of_cloth",
-    "half_fault",
-    "has_narrow_strap",
-    "is_mismatched",
-    "panel_fault",
-    "shortest_shoulder",
-    "sleeve_tightness",
-    "strap_width",
-    "upper_fault",
-    "widest_neckline",
-]
-
 CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn

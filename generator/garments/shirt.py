@@ -9,8 +9,6 @@ from gcd_dataset.generator.garments.trunk import waist_back, waist_front
 from gcd_dataset.generator.pattern import Outline
 from gcd_dataset.records import Measurements
 
-__all__ = ["LeftShirtDesign", "ShirtDesign", "straight_back", "straight_front"]
-
 
 @dataclass(frozen=True)
 class ShirtDesign(Design):

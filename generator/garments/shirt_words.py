@@ -26,8 +26,6 @@ from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
 from gcd_dataset.records import Measurements
 
-__all__ = ["ONE_SHOULDER", "describe_shirt"]
-
 LOOSE = 1.18  # least girth of the chest over the bust of a loose shirt
 FLARED, TAPERED = 1.2, 0.88  # least and largest girth of the hem over the chest of a flared and of a tapered shirt
 NEAR_NECK = (0.35, 0.6)  # largest width and front depth, as in ``NecklineDesign``, of a neckline close to the neck

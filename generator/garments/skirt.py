@@ -7,8 +7,6 @@ from gcd_dataset.generator.garments.trunk import waist_back, waist_front
 from gcd_dataset.generator.pattern import Interface, Piece, backwards
 from gcd_dataset.records import Measurements
 
-__all__ = ["SHORTEST", "across", "hem_ring", "length_below_waist", "waist_ring"]
-
 SHORTEST = 5.0  # cm: the shortest skirt, GarmentCode
 
 

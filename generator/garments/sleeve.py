@@ -16,8 +16,6 @@ from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements, PanelRole
 
-__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve", "sleeve_tag", "sleeve_words"]
-
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
 SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew

@@ -11,8 +11,6 @@ from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["sleeve_of", "with_sleeve"]
-
 SLEEVE_GAP = 1.0  # cm by which a sleeve starts inside its armhole, GarmentCode
 SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre per degree, GarmentCode
 OVERLAP = 150.0  # cm²: largest overlap of sleeve and trunk, seen from the front; plain shirts with it drape cleanly

@@ -33,30 +33,6 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.garments.parameter import Choice, Flag, Integer, Real, Space, plain
 
-__all__ = [
-    "Design",
-    "DesignSpace",
-    "Leaf",
-    "Unknown",
-    "choice",
-    "draw",
-    "flag",
-    "from_dict",
-    "integer",
-    "leaves",
-    "part",
-    "read_values",
-    "real",
-    "redrawn",
-    "require_no_fault",
-    "to_dict",
-    "unknown_parameters",
-    "value_at",
-    "with_new_numbers",
-    "with_parts",
-    "with_value",
-]
-
 LONGEST = 60  # characters of a name in a message
 MOST_FAULTS = 12  # sentences in one message
 D = TypeVar("D", bound="Design")

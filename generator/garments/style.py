@@ -7,8 +7,6 @@ from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.tags import HEMS, RUFFLES, Tag
 from gcd_dataset.records import Measurements, Pattern
 
-__all__ = ["described", "hem_below_waist", "hem_depth", "outfit_tags"]
-
 
 def outfit_tags(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[str, ...]:
     """The tags of an outfit, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""

@@ -6,8 +6,6 @@ same facts for captions. ``style.outfit_tags`` collects them and adds the tags o
 
 from enum import Enum
 
-__all__ = ["HEMS", "RUFFLES", "TAGS", "Tag"]
-
 RUFFLES = 1.2  # least ratio of cloth to its gathered length in a ruffle
 HEMS = (0.35, 0.55, 0.8)  # largest hem depths of mini, knee length and midi, as fractions of hips to floor
 

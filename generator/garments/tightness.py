@@ -19,8 +19,6 @@ from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
-__all__ = ["rings", "tightest_ring", "trunk_rings"]
-
 # Of 52 draped shirts the hem hung 3.0 cm lower than drawn, quartiles 1.4 and 4.5: cloth gives under its weight, and
 # the shoulders of a shirt are wider than the wearer's. Of 16 fitted shirts, 0.5 cm.
 SHIRT_SINKS = 3.0  # cm

@@ -5,8 +5,6 @@ from typing import Self
 
 from gcd_dataset.generator.pattern import Outline
 
-__all__ = ["TorsoHalf"]
-
 
 @dataclass(frozen=True, slots=True)
 class TorsoHalf:

@@ -7,18 +7,6 @@ import numpy as np
 from gcd_dataset.generator.garments.mends import Mend, folds
 from gcd_dataset.records import Measurements
 
-__all__ = [
-    "back_at_rise",
-    "back_share",
-    "blend",
-    "drawn_rise",
-    "girth_at_rise",
-    "girth_below_waist",
-    "sides_and_darts",
-    "waist_back",
-    "waist_front",
-]
-
 LEAST_ABOVE_HIPS = 1.0  # cm of a fitted bottom above the hips, under a waistband that reaches down to them
 
 LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of floor to hips

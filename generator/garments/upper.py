@@ -16,8 +16,6 @@ from gcd_dataset.records import Measurements
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments.design import OutfitDesign
 
-__all__ = ["FITTED_SHIRT", "STRAIGHT_SHIRT", "Shirt", "shirt"]
-
 
 def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
     """Two halves sewn at the centres; offers the ring ``bottom``."""

@@ -17,8 +17,6 @@ from gcd_dataset.generator.garments.torso import TorsoHalf
 from gcd_dataset.generator.pattern import Component, Piece, Stroke, cut_corner
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole
 
-__all__ = ["UpperHalf", "armhole_from_centre", "right_half", "right_torso"]
-
 SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
 FRONT, BACK = 30.0, -25.0  # cm: z of front and back before sewing, GarmentCode
 FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"

@@ -9,8 +9,6 @@ from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, wais
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["Waistband", "WaistbandDesign", "band_rise", "waistband"]
-
 FRONT, BACK = 20.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
 

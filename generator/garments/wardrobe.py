@@ -14,8 +14,6 @@ from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.poncho import PONCHO
 from gcd_dataset.generator.garments.upper import FITTED_SHIRT, STRAIGHT_SHIRT
 
-__all__ = ["GARMENTS", "Bottom", "Upper"]
-
 
 class Upper(GarmentChoice):
     """Garments for the upper body."""

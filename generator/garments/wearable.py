@@ -47,8 +47,6 @@ from gcd_dataset.generator.garments.space import DesignSpace, value_at
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.records import Measurements
 
-__all__ = ["wearable"]
-
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length for such a shirt
 WIDEST_END = 2.0  # largest sleeve.end_width

@@ -16,8 +16,6 @@ from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outli
 from gcd_dataset.generator.mesh.turned_panels import flat_areas, turned_over
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
 
-__all__ = ["build_box_mesh"]
-
 log = logging.getLogger(__name__)
 
 NARROWEST = 0.05  # spacings: the least mean width of a panel; triangles of narrower panels are slivers

@@ -21,8 +21,6 @@ from gcd_dataset.generator.mesh.stitch import proper_faces
 from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["CoarseMesh", "coarse_start", "coarsen"]
-
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
 COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add

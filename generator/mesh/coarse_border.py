@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float, Int
 from gcd_dataset.errors import MeshError
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["Borders", "Thinned", "thin"]
-
 STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
 
 

@@ -7,8 +7,6 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import MeshError
 
-__all__ = ["has_segments", "restore_segments"]
-
 ROUNDING = 1e-9  # rad: either diagonal of four points on one circle is legal
 
 

@@ -11,8 +11,6 @@ from typing import Self, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = ["PITCH", "ROW", "Grid", "Lattice", "build_lattice", "lattice_size"]
-
 PITCH = 0.97  # lattice spacing over border spacing: the median edge of GarmentCode's meshes
 CLEAR_OF_POINT = 0.60  # pitches: least distance of a seed from the border's points
 CLEAR_OF_MIDDLE = 0.60  # pitches: least distance of a seed from the midpoints of the border's segments

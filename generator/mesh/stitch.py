@@ -10,8 +10,6 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.errors import MeshError
 from gcd_dataset.records import Seam
 
-__all__ = ["SewnPoints", "mean_positions", "merge_points", "proper_faces", "seam_name", "stitch_points"]
-
 
 @dataclass(frozen=True)
 class SewnPoints:

@@ -18,17 +18,6 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = [
-    "Filling",
-    "Fillings",
-    "Loops",
-    "Quality",
-    "Triangulated",
-    "fill_outline",
-    "triangulate",
-    "triangulate_loops",
-]
-
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
 ROUNDS = 10  # rounds of refinement; a seam gathered to a third of the spacing takes four

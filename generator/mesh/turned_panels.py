@@ -13,8 +13,6 @@ from jaxtyping import Bool, Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import BoxMesh, Panel, Pattern, Seam
 
-__all__ = ["flat_areas", "turned_over", "turned_panels"]
-
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
 
 

@@ -13,8 +13,6 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-__all__ = ["MeasuredJoin", "assemble", "assemble_and_measure", "measure_joins", "panel_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class _WalkedStroke:

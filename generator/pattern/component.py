@@ -12,8 +12,6 @@ from gcd_dataset.generator.pattern.piece import Piece, Vector
 from gcd_dataset.generator.pattern.seam import Interface, Join
 from gcd_dataset.records import EdgeRole, PanelRole
 
-__all__ = ["Component"]
-
 
 @dataclass(frozen=True)
 class Component:

@@ -11,8 +11,6 @@ from gcd_dataset.curves import QUADRATURE_NODES, QUADRATURE_WEIGHTS, Point
 from gcd_dataset.errors import FitError
 from gcd_dataset.generator.pattern.stroke import Stroke
 
-__all__ = ["s_shaped_cubic", "smooth_cubic"]
-
 SLIDE_WEIGHT = 1e-3  # cm⁻⁴: weight of the end's squared slide against squared curvature, GarmentCode
 EXACT_TANGENT_SLIDE_WEIGHT = 8e-4  # the same for exact tangents: GarmentCode's are soft, so its ends slide more
 CURVATURE_NORM = 16  # exponent of the power mean that replaces the peak curvature: it is differentiable

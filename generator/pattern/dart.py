@@ -14,8 +14,6 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.stroke import Stroke, chain_from
 
-__all__ = ["cut_corner", "cut_end", "cut_into", "dart", "notch"]
-
 MOUTH_TOLERANCE = 1e-9  # cm², of Newton's method
 MOUTH_STEPS = 20  # most steps of Newton's method
 

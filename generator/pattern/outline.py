@@ -18,8 +18,6 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import EdgeRole
 
-__all__ = ["Outline"]
-
 CLOSED = 1e-6  # cm between the last point and the first, at most
 
 

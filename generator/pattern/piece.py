@@ -17,8 +17,6 @@ from gcd_dataset.generator.pattern.seam import Interface, Section
 from gcd_dataset.generator.pattern.stroke import rotate
 from gcd_dataset.records import PanelRole, Placement
 
-__all__ = ["Piece", "Vector"]
-
 Vector: TypeAlias = tuple[float, float, float]
 
 UNTURNED: Vector = (0.0, 0.0, 0.0)

@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import TypeAlias
 
-__all__ = ["Interface", "Join", "Section", "backwards", "shared_breaks"]
-
 EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
 SAME_BREAK = 0.01  # share of a seam: breaks that differ by less count as one, GarmentCode
 UNDER_HALF = 0.49  # fraction of the shortest edge: limit of SAME_BREAK, so that no break matches both ends of an edge

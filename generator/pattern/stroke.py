@@ -36,8 +36,6 @@ from gcd_dataset.curves import (
 from gcd_dataset.errors import PatternError
 from gcd_dataset.records import EdgeRole
 
-__all__ = ["Stroke", "chain_from", "rotate"]
-
 OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # curve parameters, for the extent of an outline
 SWEPT_AREA = {
     1: ((0, 1, 1 / 2),),

@@ -16,8 +16,6 @@ import numpy as np
 from gcd_dataset.curves import Point, Quadratic
 from gcd_dataset.errors import PatternError
 
-__all__ = ["tangent_quadratic"]
-
 ARMS: Mapping[float, tuple[tuple[float, ...], tuple[float, ...]]] = {
     0.5: (
         (0, 6, 8, 10, 12, 16, 20, 31.5, 32, 32.5, 33.5, 37.5, 47.5, 55.5, 63.5, 71, 79, 86.5, 93.5, 100),

@@ -14,8 +14,6 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.tensors import PatternTensor, encode_pattern
 
-__all__ = ["made_patterns"]
-
 
 def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, PatternTensor]]:
     """Index and pattern of all samples of the given designs. Raises ``PatternError`` as ``produce`` does."""

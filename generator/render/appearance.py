@@ -8,20 +8,6 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.records import Record
 
-__all__ = [
-    "MONK_TONES",
-    "Appearance",
-    "Cloth",
-    "Hair",
-    "Print",
-    "PrintKind",
-    "Skin",
-    "Stitching",
-    "Underwear",
-    "Weave",
-    "WeaveKind",
-]
-
 RGB = tuple[float, float, float]
 """sRGB, 0 to 1."""
 

@@ -10,8 +10,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
-__all__ = ["Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"]
-
 FILM = 24.0  # mm; height of a frame of 35 mm film, for which focal lengths are stated
 FIXED_DISTANCE = 520.0  # cm; as ``plain_batch.DISTANCE``
 FIXED_MARGIN = 1.04  # as ``plain_batch.MARGIN``

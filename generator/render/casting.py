@@ -23,8 +23,6 @@ from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
 from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
 
-__all__ = ["PendingPictures", "render", "start_pictures"]
-
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits

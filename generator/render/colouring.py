@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["draw_cloth_colour", "draw_print_colours", "luminance", "nudged"]
-
 RGB = tuple[float, float, float]
 
 NEUTRALS: tuple[RGB, ...] = (

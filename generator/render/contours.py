@@ -14,8 +14,6 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Segments", "chains", "cracks", "level_lines", "linked", "smoothed", "valleys"]
-
 
 @dataclass(frozen=True, eq=False)
 class Segments(Record):

@@ -22,8 +22,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.range_images import RangeImage
 from gcd_dataset.records import Record
 
-__all__ = ["KINECT", "NOISELESS", "DepthNoise", "Measured", "measure"]
-
 
 @dataclass(frozen=True)
 class DepthNoise:

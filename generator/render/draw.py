@@ -14,8 +14,6 @@ from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.scene import HairStyle, Scene
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["Ranges", "draw_hair", "draw_view", "draw_views"]
-
 VIEWS_PER_EPOCH = 1 << 16  # stream numbers of one epoch
 HAIR_SHARES = (0.06, 0.24, 0.35, 0.35)  # of ``HairStyle``: none, cropped, short, full
 

@@ -9,8 +9,6 @@ from jaxtyping import Float
 
 from gcd_dataset.records import Record
 
-__all__ = ["Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"]
-
 RGB = tuple[float, float, float]
 Photograph = Float[np.ndarray, "h w 3"]
 

@@ -10,8 +10,6 @@ from scipy.spatial import KDTree
 from gcd_dataset.generator.render.scene import HairStyle, Scene
 from gcd_dataset.records import Body, BodyPart, Record
 
-__all__ = ["BodyMasks", "Eyes", "Shell", "body_masks", "eyeballs", "hair_shell"]
-
 BRIEFS_HEIGHT = 0.115  # of the figure's height, from the crotch to the top of the briefs
 TOP_HEIGHTS = (0.655, 0.775)  # of the figure's height: lower and upper end of the top; the bust is at 0.72
 LEG_OPENING = 0.55  # slope of the leg openings

@@ -11,8 +11,6 @@ from gcd_dataset.generator.render.figure import BodyMasks, Eyes, body_masks, eye
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
-__all__ = ["HEM", "Borders", "Solid", "panel_borders", "solid_of"]
-
 HEM = -2
 """In place of a seam's row: an edge of cloth without a seam."""
 

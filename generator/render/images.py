@@ -9,8 +9,6 @@ from PIL import Image, UnidentifiedImageError
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import open_regular
 
-__all__ = ["linear_light", "read_picture"]
-
 Linear = Float32[np.ndarray, "h w 3"]
 MOST_PIXELS = 1 << 28
 

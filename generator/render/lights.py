@@ -9,8 +9,6 @@ from jaxtyping import Float
 from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.records import Record
 
-__all__ = ["LightRanges", "Lights", "draw_lights", "white_balance"]
-
 RGB = tuple[float, float, float]
 
 

@@ -6,8 +6,6 @@ from types import MappingProxyType
 
 from gcd_dataset.generator.render.appearance import PrintKind, Weave, WeaveKind
 
-__all__ = ["LOOKS", "LOOKS_OF_FABRIC", "Look", "looks_of"]
-
 P = PrintKind
 WOVEN_PRINTS = (P.STRIPES, P.CHECKS, P.TARTAN, P.DOTS, P.FLORAL, P.NOISE, P.GRADIENT)
 KNIT_PRINTS = (P.STRIPES, P.DOTS, P.FLORAL, P.NOISE, P.GRADIENT)

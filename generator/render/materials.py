@@ -24,8 +24,6 @@ from gcd_dataset.generator.render.colouring import draw_cloth_colour, draw_print
 from gcd_dataset.generator.render.looks import LOOKS, Look, looks_of
 from gcd_dataset.generator.render.scene import Scene
 
-__all__ = ["AppearanceRanges", "draw_appearance", "parts_of"]
-
 
 @dataclass(frozen=True)
 class AppearanceRanges:

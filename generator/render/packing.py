@@ -15,8 +15,6 @@ from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import View
 from gcd_dataset.generator.render.scene import Scene
 
-__all__ = ["Materials", "pack_views", "skin_albedo"]
-
 CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
 SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.

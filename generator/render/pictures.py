@@ -17,8 +17,6 @@ from gcd_dataset.generator.render.environment import Environment
 from gcd_dataset.generator.render.lights import Lights
 from gcd_dataset.records import Record
 
-__all__ = ["BACKGROUND", "GARMENT", "HAIR", "MAPS", "MapName", "Picture", "View"]
-
 MapName = Literal["depth", "normals", "part", "panel_id", "seam", "uv", "silhouette", "lit"]
 MAPS: tuple[MapName, ...] = get_args(MapName)
 """The maps that ``render`` can return; each describes the surface at the centre of a pixel."""

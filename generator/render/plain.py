@@ -11,14 +11,6 @@ from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.render.plain_batch import Picture, Scene, View, start_render
 from gcd_dataset.records import Body, BoxMesh, Sample
 
-__all__ = [
-    "ColouredMesh",
-    "garment_scene",
-    "render_garment",
-    "render_sample",
-    "render_view",
-]
-
 SKIN = (0.80, 0.76, 0.72)  # sRGB colour of bodies, 0 to 1
 
 

@@ -30,18 +30,6 @@ from gcd_dataset.generator.render.staging import StagingBuffers, to_device, wrap
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.plain import ColouredMesh
 
-__all__ = [
-    "DISTANCE",
-    "MARGIN",
-    "PendingRender",
-    "Picture",
-    "Scene",
-    "View",
-    "start_render",
-    "thresholds",
-    "vertex_normals",
-]
-
 Scene: TypeAlias = Sequence["ColouredMesh"]
 View = Literal["front", "back"]
 Picture = UInt8[np.ndarray, "h w 3"]

@@ -9,8 +9,6 @@ from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
-__all__ = ["Points", "points_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Points(Record):

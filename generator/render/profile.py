@@ -9,8 +9,6 @@ from contextlib import AbstractContextManager
 
 import warp as wp
 
-__all__ = ["Profile", "in_stage"]
-
 
 class Profile:
     """Sums over the renderings that are started with it; several threads may share one.

@@ -20,8 +20,6 @@ from gcd_dataset.generator.render.kernels import ranging
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
-__all__ = ["RangeImage", "Ranger"]
-
 
 @dataclass(frozen=True, eq=False)
 class RangeImage(Record):

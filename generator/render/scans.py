@@ -14,8 +14,6 @@ from gcd_dataset.generator.render.range_images import RangeImage, Ranger
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
-__all__ = ["DEPTH_PIXELS", "PointScan", "ScanRanges", "draw_scan_cameras", "scan", "scan_cameras"]
-
 DEPTH_PIXELS = 480  # rows of a Kinect's depth image; the picture here is square
 FOCAL = 580.0 / DEPTH_PIXELS  # picture widths; a Kinect's focal length is 580 pixels of 640 x 480
 FILL = 0.92  # largest share of the picture's height or width that the figure takes

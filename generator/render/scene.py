@@ -11,8 +11,6 @@ from jaxtyping import Float, Int, Int32, UInt8
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Body, BoxMesh, PanelRole, Pattern, Record, Sample
 
-__all__ = ["HairStyle", "Scene", "scene_of", "scene_of_sample"]
-
 
 class HairStyle(IntEnum):
     """Shape of the hair: a shell over the scalp of the body model."""

@@ -28,8 +28,6 @@ from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.strokes import Stroke, by_hand, dashed, draw_strokes
 from gcd_dataset.records import Body
 
-__all__ = ["FLAT", "HAND", "SketchStyle", "sketch", "sketch_camera", "sketch_strokes"]
-
 PIXELS = 640  # rows and columns of the range image; strokes are smooth, so that a sketch may be larger
 FILL = 0.9  # share of the picture's height or width that the garment takes
 DISTANCE = 1000.0  # cm; far away: a technical flat has hardly any perspective

@@ -9,8 +9,6 @@ import numpy as np
 import warp as wp
 from jaxtyping import Shaped
 
-__all__ = ["StagingBuffers", "staged_values", "to_device", "wrapped"]
-
 
 class StagingBuffers:
     """Host memory for asynchronous copies to and from a device.

@@ -11,8 +11,6 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from gcd_dataset.records import Record
 
-__all__ = ["Stroke", "by_hand", "dashed", "draw_strokes"]
-
 STEP = 0.4  # pixels between the discs that a stroke is drawn with
 PAPER = 255
 GRAIN = 0.13  # standard deviation of the ink on paper

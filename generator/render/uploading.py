@@ -16,8 +16,6 @@ from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device
 
-__all__ = ["Staged", "Uploaded", "stage", "upload"]
-
 LEAF = 1  # faces in a leaf of the BVH on a GPU, as in the plain renderer
 TREE = "lbvh"  # of a GPU: built there, and Warp's default; named, since pictures depend on it
 

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Block", "Entity", "read_dxf"]
-
 
 @dataclass
 class Entity:

@@ -14,8 +14,6 @@ from tests.fuzz.expensive import EXPENSIVE, expensive
 from tests.fuzz.readers import DOCUMENTS, READERS, damaged, edited_documents, reader_named
 from tests.fuzz.trial import Tally, Verdict, try_all
 
-__all__ = ["documents", "try_documents", "try_expensive", "try_files"]
-
 EXPENSIVE_SHARE = 20  # an expensive input takes as long to read as this number of damaged ones
 
 ABOUT = """

@@ -6,8 +6,6 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-__all__ = ["edited", "json_bytes", "replaced"]
-
 DEEP = 3000  # levels: more than any parser of the standard library recurses
 MOST_EDITS = 3
 WORDS = ("", "..", "../../x", "/x", "\0", "a\nb", "NaN", "1e999", "right_wrong", "ф" * 300)

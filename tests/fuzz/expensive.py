@@ -9,8 +9,6 @@ from typing import Any
 
 from tests.fuzz.documents import json_bytes, replaced
 
-__all__ = ["EXPENSIVE", "expensive"]
-
 Writer = Callable[[bytes, random.Random], bytes]
 """Makes an input from the reader's own file."""
 

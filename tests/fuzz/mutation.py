@@ -4,8 +4,6 @@ import random
 import re
 import struct
 
-__all__ = ["mutated"]
-
 EXTREME_INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1)
 EXTREME_TEXTS = (
     b"-1", b"0", b"1e400", b"-1e400", b"NaN", b"1e-320", b"9" * 25, b"9" * 5000, b"null", b'""', b"[]", b"{}", b"true",

@@ -56,8 +56,6 @@ from tests.fuzz.mutation import mutated
 from tests.fuzz.workshop import garments, small_body, write_shards
 from tests.release.published import pack
 
-__all__ = ["DOCUMENTS", "READERS", "Reader", "damaged", "edited_documents", "reader_named"]
-
 
 @dataclass(frozen=True)
 class Reader:

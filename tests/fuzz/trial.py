@@ -17,8 +17,6 @@ from typing import Any
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["Tally", "Verdict", "try_all"]
-
 SECONDS = 10.0  # s: limit on reading one input; long, since other programs share the cores
 MEGABYTES = 1024  # MB: limit on the address space that reading one input may add
 

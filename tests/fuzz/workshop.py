@@ -13,8 +13,6 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
 
-__all__ = ["garments", "small_body", "write_shards"]
-
 CONFIG = MakeConfig(stage="mesh", resolution=8.0, points=64)
 COUNT = 2
 

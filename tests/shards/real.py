@@ -6,8 +6,6 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Sample
 
-__all__ = ["patterns"]
-
 PATTERNS = MakeConfig(stage="pattern")
 
 

@@ -27,8 +27,6 @@ from gcd_dataset.files import make_folder
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["draw", "main", "requests"]
-
 HERE = Path(__file__).parent
 WIDEST = 0.6  # share of the way from an option's default to its limit: beyond it, several designs cannot be sewn
 

@@ -16,8 +16,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 
-__all__ = ["DESIGNS", "Cut", "Design", "Piece", "Side"]
-
 WOMEN = tuple(f"cisFemaleAdult{size}" for size in range(28, 47, 2))
 MEN = tuple(f"cisMaleAdult{size}" for size in range(32, 51, 2))
 

@@ -18,8 +18,6 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles
 
-__all__ = ["pattern_of_drawing"]
-
 MILLIMETRE = 0.1  # cm
 SAME = 0.01  # cm: points closer than this are one
 NEAR = 0.5  # cm: corners of the two sides of a seam closer than this meet, and neither side is divided there

@@ -5,8 +5,6 @@ import torch
 from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
 
-__all__ = ["TASKS", "answers"]
-
 TASKS = ("T6",)
 
 

@@ -10,8 +10,6 @@ from benchmarks.reconstruction.panel_targets import ToTargets, patterns_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["answers"]
-
 
 def answers(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[Pattern]:
     """Each true pattern, encoded and decoded."""

@@ -5,8 +5,6 @@ import torch
 from benchmarks.reconstruction.drapes import DrapedVertices, redraped
 from benchmarks.reconstruction.garments import GarmentSet
 
-__all__ = ["TASKS", "answers"]
-
 TASKS = ("T6",)
 SPACING = 3.0  # cm
 

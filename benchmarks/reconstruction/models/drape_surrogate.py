@@ -34,8 +34,6 @@ from benchmarks.reconstruction.wearers import body_points
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "TASKS", "USUAL", "DrapeBatch", "DrapeSurrogate", "build"]
-
 TASKS = ("T6",)
 WEIGHTS = {"first": 0.5, "positions": 1.0, "edges": 0.3, "body": 0.5}
 UNIT = 0.1  # metres: a distance that costs 1

@@ -52,18 +52,6 @@ from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
-__all__ = [
-    "SMOKE",
-    "TASKS",
-    "USUAL",
-    "EdgeDecoder",
-    "EdgeTokens",
-    "TokenConfig",
-    "build",
-    "decode",
-    "token_loss",
-]
-
 TASKS = ("T0", "T1", "T1-scan")
 NUMBERS = 3 * 2 + 3 * 3 + 1 + 3 + 6  # that describe a token
 ENDED_EVERY = 16  # tokens between checks whether all garments of a batch have ended

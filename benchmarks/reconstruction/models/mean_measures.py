@@ -5,8 +5,6 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
 
-__all__ = ["TASKS", "answers"]
-
 TASKS = ("T5",)
 
 

@@ -21,8 +21,6 @@ from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, ml
 from benchmarks.reconstruction.wearers import dressed_scans
 from gcd_dataset.measurements import ANGLES, MEASURES
 
-__all__ = ["SMOKE", "TASKS", "USUAL", "MeasureConfig", "MeasureNet", "Scans", "build", "scans_of"]
-
 TASKS = ("T5",)
 POINT = 7  # numbers of a point: position, normal, whether on the garment
 REGION_SCALE = 10.0  # scales offsets within a region to about 1

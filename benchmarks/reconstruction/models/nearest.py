@@ -7,8 +7,6 @@ from torch import Tensor
 from benchmarks.reconstruction.garments import GarmentSet
 from gcd_dataset.records import Pattern
 
-__all__ = ["POINTS", "TASKS", "answers", "chamfer_distances", "nearest_garments", "positions"]
-
 TASKS = ("T0", "T1", "T1-scan")
 POINTS = 512  # of each garment
 PAIRS_AT_ONCE = 2**26  # point pairs at once: 0.3 GB of distances

@@ -8,8 +8,6 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.nearest import POINTS, nearest_garments, positions
 from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
 
-__all__ = ["TASKS", "answers"]
-
 TASKS = ("T4",)
 
 

@@ -7,8 +7,6 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.models.nearest import POINTS, nearest_garments
 
-__all__ = ["TASKS", "answers"]
-
 TASKS = ("T5",)
 
 

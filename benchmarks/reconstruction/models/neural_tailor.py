@@ -48,16 +48,6 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 from gcd_dataset.workers import parallel_map
 
-__all__ = [
-    "SMOKE",
-    "TASKS",
-    "USUAL",
-    "NamedPanels",
-    "NeuralTailor",
-    "ToNamedPanels",
-    "build",
-]
-
 TASKS = ("T0", "T1", "T1-scan")
 OF_PANELS = ("exists", "extents", "centres", "rotations", "edge_counts", "labels", "slimness", "names", "quaternions")
 LEAST_DEVIATION = 1e-3  # UNIT

@@ -23,26 +23,6 @@ from benchmarks.reconstruction.panel_targets import PanelTargets
 from benchmarks.reconstruction.point_net import PointLearner
 from benchmarks.reconstruction.sizes import sizes_from
 
-__all__ = [
-    "HEADS",
-    "LEAST",
-    "LEAST_EDGES",
-    "SMALL",
-    "SMOKE",
-    "TASKS",
-    "TINY",
-    "USUAL",
-    "PanelSet",
-    "answers_of",
-    "best_pairs",
-    "build",
-    "common_labels",
-    "edges_of",
-    "match_panels",
-    "panel_losses",
-    "set_loss",
-]
-
 TASKS = ("T0", "T1", "T1-scan")
 WEIGHTS = {
     "exists": 2.0, "corners": 5.0, "bends": 5.0, "areas": 0.5, "extents": 0.5, "centres": 5.0, "rotations": 1.0,

@@ -31,8 +31,6 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "TASKS", "USUAL", "Designs", "ParameterNet", "ParametersConfig", "ToDesigns", "build"]
-
 TASKS = ("T0", "T1", "T1-scan")
 MOST_GROWTH = 0.1  # share, of the augmentation
 UNLABELLED = "--set labelled=1: the points of these garments have no labels: leave it out, or choose T0 or T1"

@@ -24,8 +24,6 @@ from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "TASKS", "USUAL", "PictureSet", "PictureTargets", "build"]
-
 TASKS = ("T2",)
 USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
 SMOKE: Mapping[str, Any] = {

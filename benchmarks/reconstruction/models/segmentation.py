@@ -36,8 +36,6 @@ from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SMOKE", "TASKS", "USUAL", "LabelBatch", "LabelledSurfaces", "Segmentation", "SetHead", "build", "set_loss"]
-
 TASKS = ("T4",)
 LEAST_VERTICES = 5  # of a panel; at 4 cm the smallest of 2,000 panels has 9
 WEIGHTS = {

@@ -40,17 +40,6 @@ from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 
-__all__ = [
-    "SMOKE",
-    "USUAL",
-    "StitchBatch",
-    "StitchConfig",
-    "StitchExamples",
-    "StitchLearner",
-    "StitchNet",
-    "build",
-]
-
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 8e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {"steps": 240, "batch": 8, "lr": 1.5e-3, "ema": 0.98, "log_every": 20}

@@ -8,8 +8,6 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.nearest import chamfer_distances, positions
 from gcd_dataset.records import Pattern
 
-__all__ = ["answers", "most_typical"]
-
 GARMENTS = 500  # training garments to choose from
 POINTS = 512  # of each garment
 

@@ -15,8 +15,6 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.jsonfile import read_json
 from gcd_dataset.records import Body, BodyShape, Measurements
 
-__all__ = ["NEUTRAL", "Wearers", "wearers_of"]
-
 NEUTRAL = "neutral"
 DEFAULT = "default"  # stem of the body of garments without a body of their own
 TABLE = "bodies.json"

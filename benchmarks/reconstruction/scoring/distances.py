@@ -18,8 +18,6 @@ from gcd_dataset.files import open_regular
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.points import sample_surface
 
-__all__ = ["WORST", "Cloud", "Shape", "Surface", "distance", "input_files", "read_shape"]
-
 WORST = 100.0  # cm: the distance of a failed prediction, and the largest that is reported
 SAMPLES = 4096  # points of a surface
 NEIGHBOURS = 12  # points of a cloud whose plane is the surface near a point

@@ -38,8 +38,6 @@ from gcd_dataset.records import (
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["WITHIN", "arranged", "with_drapes"]
-
 WITHIN = 1.0  # cm: the largest distance to the input of a right reconstruction
 ROUNDING = 1e-3  # cm: a panel drawn and placed this close to the true one is the true one
 TURN = 1e-5  # rad: likewise

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from gcd_dataset.errors import SpecError, shown
 
-__all__ = ["Case", "Folders", "garment_files", "match_folders"]
-
 ENDINGS = ("_specification", "_predicted", "_prediction")
 """Ends of file names that are not part of a garment's name."""
 PLAIN = frozenset({"specification", "prediction", "predicted"})  # stems of files that are named by their folder

@@ -14,8 +14,6 @@ from gcd_dataset.spec import is_bodice, is_trouser_leg, read_pattern
 from gcd_dataset.validate import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.workers import parallel_map
 
-__all__ = ["SPACING", "Scored", "box_mesh_distance", "kind_of", "mesh_of", "score_case", "score_cases", "score_garment"]
-
 SPACING = 2.0  # cm: edge length of the box meshes that are compared
 MOST_CLOTH = 400_000.0  # cm²: forty square metres; a larger prediction is not meshed
 NO_PREDICTION = "no prediction"

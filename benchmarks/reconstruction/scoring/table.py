@@ -11,18 +11,6 @@ from gcd_dataset.metrics import bootstrap_means
 if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.garments import Scored
 
-__all__ = [
-    "DRAPED",
-    "TIMES",
-    "UNITS",
-    "Summary",
-    "garment_table",
-    "line_of",
-    "summaries",
-    "summaries_by_kind",
-    "tree_of",
-]
-
 UNITS = {
     "boxmesh_cd": "cm",
     "panel_l2": "cm",

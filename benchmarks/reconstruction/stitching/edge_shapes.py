@@ -12,8 +12,6 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.stitching.graphs import SAMPLES, EdgeBatch
 
-__all__ = ["EdgeInputs", "edges_before", "feature_counts", "next_on_boundary", "rows_at"]
-
 USUAL_LENGTH = 20.0  # cm
 PLACED_UNIT = 50.0  # cm
 LOOP_STEPS = 3  # neighbours in the loop that are told apart, each way

@@ -12,8 +12,6 @@ from jaxtyping import Complex, Float, Int
 
 from benchmarks.reconstruction.stitching.graphs import EdgeGraph
 
-__all__ = ["glued"]
-
 STRAIGHT = 0.02  # cm: largest distance of a straight edge's points from its chord
 EQUAL = 0.1  # cm: largest difference of the lengths of the two sides
 

@@ -18,19 +18,6 @@ from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 from gcd_dataset.tensors import require_closed
 
-__all__ = [
-    "CUT_BINS",
-    "MAX_CUTS",
-    "SAMPLES",
-    "EdgeBatch",
-    "EdgeGraph",
-    "PackedGraphs",
-    "aligned",
-    "edge_refs",
-    "graph_of",
-    "with_seams",
-]
-
 SAMPLES = 17  # points of an edge, both ends included
 MAX_CUTS = 6  # most subdivision points of an edge
 CUT_BINS = 24  # an edge has at most one in each

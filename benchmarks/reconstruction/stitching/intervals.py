@@ -14,8 +14,6 @@ from benchmarks.reconstruction.stitching.merging import Merged
 from benchmarks.reconstruction.stitching.symmetry import best_symmetry, partners_of, score_stitches
 from gcd_dataset.records import EdgeRef, Pattern
 
-__all__ = ["SAME", "IntervalScore", "score_intervals"]
-
 SAME = 0.9  # intersection over union of intervals that count as one
 
 

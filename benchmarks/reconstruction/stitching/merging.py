@@ -17,8 +17,6 @@ from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
 from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
 
-__all__ = ["Cuts", "Merged", "aligned", "merged", "needed", "split", "subdivided"]
-
 Cuts = Mapping[EdgeRef, Sequence[float]]
 """Shares of the length at which edges are subdivided, in order."""
 

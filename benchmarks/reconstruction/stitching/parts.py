@@ -16,8 +16,6 @@ from torch import Tensor
 
 from benchmarks.reconstruction.stitching.graphs import ALIGNMENT, aligned
 
-__all__ = ["Part", "fixed_parts", "ordered", "parts_of", "shares_above"]
-
 SMALLER = 0.75  # share of a batch, of the fewest edges, that is computed apart from the others
 LEAST_APART = 16  # garments of a batch that is computed in parts
 FIXED = 3  # parts of batches of one shape: two would have a third more pairs of edges

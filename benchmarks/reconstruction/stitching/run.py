@@ -39,8 +39,6 @@ from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
 
-__all__ = ["SMOKE", "add_arguments", "configs_from", "main", "parsed"]
-
 Score = TypeVar("Score", StitchScore, IntervalScore)
 
 DRAWS = 1000  # of the bootstrap

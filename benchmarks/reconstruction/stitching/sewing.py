@@ -29,8 +29,6 @@ from gcd_dataset.records import Pattern
 if TYPE_CHECKING:
     from benchmarks.reconstruction.models.stitches import StitchNet
 
-__all__ = ["Subdivision", "best_pairs", "greedy_by_length", "predict_cuts", "predict_stitches", "sew", "sew_in_ways"]
-
 LEAST = 1e-3  # probability of a seam that may be predicted
 REVISIONS = 3  # most times that needless points of subdivision are taken back
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it

@@ -19,8 +19,6 @@ from jaxtyping import Int
 
 from benchmarks.reconstruction.stitching.graphs import EdgeGraph
 
-__all__ = ["StitchScore", "best_symmetry", "congruences", "partners_of", "random_symmetry", "score_stitches"]
-
 CONGRUENT = 0.05  # cm: largest distance of points of congruent outlines
 PASSES = 4  # of the local search
 

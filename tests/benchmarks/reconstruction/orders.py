@@ -6,8 +6,6 @@ import torch
 
 from benchmarks.reconstruction.panel_targets import PanelTargets
 
-__all__ = ["shuffled", "started_elsewhere"]
-
 
 def shuffled(true: PanelTargets) -> PanelTargets:
     """The same garments with their panels in another order."""

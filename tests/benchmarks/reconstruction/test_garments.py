@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from benchmarks.reconstruction import garments
+from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import (
-    CENTRE,
     GarmentSet,
     Ragged,
     Split,

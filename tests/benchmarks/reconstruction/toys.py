@@ -11,8 +11,6 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.learners import Learner, TensorExamples
 from benchmarks.reconstruction.training import TrainConfig, one_of_several_ranks, train
 
-__all__ = ["Line", "LineLearner", "line", "train_rank"]
-
 
 @dataclass(frozen=True)
 class Line(TensorExamples):

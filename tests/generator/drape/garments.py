@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.garments import OutfitDesign, outfit
-from gcd_dataset.generator.garments.design import Bottom
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements
 

@@ -11,7 +11,7 @@ import pytest
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.generator.garments import OutfitDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
-from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
+from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
 from gcd_dataset.generator.garments.pants import PantsDesign
@@ -19,6 +19,7 @@ from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
+from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.records import Outcome
 from tests.generator.drape.garments import LIMBS, SIDES, Axis, Worn, neutral, rims, stouter, wear
 from tests.helpers import tube

@@ -14,7 +14,7 @@ from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.generator.garments import OutfitDesign, outfit
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
-from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
+from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
 from gcd_dataset.generator.garments.pants import PantsDesign
@@ -22,6 +22,7 @@ from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband
+from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, PanelRole
 from tests.generator.drape.garments import neutral, wear

@@ -9,9 +9,10 @@ import pytest
 import yaml
 
 from gcd_dataset.errors import ConfigError, OutputError
-from gcd_dataset.generator.garments.design import OutfitDesign, Upper
+from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.design_file import design_from_dict, design_tree, read_design, write_design
 from gcd_dataset.generator.garments.space import draw, from_dict
+from gcd_dataset.generator.garments.wardrobe import Upper
 
 
 def leaves_in(path: Path) -> dict[str, Mapping[str, Any]]:

@@ -10,11 +10,12 @@ import pytest
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design import Bottom, MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
 from gcd_dataset.generator.garments.pants import PantsDesign
 from gcd_dataset.generator.garments.space import draw, leaves
 from gcd_dataset.generator.garments.waistband import Waistband
+from gcd_dataset.generator.garments.wardrobe import Bottom
 
 WORKWEAR = """
 [meta]

@@ -14,13 +14,14 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import Bottom, MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign, pencil_skirt
 from gcd_dataset.generator.garments.space import draw
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import Measurements
 from gcd_dataset.spec import read_pattern

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design import Upper
+from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.records import BoxMesh
