@@ -129,7 +129,7 @@ def test_a_signal_keeps_finished_samples(number: int, workers: str, code: int, t
     assert process.returncode == code, said
     assert "the same command continues from there" in one_line(said)
     wait_for_end_of(process.pid)
-    assert {path.name for path in tmp_path.iterdir()} == {".train-00000.part"}
+    assert [path.name for path in tmp_path.iterdir()] == [path.name for path in drafts_in(tmp_path)]
     there = samples_in_work(tmp_path)
     assert there >= 10
     again = subprocess.Popen([*command, "--workers", "0"], stderr=subprocess.DEVNULL)
@@ -252,8 +252,11 @@ def wait_for_samples(folder: Path, count: int, process: subprocess.Popen[Any]) -
 
 def samples_in_work(folder: Path) -> int:
     """Whole samples in the draft of the first shard."""
-    path = folder / ".train-00000.part"
-    return sum(1 for _ in stored_samples(path, damaged=True)) if path.exists() else 0
+    return sum(1 for path in drafts_in(folder) for _ in stored_samples(path, damaged=True))
+
+
+def drafts_in(folder: Path) -> list[Path]:
+    return [*folder.glob(".train-00000-of-*.part")]
 
 
 def wait_for_end_of(session: int) -> None:

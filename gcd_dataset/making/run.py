@@ -272,7 +272,7 @@ def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
             drafts = {path.name for path in place.work.iterdir() if DRAFT.fullmatch(path.name)}
     wanted = []
     for task in tasks:
-        names = {draft_name(split, task.number) for split in (task.split, FAILED)} & drafts
+        names = {draft_name(split, task.number, task.plan.count) for split in (task.split, FAILED)} & drafts
         done = {sample.number for name in names for sample in stored_samples(place.work / name, damaged=True)}
         left = [index for index in task.indices if index not in done and not earlier.has(task.split, index)]
         wanted.append((task, left))

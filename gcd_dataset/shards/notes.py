@@ -62,9 +62,9 @@ EARLIER = ".earlier"
 SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
-DRAFT = re.compile(r"\..+-\d{5,}\.part")
+DRAFT = re.compile(r"\..+-\d{5,}-of-(\d+)\.part")
 NOTHING = "no shards: give a folder made by gcd generate"
-BEGUN = "no shard is finished yet: give the command that makes this data set again, it goes on"
+BEGUN = "no shard of %s samples is finished yet: give the command that makes this data set again, it goes on"
 META = MEMBERS[0]
 FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
 
@@ -380,8 +380,9 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
     if any(map(OLD.fullmatch, names)):
         raise ShardError(other_schema(place.location(), 2, None))
     if not (shards := shards_named(names)):
-        is_foreign, is_begun = any(name.endswith(".tar") for name in names), any(map(DRAFT.fullmatch, names))
-        raise ShardError(f"{place.location()}: {FOREIGN if is_foreign else BEGUN if is_begun else NOTHING}")
+        begun = next(filter(None, map(DRAFT.fullmatch, names)), None)
+        is_foreign = any(name.endswith(".tar") for name in names)
+        raise ShardError(f"{place.location()}: {FOREIGN if is_foreign else BEGUN % begun[1] if begun else NOTHING}")
     notes = _notes(place, names, shards)
     splits, indices = {}, {}
     for split, of_split in groupby(notes, key=lambda note: note.split):

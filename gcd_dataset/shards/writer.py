@@ -56,9 +56,9 @@ def shard_size_of(count: int, wearers: int = 1) -> int:
     return max(size // wearers, 1) * wearers
 
 
-def draft_name(split: str, number: int, *, views: bool = False) -> str:
-    """The file name of a draft."""
-    return f".{'views-' if views else ''}{split}-{number:05d}.part"
+def draft_name(split: str, number: int, count: int, *, views: bool = False) -> str:
+    """The file name of a draft; ``count``: planned samples of the data set."""
+    return f".{'views-' if views else ''}{split}-{number:05d}-of-{count}.part"
 
 
 class Draft:
@@ -84,7 +84,7 @@ class Draft:
         cls, place: Place, plan: Plan, split: str, number: int, indices: Sequence[int], *, wait: bool = False
     ) -> Self | None:
         """The draft of a shard; ``None`` if the shard exists, or if another process fills it, unless ``wait``."""
-        path, name = make_folder(place.work) / draft_name(split, number), shard_name(split, number)
+        path, name = make_folder(place.work) / draft_name(split, number, plan.count), shard_name(split, number)
         if place.exists(name) or (lock := lock_file(path, wait=wait)) is None:
             return None
         try:
@@ -141,7 +141,7 @@ class _DraftTar:
         self.split, self.number, self.plan, self.rows = split, number, plan, list[Row]()
         self._place = place
         self._names = tuple(shard_name(split, number, views=views) for views in (False, True))
-        self._paths = tuple(place.work / draft_name(split, number, views=views) for views in (False, True))
+        self._paths = tuple(place.work / draft_name(split, number, plan.count, views=views) for views in (False, True))
         self._files: dict[Path, int] = {}
         self._ends = [[0], [0]]  # ends of the samples in both tars
         self._members: tuple[str, ...] = ()

@@ -20,6 +20,7 @@ from gcd_dataset.shards import folder as folders
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.writer import draft_name
 from tests.shards.folders import fill, forbidden, public_folder
 
 
@@ -189,6 +190,6 @@ def test_an_index_pickles_as_its_file(folder: Path) -> None:
 
 
 def test_a_data_set_without_a_finished_shard_says_how_it_goes_on(tmp_path: Path) -> None:
-    (tmp_path / ".train-00000.part").write_bytes(bytes(512))
-    with pytest.raises(ShardError, match=r"no shard is finished yet: give the command .* again"):
+    (tmp_path / draft_name("train", 0, 400)).write_bytes(bytes(512))
+    with pytest.raises(ShardError, match=r"no shard of 400 samples is finished yet: give the command .* again"):
         ShardReader(tmp_path)

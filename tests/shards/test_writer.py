@@ -228,7 +228,7 @@ def zeroed(path: Path) -> None:
 @pytest.mark.parametrize("damage", [cut, zeroed, Path.unlink])
 def test_whole_samples_of_a_damaged_draft_are_kept(damage: Callable[[Path], None], views: bool, tmp_path: Path) -> None:
     folder = begun(tmp_path / "damaged", 3)
-    damage(folder / draft_name("train", 0, views=views))
+    damage(folder / draft_name("train", 0, PLAN.count, views=views))
     with own_draft(folder) as opened:
         assert opened.done < {0, 1, 2}
         assert opened.done == set(range(len(opened.done)))
@@ -238,7 +238,7 @@ def test_whole_samples_of_a_damaged_draft_are_kept(damage: Callable[[Path], None
 def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
     with own_draft(tmp_path):
         assert draft(tmp_path) is None
-        assert (tmp_path / ".train-00000.part").exists()
+        assert (tmp_path / draft_name("train", 0, PLAN.count)).exists()
     finished(tmp_path)
     assert draft(tmp_path, wait=True) is None  # the shard is there
     assert not list(tmp_path.glob(".*"))
