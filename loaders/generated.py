@@ -24,8 +24,8 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
-from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
+from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
 from gcd_dataset.prefetch import prefetch

@@ -1,23 +1,502 @@
 """``GarmentLoader``: resumable batches; after any interruption no garment is lost or repeated."""
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sized
+import copy
+import hashlib
+import random
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, MutableMapping, Sized
 from contextlib import closing, nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast
 
+import numpy as np
 import torch
-from torch.utils.data import Dataset, IterableDataset
+from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, require_callable, require_integer
-from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
-from gcd_dataset.loaders.collate import collate_packed
-from gcd_dataset.loaders.order import ElasticSampler, Pad
-from gcd_dataset.loaders.worker import unwrap
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.loaders.base import Garments, SelectedGarments, load_items, require_callable, require_integer
+from gcd_dataset.loaders.batches import collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.mixed import MixedDataset
+from gcd_dataset.loaders.order import ElasticSampler, Pad, RankShare
+from gcd_dataset.loaders.ranks import current_rank, require_rank
+from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
+from gcd_dataset.loaders.transforms import Augmented
+from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
 from gcd_dataset.prefetch import prefetch
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views
+
+UserCode: TypeAlias = Callable[[Any, int], Any]
+"""``(item, index)`` to the transformed item."""
+
+COLLATES = (collate_list, collate_packed, collate_padded)
+
+
+class isolated_rng:  # noqa: N801 -- a context manager, named as functions are
+    """Context manager: saves the global random states of torch (CPU), NumPy and Python, and restores them on exit.
+
+    After ``seed``, draws depend on its arguments alone. Enter it in the training thread: the streams are per process.
+
+    >>> with isolated_rng() as random_state:
+    ...     random_state.seed(0, 7)
+    ...     first = torch.rand(3)
+    ...     random_state.seed(0, 7)
+    ...     again = torch.rand(3)
+    >>> torch.equal(first, again)
+    True
+    """
+
+    # A class, not a generator function: entered for every batch, and several times as fast.
+    __slots__ = ("_saved",)
+
+    def __enter__(self) -> "isolated_rng":
+        self._saved = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
+        return self
+
+    def seed(self, *key: int) -> None:
+        """Seed all three streams from a hash of the key."""
+        digest = hashlib.sha256(repr(key).encode()).digest()[:16]
+        torch.default_generator.manual_seed(int.from_bytes(digest[:8], "little"))
+        np.random.seed(np.frombuffer(digest, np.uint32))  # noqa: NPY002
+        random.seed(digest)
+
+    def __exit__(self, *error: object) -> None:
+        torch_state, numpy_state, python_state = self._saved
+        torch.set_rng_state(torch_state)
+        np.random.set_state(numpy_state)  # noqa: NPY002
+        random.setstate(python_state)
+
+
+def separate_user_code(dataset: Dataset) -> tuple[Dataset, UserCode | None]:
+    """A data set without users' transforms, and a function that applies them; ``None`` if there are none.
+
+    A data set of a user's class stays as it is.
+    """
+    if isinstance(dataset, SelectedGarments):
+        return _selected(dataset)
+    if isinstance(dataset, Augmented):
+        whole, first = separate_user_code(dataset.whole)
+        return whole, partial(_chained, first, dataset._augmented)
+    if isinstance(dataset, MixedDataset):
+        return _mixed(dataset)
+    if isinstance(dataset, Garments) and is_package_code(type(dataset)) and dataset.transform is not None:
+        return _without_transform(dataset), dataset._transformed
+    return dataset, None
+
+
+def is_package_code(code: Any) -> bool:
+    """Whether a class or ``collate_fn`` is of this package, and so draws no global random numbers."""
+    if isinstance(code, type):
+        return code.__module__.partition(".")[0] == __name__.partition(".")[0]
+    return (code.func if isinstance(code, partial) else code) in COLLATES
+
+
+def _without_transform(dataset: Garments) -> Any:
+    plain = copy.copy(dataset)
+    plain.transform = None
+    return plain
+
+
+def _selected(dataset: SelectedGarments) -> tuple[Dataset, UserCode | None]:
+    whole, transform = separate_user_code(dataset.whole)
+    if transform is None:
+        return dataset, None
+    plain = _without_transform(dataset)
+    plain.whole = whole
+    return plain, partial(_transform_selected, transform, dataset)
+
+
+def _mixed(dataset: MixedDataset) -> tuple[Dataset, UserCode | None]:
+    parts = [separate_user_code(part) for part in dataset.datasets]
+    if dataset.transform is None and all(transform is None for _, transform in parts):
+        return dataset, None
+    plain = _without_transform(dataset)
+    plain.datasets = tuple(part for part, _ in parts)
+    return plain, partial(_transform_mixed, [transform for _, transform in parts], dataset)
+
+
+def _chained(first: UserCode | None, second: UserCode, item: Any, index: int) -> Any:
+    return second(item if first is None else first(item, index), index)
+
+
+def _transform_selected(transform: UserCode, dataset: SelectedGarments, item: Any, index: int) -> Any:
+    return transform(item, int(dataset.positions[index]))
+
+
+def _transform_mixed(transforms: list[UserCode | None], dataset: MixedDataset, item: Any, index: int) -> Any:
+    part, part_index = dataset.source(index)
+    transform = transforms[part]
+    return dataset._transformed(item if transform is None else transform(item, part_index), index)
+
+
+Collate: TypeAlias = Callable[[list[Any]], Any]
+Cursor: TypeAlias = Any
+"""How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
+
+BATCHES_AHEAD = 2  # batches that a thread prefetches
+LONGEST_PASS = 1 << 40  # items of a stream
+END = object()  # default of ``next`` at the end of a stream
+
+
+class BatchPlan(Protocol):
+    """The batches of this rank from any cursor on. A *pass* is the rest of an epoch: one ``iter()`` of the loader."""
+
+    runs_in_thread: bool
+    """Whether batches may be made in a thread beside the training: no users' code is involved."""
+    first: Cursor
+    """The cursor at the start of the first epoch."""
+
+    def loader(self, **options: Any) -> DataLoader:
+        """The ``DataLoader`` that serves all passes."""
+
+    def __len__(self) -> int:
+        """Batches of a whole epoch."""
+
+    def epoch(self, cursor: Cursor) -> int:
+        """The epoch of a cursor."""
+
+    def state(self, cursor: Cursor) -> dict[str, Any]:
+        """A state: the cursor, and the entries that identify its order."""
+
+    def cursor_in(self, state: Mapping[str, Any]) -> Cursor:
+        """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
+
+    def next_pass(self, cursor: Cursor) -> Cursor:
+        """The cursor itself at the start of an epoch, otherwise the start of the next epoch."""
+
+    def begin(self, cursor: Cursor) -> Cursor:
+        """Begin a pass at ``cursor``, or at the next epoch if no batch is left; returns the start of the pass."""
+
+    def after(self, start: Cursor, number: int) -> Cursor:
+        """The cursor after batch ``number``, from 1, of a pass from ``start``."""
+
+    def after_last(self, cursor: Cursor) -> Cursor:
+        """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
+
+    def uses(self, start: Cursor, number: int, count: int) -> list[int]:
+        """For each of the ``count`` garments of a batch the number of its use; called as soon as the batch is made.
+
+        The epoch, or another number for every use of a garment where an epoch may repeat it.
+        """
+
+    def annotate(self, batch: Any, start: Cursor, number: int) -> Any:
+        """The batch with the entries that the plan adds, such as ``repeated``."""
+
+
+class BatchIndices(NamedTuple):
+    """The indices of one batch, and their epoch."""
+
+    epoch: int
+    indices: list[int]
+    uses: list[int] | None = None
+    """The number of each garment's use, see ``BatchPlan.uses``."""
+
+
+class IndexedPlan:
+    """Batches of an ``ElasticSampler``'s indices; also the ``batch_sampler`` of its loader. A cursor is a position."""
+
+    first = 0
+
+    def __init__(
+        self,
+        sampler: ElasticSampler,
+        dataset: Dataset,
+        batch_size: int,
+        collate_fn: Collate,
+        *,
+        drop_last: bool,
+        num_workers: int,
+        views: "Views | None" = None,
+    ) -> None:
+        self._sampler, self._batch_size, self._drop_last, self._start = sampler, batch_size, drop_last, 0
+        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed, views), num_workers
+        self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
+        self.runs_in_thread = self._reads_only and num_workers == 0 and not self._maker.has_user_code
+        self._rank_share = self._present_share()
+
+    def loader(self, **options: Any) -> DataLoader:
+        """The ``DataLoader`` that serves all passes; its workers persist between them."""
+        if self._num_workers:
+            require_semaphores(self._num_workers)
+            return DataLoader(
+                self._maker,
+                batch_sampler=self,  # type: ignore[arg-type]  # declared as yielding lists
+                num_workers=self._num_workers,
+                persistent_workers=True,
+                worker_init_fn=begin_worker,
+                collate_fn=_unchanged,
+                **options,
+            )
+        read_ahead = self._reads_only and not self.runs_in_thread and not self._maker.is_user_dataset
+        return DataLoader(_Pass(self, self._maker, read_ahead), batch_size=None, collate_fn=_unchanged, **options)
+
+    def __len__(self) -> int:
+        return len(self._batch_starts(0, self._present_share()))
+
+    def __iter__(self) -> Iterator[BatchIndices]:
+        """The indices of each batch of the current pass."""
+        start, indices = self._start, self._rank_share.indices(self._start)
+        chunks = (list(islice(indices, self._batch_size)) for _ in self._batch_starts(start, self._rank_share))
+        return (
+            BatchIndices(self.epoch(start), chunk, self.uses(start, number, len(chunk)))
+            for number, chunk in enumerate(chunks, 1)
+        )
+
+    def epoch(self, cursor: int) -> int:
+        return self._sampler.order.epoch(cursor)
+
+    def state(self, cursor: int) -> dict[str, Any]:
+        return self._sampler.order.state(cursor)
+
+    def cursor_in(self, state: Mapping[str, Any]) -> int:
+        return self._sampler.order.position_in(state)
+
+    def next_pass(self, cursor: int) -> int:
+        return self._sampler.order.next_pass(cursor)
+
+    def begin(self, cursor: int) -> int:
+        """Look up the ranks and begin a pass, at the next epoch if no batch is left in this one."""
+        self._rank_share = self._present_share()
+        self._start = cursor if self._batch_starts(cursor, self._rank_share) else self._sampler.order.end(cursor)
+        return self._start
+
+    def after(self, start: int, number: int) -> int:
+        """The position after batch ``number``, from 1, of a pass; after the last batch the end of the epoch."""
+        is_last = number >= len(self._batch_starts(start, self._rank_share))
+        return self._sampler.order.end(start) if is_last else self._rank_share.after(start, number * self._batch_size)
+
+    def after_last(self, cursor: int) -> int:
+        return cursor
+
+    def uses(self, start: int, number: int, count: int) -> list[int]:
+        positions = self._rank_share.positions(start)[(number - 1) * self._batch_size :][:count]
+        return self._sampler.order.uses(positions, self.epoch(start))
+
+    def annotate(self, batch: Any, start: int, number: int) -> Any:
+        """With ``pad="repeat"`` a dict gets ``repeated``, bool [B]: true for garments that fill up the epoch."""
+        if self._sampler.pad == "repeat" and isinstance(batch, MutableMapping):
+            positions = self._rank_share.positions(start)[(number - 1) * self._batch_size : number * self._batch_size]
+            end = self._sampler.order.end(start)
+            batch["repeated"] = torch.tensor([position >= end for position in positions])
+        return batch
+
+    def _present_share(self) -> RankShare:
+        """The share of this process's rank, looked up now. Raises ``ConfigError`` if no rank has a whole batch."""
+        rank_share = self._sampler.rank_share()
+        if not self._batch_starts(0, rank_share):
+            raise ConfigError(
+                f"no rank has {self._batch_size} of {self._sampler.order.length} garments: leave out drop_last"
+            )
+        return rank_share
+
+    def _batch_starts(self, start: int, rank_share: RankShare) -> range:
+        """Where each batch begins, counted in this rank's garments of a pass."""
+        count = len(rank_share.positions(start))
+        return range(0, count // self._batch_size * self._batch_size if self._drop_last else count, self._batch_size)
+
+
+class BatchMaker(Dataset):
+    """Makes a batch from its indices, in the training process or a worker; errors get a note that names the garments.
+
+    Items are loaded without users' code where possible (see ``separate_user_code``). Users' code runs with the global random
+    streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are untouched.
+    """
+
+    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
+        self._plain, self._user_code = separate_user_code(dataset)
+        self._collate, self._seed, self._views = collate_fn, seed, views
+        self.is_user_dataset = not is_package_code(type(self._plain))
+        """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
+        self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
+
+    def __getitems__(self, batch: BatchIndices) -> Any:
+        """The batch, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
+        try:
+            return sent(self.finish(batch, self.read(batch)))
+        except GcdError as error:
+            return with_traceback(error)
+
+    def read(self, batch: BatchIndices) -> list[Any]:
+        """Load the items, without users' transforms."""
+        if not self.is_user_dataset:
+            return load_items(self._plain, batch.indices)
+        with isolated_rng() as random_state:
+            if hasattr(self._plain, "__getitems__"):
+                random_state.seed(self._seed, *batch.indices[:1], batch.epoch)
+                return load_items(self._plain, batch.indices)
+            items = []
+            for index in batch.indices:
+                random_state.seed(self._seed, index, batch.epoch)
+                items += load_items(self._plain, [index])
+            return items
+
+    def finish(self, batch: BatchIndices, items: list[Any]) -> Any:
+        """Apply users' transforms, add views if they are rendered here, then collate."""
+        if not self.has_user_code:
+            return self._collate(self._with_views(batch, items))
+        with isolated_rng() as random_state:
+            if self._user_code is not None:
+                items = list(items)
+                for row, index in enumerate(batch.indices):
+                    random_state.seed(self._seed, index, batch.epoch)
+                    items[row] = self._user_code(items[row], index)
+            random_state.seed(self._seed, *batch.indices[:1], batch.epoch, len(items))
+            return self._collate(self._with_views(batch, items))
+
+    def _with_views(self, batch: BatchIndices, items: list[Any]) -> list[Any]:
+        return items if self._views is None else self._views.add_to_items(items, batch.uses or [])
+
+
+class _Pass(IterableDataset):
+    """The batches of the current pass, without workers; with ``read_ahead`` a thread reads the items."""
+
+    def __init__(self, batches: IndexedPlan, maker: BatchMaker, read_ahead: bool) -> None:
+        self._batches, self._maker, self._read_ahead = batches, maker, read_ahead
+
+    def __iter__(self) -> Iterator[Any]:
+        read = ((batch, self._maker.read(batch)) for batch in self._batches)
+        with closing(prefetch(read, BATCHES_AHEAD, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
+            for batch, items in loaded:
+                yield self._maker.finish(batch, items)
+
+
+class StreamCursor(NamedTuple):
+    """How far the training loop has come in a stream."""
+
+    epoch: int
+    """Finished passes."""
+    position: int
+    """Items of this pass that all ranks together have received."""
+
+
+class StreamPlan(IterableDataset):
+    """Every ``world_size``-th item of a stream, from any position on.
+
+    A stream with ``begin_at``, such as ``FreshGarments``, can begin at any item, counted from the start of the first
+    pass. Any other stream is read from its beginning; if it has ``set_epoch``, that is called before each pass.
+    """
+
+    runs_in_thread = False  # the stream may be users' code
+    first = StreamCursor(0, 0)
+
+    def __init__(
+        self,
+        stream: IterableDataset,
+        batch_size: int,
+        collate_fn: Collate,
+        rank: int | None,
+        world_size: int | None,
+        *,
+        seed: int,
+        drop_last: bool,
+    ) -> None:
+        self._stream, self._batch_size, self._drop_last = stream, batch_size, drop_last
+        self._collate, self._seed = collate_fn, seed
+        self._fixed_rank = require_rank(rank, world_size)
+        self._rank = self._present_rank()
+        self._dataset_entries = dataset_entries(stream)
+        self._cursor = self.first
+
+    def loader(self, **options: Any) -> DataLoader:
+        return DataLoader(self, batch_size=None, collate_fn=_unchanged, **options)
+
+    def __len__(self) -> int:
+        count = self._length() // self._present_rank()[1]
+        return count // self._batch_size if self._drop_last else -(-count // self._batch_size)
+
+    def __iter__(self) -> Iterator[Any]:
+        """This rank's batches of the current pass, or of the next one if none is left."""
+        begun = self._cursor
+        for start in dict.fromkeys((begun, self.next_pass(begun))):
+            self._cursor, items = start, self._items(start)
+            while (batch := self._next_batch(items)) is not None:
+                yield batch
+            if self._cursor != start:
+                return
+
+    def epoch(self, cursor: StreamCursor) -> int:
+        return cursor.epoch
+
+    def state(self, cursor: StreamCursor) -> dict[str, Any]:
+        return {**cursor._asdict(), **self._dataset_entries}
+
+    def cursor_in(self, state: Mapping[str, Any]) -> StreamCursor:
+        position = position_in_state(state, {}, self._dataset_entries)
+        return StreamCursor(require_whole("epoch", state.get("epoch", 0)), position)
+
+    def next_pass(self, cursor: StreamCursor) -> StreamCursor:
+        return StreamCursor(cursor.epoch + 1, 0) if cursor.position else cursor
+
+    def begin(self, cursor: StreamCursor) -> StreamCursor:
+        """Look up the ranks and begin a pass; at the next epoch if the stream is known to have no item left."""
+        if hasattr(self._stream, "begin_at") and cursor.position >= self._length():
+            cursor = self.next_pass(cursor)
+        self._rank, self._cursor = self._present_rank(), cursor
+        return cursor
+
+    def after(self, start: StreamCursor, number: int) -> StreamCursor:
+        """The cursor after the last batch that was made; nothing is prefetched."""
+        return self._cursor
+
+    def after_last(self, cursor: StreamCursor) -> StreamCursor:
+        """The start of the next pass."""
+        return StreamCursor(cursor.epoch + 1, 0)
+
+    def uses(self, start: StreamCursor, number: int, count: int) -> list[int]:
+        (rank, world_size), (epoch, after) = self._rank, self._cursor
+        first = epoch * LONGEST_PASS + after - count * world_size + rank
+        return list(range(first, first + count * world_size, world_size))
+
+    def annotate(self, batch: Any, start: StreamCursor, number: int) -> Any:
+        return batch
+
+    def _present_rank(self) -> tuple[int, int]:
+        return self._fixed_rank or current_rank()
+
+    def _length(self) -> int:
+        """Items of a pass. Raises ``TypeError`` for a stream without a length."""
+        if not isinstance(self._stream, Sized):
+            raise TypeError("a stream has no length")
+        return len(self._stream)
+
+    def _items(self, start: StreamCursor) -> Iterator[Any]:
+        """The items that follow a cursor, to the end of its pass."""
+        with isolated_rng() as random_state:
+            random_state.seed(self._seed, start.epoch)
+            if callable(begin_at := getattr(self._stream, "begin_at", None)):
+                return iter(begin_at(start.epoch * self._length() + start.position))
+            if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
+                set_epoch(start.epoch)
+            items = iter(self._stream)
+            for position in range(start.position):
+                random_state.seed(self._seed, start.epoch, position)
+                if next(items, END) is END:
+                    break
+            return items
+
+    def _next_batch(self, items: Iterator[Any]) -> Any:
+        """The next batch of this rank; ``None`` at the end."""
+        rank, world_size = self._rank
+        batch: list[Any] = []
+        with isolated_rng() as random_state:
+            while len(batch) < self._batch_size:
+                of_ranks: list[Any] = []  # one item for each rank
+                for position in range(self._cursor.position, self._cursor.position + world_size):
+                    random_state.seed(self._seed, self._cursor.epoch, position)
+                    of_ranks += islice(items, 1)
+                if len(of_ranks) < world_size:
+                    break
+                self._cursor = self._cursor._replace(position=self._cursor.position + world_size)
+                batch.append(of_ranks[rank])
+            if not batch or (self._drop_last and len(batch) < self._batch_size):
+                return None
+            random_state.seed(self._seed, *self._cursor, len(batch))
+            return self._collate(batch)
+
+
+def _unchanged(batch: Any) -> Any:
+    return batch
 
 
 class GarmentLoader:

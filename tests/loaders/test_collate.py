@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.one_thread import copy_tensor
+from gcd_dataset.loaders.batches import copy_tensor
 from gcd_dataset.tensors import EdgeColumn
 from tests.loaders.test_shards import same as all_same
 
@@ -208,7 +208,7 @@ def test_entries_that_a_transform_adds_are_listed() -> None:
 ONE_THREAD = """
 import os, torch
 from gcd_dataset.loaders import collate_packed, collate_padded
-from gcd_dataset.loaders.one_thread import copy_tensor
+from gcd_dataset.loaders.batches import copy_tensor
 
 def threads():
     return len(os.listdir("/proc/self/task"))

@@ -29,7 +29,7 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
-from gcd_dataset.loaders.batch_plan import BatchIndices, BatchMaker
+from gcd_dataset.loaders.loader import BatchIndices, BatchMaker
 from tests.loaders.patterns import pattern_shards
 
 N = 12
