@@ -132,7 +132,7 @@ def test_the_mesh_is_stored_once(ours: Path) -> None:
     assert 40_000 < volume < 150_000  # cm³, of a person with outward faces
 
 
-@pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), (1, "spawn")])
+@pytest.mark.parametrize(("workers", "context"), [(0, None), (1, "spawn")])
 def test_a_plain_loader_stacks_people(ours: Path, published: Path, workers: int, context: str | None) -> None:
     both = BodyDataset(ours), PublishedBodies(published)
     batches: DataLoader[Any] = DataLoader(

@@ -49,10 +49,9 @@ def test_a_batch_holds_the_same_items(items: list[dict[str, Any]]) -> None:
         ds.__getitems__([0, COUNT])
 
 
-@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (1, "spawn")])
-def test_workers_change_nothing(items: list[dict[str, Any]], workers: int, context: str) -> None:
+def test_a_spawned_worker_changes_nothing(items: list[dict[str, Any]]) -> None:
     loader = DataLoader(
-        garments(), batch_size=2, num_workers=workers, multiprocessing_context=context, collate_fn=collate_packed
+        garments(), batch_size=2, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_packed
     )
     assert_all_same(loader, [collate_packed(items[:2]), collate_packed(items[2:])])
 

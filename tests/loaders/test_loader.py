@@ -317,10 +317,7 @@ def test_an_error_of_a_transform_names_the_garment(folder: Path) -> None:
         list(GarmentLoader(ds, 2))
 
 
-KILLS, EPOCHS = 20, 20
-
-
-def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
+def train(ds: Any, workers: int, epochs: int, log: Path, tell: Connection) -> None:
     """A training that logs its indices with its state, and resumes from the log."""
     loader = GarmentLoader(ds, 4, num_workers=workers)
     seen: list[int] = []
@@ -328,7 +325,7 @@ def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
         kept = torch.load(log)
         seen = kept["seen"]
         loader.load_state_dict(kept["state"])
-    while loader.epoch < EPOCHS:
+    while loader.epoch < epochs:
         for batch in loader:
             seen += ids(batch)
             torch.save({"seen": seen, "state": loader.state_dict()}, log.with_suffix(".part"))
@@ -337,16 +334,14 @@ def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
     tell.send(None)
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_a_run_killed_at_any_batch_resumes(workers: int, tmp_path: Path, folder: Path) -> None:
-    """Twenty kills for each way to load: by a thread, and by a worker process, which the kill orphans."""
-    ds: Any = GarmentDataset(folder, fields=["meta"]) if workers == 0 else garments(10)
-    log, chance, fork = tmp_path / "run.pt", random.Random(0), multiprocessing.get_context("fork")
+def require_resumed(ds: Any, workers: int, log: Path, *, kills: int) -> None:
+    """Kill a training at ``kills`` random batches; the runs together must see the batches of one whole run."""
+    chance, fork, epochs = random.Random(0), multiprocessing.get_context("fork"), kills
 
     def run(batches: int | None) -> None:
         """Resume the training, and kill it during the batch after ``batches`` more."""
         hear, tell = fork.Pipe(duplex=False)
-        child = fork.Process(target=train, args=(ds, workers, log, tell))
+        child = fork.Process(target=train, args=(ds, workers, epochs, log, tell))
         child.start()
         tell.close()
         received = 0
@@ -359,11 +354,16 @@ def test_a_run_killed_at_any_batch_resumes(workers: int, tmp_path: Path, folder:
             assert batches is None
         child.join()
 
-    for _ in range(KILLS):
+    for _ in range(kills):
         run(chance.randint(1, 3))
     run(None)
     whole = GarmentLoader(ds, 4)
-    assert torch.load(log)["seen"] == [number for _ in range(EPOCHS) for batch in whole for number in ids(batch)]
+    assert torch.load(log)["seen"] == [number for _ in range(epochs) for batch in whole for number in ids(batch)]
+
+
+def test_a_run_killed_at_any_batch_resumes(tmp_path: Path, folder: Path) -> None:
+    """Twenty kills, also of worker processes, are in ``tests/extras``."""
+    require_resumed(GarmentDataset(folder, fields=["meta"]), 0, tmp_path / "run.pt", kills=3)
 
 
 # -------------------------------------------------------------------------------------------------------------- streams

@@ -83,13 +83,10 @@ def test_the_recipe_suffices_to_make_the_garment_again(folder: Path) -> None:
     assert same(FakeGarments(COUNT, seed=recipe["seed"])[recipe["index"]], GarmentDataset(folder)[7])
 
 
-@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (1, "spawn")])
-def test_workers_change_nothing(folder: Path, workers: int, context: str) -> None:
+def test_a_spawned_worker_changes_nothing(folder: Path) -> None:
     ds = GarmentDataset(folder)
     alone = list(DataLoader(ds, batch_size=4, collate_fn=collate_packed))
-    shared = DataLoader(
-        ds, batch_size=4, collate_fn=collate_packed, num_workers=workers, multiprocessing_context=context
-    )
+    shared = DataLoader(ds, batch_size=4, collate_fn=collate_packed, num_workers=1, multiprocessing_context="spawn")
     assert_all_same(alone, shared)
 
 
