@@ -37,6 +37,23 @@ LONGEST_PASS = 1 << 40  # items of a stream
 END = object()  # default of ``next`` at the end of a stream
 
 
+# A *pass* is the rest of an epoch: one ``iter()`` of the loader. A *cursor* is how far the training loop has come: a
+# position in the order, or a ``StreamCursor``. Each batch is made together with its ``Step``.
+
+
+class Step(NamedTuple):
+    """One batch of a pass."""
+
+    cursor: Any
+    """The cursor after it; after the last batch the end of the epoch."""
+    uses: list[int]
+    """For each garment the number of its use: its epoch, or another number where an epoch may repeat a garment."""
+    epoch: int = 0
+    indices: Sequence[int] = ()
+    repeated: list[bool] | None = None
+    """With ``pad="repeat"``: whether a garment fills up the epoch."""
+
+
 class GarmentLoader:
     """Batches in an order that depends on ``seed``, epoch and position alone; each ``iter()`` is the next epoch.
 
@@ -210,23 +227,6 @@ def _prefetched(batches: Iterator[Any]) -> Generator[Any]:
     return prefetch(
         batches, BATCHES_AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True
     )
-
-
-# A *pass* is the rest of an epoch: one ``iter()`` of the loader. A *cursor* is how far the training loop has come: a
-# position in the order, or a ``StreamCursor``. Each batch is made together with its ``Step``.
-
-
-class Step(NamedTuple):
-    """One batch of a pass."""
-
-    cursor: Any
-    """The cursor after it; after the last batch the end of the epoch."""
-    uses: list[int]
-    """For each garment the number of its use: its epoch, or another number where an epoch may repeat a garment."""
-    epoch: int = 0
-    indices: Sequence[int] = ()
-    repeated: list[bool] | None = None
-    """With ``pad="repeat"``: whether a garment fills up the epoch."""
 
 
 class IndexedBatches:
