@@ -28,7 +28,7 @@ from gcd_dataset.loaders.base import (
 )
 from gcd_dataset.loaders.fields import BodyFields
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.body_folder import PublishedPeople
+from gcd_dataset.release.bodies import PublishedPeople
 from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
 from gcd_dataset.shards.layout import BODIES, select_fields
 from gcd_dataset.shards.reader import ShardReader, Verify

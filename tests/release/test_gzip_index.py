@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.release import gzip_index
-from gcd_dataset.release.gzip_index import GzipScanner, SeekPoint, read_from
+from gcd_dataset.release.archive import GzipScanner, SeekPoint, read_from
 
 SIZE = 2_000_000
 

@@ -22,7 +22,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.viewer.album import Filter, ShardAlbum, spec_album
+from gcd_dataset.viewer.garments import Filter, ShardAlbum, spec_album
 
 COUNT = 6
 SHORT = Overlay.from_dict({"meta": {"upper": "none", "bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.2}})

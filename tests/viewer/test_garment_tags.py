@@ -9,7 +9,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.sections import pack, unpack
 from gcd_dataset.viewer import garment_tags
-from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
+from gcd_dataset.viewer.garments import OUTCOME, TAG, GarmentTags
 
 COUNT = 6
 WORDS = ("skirt", "dress")

@@ -11,7 +11,7 @@ from gcd_dataset.cli.show import _album
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.loaders import PublishedGarmentCodeData
-from gcd_dataset.viewer.album import Filter, PublishedAlbum, published_content
+from gcd_dataset.viewer.garments import Filter, PublishedAlbum, published_content
 from tests.release.published import BATCH, TRAIN, publish
 
 PEOPLE = "5000_body_shapes_and_measures"
@@ -81,7 +81,7 @@ def test_show_writes_the_page_the_picture_and_the_pattern_of_a_published_garment
 
 
 def test_a_name_outside_the_release_is_no_path(root: Path) -> None:
-    from gcd_dataset.release.wearers import published_body
+    from gcd_dataset.release.bodies import published_body
 
     for name in ("../secret", "00000_naked", "mean_all/../../x", ""):
         with pytest.raises(BodyError, match="no body of the release"):
