@@ -8,14 +8,12 @@ Means include every garment: an unmatched panel counts as missing, a prediction 
 and ``failed_score`` is the score of a prediction that is missing or cannot be read.
 """
 
+from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
 from gcd_dataset.metrics.scores import (
-    PanelPair,
     PatternScore,
     bootstrap_interval,
     bootstrap_means,
     failed_score,
-    match_panels,
-    matched_edges,
     mean_scores,
     score_pattern,
 )

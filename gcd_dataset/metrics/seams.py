@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.metrics.scores import PanelPair, matched_edges
+from gcd_dataset.metrics.matching import PanelPair, matched_edges
 from gcd_dataset.metrics.shapes import Outline, OutlineMap, PanelShape
 from gcd_dataset.records import EdgeRef, Pattern
 
