@@ -12,8 +12,78 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Panel
 from gcd_dataset.tensors import area_centroid, require_closed
 
+CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
+CONTOUR_POINTS = 256
+LARGEST = 1e12  # cm: specification files hold no larger number
 GAPS = (0.5, 10.0)  # cm: bounds of the cost of a corner without a match
 NOISE = 2.0  # gaps for each cm between corners and their nearest corner: matched corners are less than two gaps apart
+
+
+@dataclass(frozen=True, eq=False)
+class PanelShape:
+    """A panel's outline about its centroid, seen from the right side of the cloth, and its position in space."""
+
+    panel: Panel
+    centroid: Float[np.ndarray, "2"]
+    """In the panel's own coordinates [cm]."""
+    side: float
+    """1; or -1 for a panel whose loop runs clockwise, drawn from its wrong side."""
+    loop: Float[np.ndarray, "n 2"]
+    """Counter-clockwise polyline of the outline about the centroid [cm]; starts at the first corner."""
+    polygon: shapely.Geometry
+    centre: Float[np.ndarray, "3"]
+    """The centroid in space [cm]."""
+    matrix: Float[np.ndarray, "3 3"]
+    """The rotation of ``loop``'s plane."""
+
+    @staticmethod
+    def of(panel: Panel) -> "PanelShape":
+        """The shape of a panel.
+
+        Raises ``PatternError`` for an open loop, an arc that does not span its chord, and numbers that are not finite.
+        """
+        outline = _polyline(panel)
+        centroid, side = area_centroid(panel), float(np.copysign(1.0, signed_area(outline)))
+        loop = (outline - centroid) * [side, 1.0]
+        return PanelShape(
+            panel=panel,
+            centroid=centroid,
+            side=side,
+            loop=loop,
+            polygon=shapely.buffer(shapely.make_valid(shapely.Polygon(loop)), 0.0),
+            centre=panel.placement.apply(centroid),
+            matrix=panel.placement.matrix @ np.diag([side, 1.0, side]),
+        )
+
+    def seen(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Points of the panel's own coordinates about the centroid, as seen from the right side [cm]."""
+        return (points - self.centroid) * [self.side, 1.0]
+
+    def contour(self, count: int = CONTOUR_POINTS) -> Float[np.ndarray, "count 2"]:
+        """Points at equal distances along the outline [cm]."""
+        return resample_loop(self.loop, count)
+
+
+def resample_loop(
+    loop: Float[np.ndarray, "n 2"], count: int, offsets: Float[np.ndarray, "*o"] | float = 0.0
+) -> Float[np.ndarray, "*o count 2"]:
+    """``count`` points equally spaced along a closed polyline; the first lies ``offsets`` after the polyline's start.
+
+    Offsets are arc lengths in the unit of ``loop``; an array of offsets gives one set of points for each.
+    """
+    closed = np.concatenate([loop, loop[:1]])
+    arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    total = arc_length[-1]
+    at = (np.asarray(offsets)[..., None] + np.arange(count) / count * total) % total if total else np.zeros(count)
+    return np.stack([np.interp(at, arc_length, closed[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def shape_or_none(panel: Panel) -> PanelShape | None:
+    """The shape of a panel; ``None`` if it has no closed outline."""
+    try:
+        return PanelShape.of(panel)
+    except PatternError:
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,78 +165,6 @@ def aligned(distance: Float[np.ndarray, "n m"], gap: float) -> Sequence[tuple[in
         else:
             column -= 1
     return pairs[::-1]
-
-
-CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
-CONTOUR_POINTS = 256
-LARGEST = 1e12  # cm: specification files hold no larger number
-
-
-@dataclass(frozen=True, eq=False)
-class PanelShape:
-    """A panel's outline about its centroid, seen from the right side of the cloth, and its position in space."""
-
-    panel: Panel
-    centroid: Float[np.ndarray, "2"]
-    """In the panel's own coordinates [cm]."""
-    side: float
-    """1; or -1 for a panel whose loop runs clockwise, drawn from its wrong side."""
-    loop: Float[np.ndarray, "n 2"]
-    """Counter-clockwise polyline of the outline about the centroid [cm]; starts at the first corner."""
-    polygon: shapely.Geometry
-    centre: Float[np.ndarray, "3"]
-    """The centroid in space [cm]."""
-    matrix: Float[np.ndarray, "3 3"]
-    """The rotation of ``loop``'s plane."""
-
-    @staticmethod
-    def of(panel: Panel) -> "PanelShape":
-        """The shape of a panel.
-
-        Raises ``PatternError`` for an open loop, an arc that does not span its chord, and numbers that are not finite.
-        """
-        outline = _polyline(panel)
-        centroid, side = area_centroid(panel), float(np.copysign(1.0, signed_area(outline)))
-        loop = (outline - centroid) * [side, 1.0]
-        return PanelShape(
-            panel=panel,
-            centroid=centroid,
-            side=side,
-            loop=loop,
-            polygon=shapely.buffer(shapely.make_valid(shapely.Polygon(loop)), 0.0),
-            centre=panel.placement.apply(centroid),
-            matrix=panel.placement.matrix @ np.diag([side, 1.0, side]),
-        )
-
-    def seen(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Points of the panel's own coordinates about the centroid, as seen from the right side [cm]."""
-        return (points - self.centroid) * [self.side, 1.0]
-
-    def contour(self, count: int = CONTOUR_POINTS) -> Float[np.ndarray, "count 2"]:
-        """Points at equal distances along the outline [cm]."""
-        return resample_loop(self.loop, count)
-
-
-def resample_loop(
-    loop: Float[np.ndarray, "n 2"], count: int, offsets: Float[np.ndarray, "*o"] | float = 0.0
-) -> Float[np.ndarray, "*o count 2"]:
-    """``count`` points equally spaced along a closed polyline; the first lies ``offsets`` after the polyline's start.
-
-    Offsets are arc lengths in the unit of ``loop``; an array of offsets gives one set of points for each.
-    """
-    closed = np.concatenate([loop, loop[:1]])
-    arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    total = arc_length[-1]
-    at = (np.asarray(offsets)[..., None] + np.arange(count) / count * total) % total if total else np.zeros(count)
-    return np.stack([np.interp(at, arc_length, closed[:, axis]) for axis in (0, 1)], axis=-1)
-
-
-def shape_or_none(panel: Panel) -> PanelShape | None:
-    """The shape of a panel; ``None`` if it has no closed outline."""
-    try:
-        return PanelShape.of(panel)
-    except PatternError:
-        return None
 
 
 def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
