@@ -34,8 +34,8 @@ from gcd_dataset.loaders.fields import GarmentFields
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.workers import prefetch
 
 CHUNK = 1024  # random words that are drawn at once
 WORD_BITS = 64

@@ -28,7 +28,6 @@ from gcd_dataset.loaders.base import Garments, Transform, require_integer
 from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import read_file
 from gcd_dataset.shards.codec import decode_sample, encode_sample
@@ -46,6 +45,7 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.tar import END, samples_in, tar_entry
+from gcd_dataset.workers import prefetch
 
 logger = logging.getLogger("gcd_dataset")
 

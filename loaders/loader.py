@@ -22,7 +22,7 @@ from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
 from gcd_dataset.loaders.transforms import Augmented
 from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
-from gcd_dataset.prefetch import prefetch
+from gcd_dataset.workers import prefetch
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views

@@ -31,9 +31,7 @@ from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.tar import BLOCK, padded
 
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
-EVERY = (
-    1 << 24
-)  # bytes of content between seek points: reading a garment unpacks half of this first on average, in about 30 ms
+EVERY = 1 << 24  # bytes of content between seek points: reading a garment unpacks half of it first, in 30 ms
 CHUNK = 1 << 18  # bytes per read; most blocks are shorter than 40 kB
 PIECE = 1 << 14  # packed bytes per call of zlib
 LARGEST_PART = 1 << 20  # most unpacked bytes per call: a packed byte may hold up to 1000 bytes

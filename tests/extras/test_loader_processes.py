@@ -76,7 +76,7 @@ def test_large_arrays_are_copied_by_one_thread() -> None:
 
 AT_THE_END = """
 import torch
-from gcd_dataset.prefetch import prefetch
+from gcd_dataset.workers import prefetch
 
 def items():
     while True:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gcd_dataset.prefetch import prefetch
+from gcd_dataset.workers import prefetch
 
 
 def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
