@@ -16,7 +16,7 @@ from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.layout import garments_layout
 
-SEED, SIZE = 4, 48
+SEED, SIZE, COUNT = 4, 48, 3
 CONFIG = MakeConfig(resolution=10.0, picture=0, points=16, views=2, view_size=SIZE, device="cpu")
 
 
