@@ -6,9 +6,11 @@ import time
 from pathlib import Path
 
 import pytest
+from torch.utils.data import DataLoader
 
-from gcd_dataset.loaders import FakeGarments, GarmentDataset
+from gcd_dataset.loaders import Augmented, FakeGarments, GarmentDataset, PointNoise, collate_list
 from tests.loaders.test_loader import require_resumed
+from tests.loaders.test_shards import same
 from tests.shards.folders import fill
 
 
@@ -90,3 +92,39 @@ next(made)
 def test_a_program_can_end_while_items_are_made() -> None:
     done = subprocess.run([sys.executable, "-c", AT_THE_END], capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_set_epoch_reaches_a_persistent_spawned_worker() -> None:
+    ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
+    loader = DataLoader(
+        ds,
+        batch_size=2,
+        num_workers=1,
+        persistent_workers=True,
+        multiprocessing_context="spawn",
+        collate_fn=collate_list,
+    )
+    [first] = loader
+    ds.set_epoch(1)
+    [second] = loader
+    assert not same(first, second)
+    assert same(second, list(ds))
+
+
+def test_box_meshes_do_not_import_warp() -> None:
+    code = (
+        "import sys; from gcd_dataset.loaders import GeneratedGarments; "
+        "GeneratedGarments(2, drape=None, resolution=8.0, device='cuda:3').recipe(1); "
+        "sys.exit('warp' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_main_process_does_not_initialise_cuda() -> None:
+    code = (
+        "import sys, torch; torch.cuda.device_count = lambda: 2\n"
+        "from gcd_dataset.loaders import ElasticSampler, FakeGarments, GarmentLoader, GeneratedGarments\n"
+        "assert GeneratedGarments(2).config.device == 'cuda:0,1'\n"
+        "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -323,11 +323,11 @@ def test_an_item_is_freed_after_its_last_use() -> None:
         tensors.append(weakref.ref(item["panels"]))
         return item
 
-    whole = GeneratedGarments(40, stage="pattern", fields=["meta", "panels", "edges"], transform=recorded)
-    for _ in FreshGarments(whole, room=8):
+    whole = GeneratedGarments(16, stage="pattern", fields=["meta", "panels", "edges"], transform=recorded)
+    for _ in FreshGarments(whole, room=4):
         # The items in the buffer, and the item made last.
-        assert sum(tensor() is not None for tensor in tensors) <= 8 + 1
-    assert len(tensors) == 40
+        assert sum(tensor() is not None for tensor in tensors) <= 4 + 1
+    assert len(tensors) == 16
 
 
 def test_one_worker_makes_a_design_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:

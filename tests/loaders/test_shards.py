@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
+from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
@@ -81,13 +81,6 @@ def test_the_recipe_suffices_to_make_the_garment_again(folder: Path) -> None:
     assert (recipe["seed"], recipe["index"], recipe["recipe"]) == (0, 7, RECIPE)
     assert recipe == FakeGarments(COUNT).recipe(7)
     assert same(FakeGarments(COUNT, seed=recipe["seed"])[recipe["index"]], GarmentDataset(folder)[7])
-
-
-def test_a_spawned_worker_changes_nothing(folder: Path) -> None:
-    ds = GarmentDataset(folder)
-    alone = list(DataLoader(ds, batch_size=4, collate_fn=collate_packed))
-    shared = DataLoader(ds, batch_size=4, collate_fn=collate_packed, num_workers=1, multiprocessing_context="spawn")
-    assert_all_same(alone, shared)
 
 
 def test_an_unreadable_folder_is_named() -> None:

