@@ -296,9 +296,9 @@ class IndexedBatches:
         return self._order.position_in(state)
 
     def begin(self, cursor: int, *, is_loaded: bool) -> None:
-        """Look up the ranks and begin a pass at ``cursor``, or at the next epoch.
+        """Look up the ranks and begin a pass at a loaded cursor, otherwise at the start of the next epoch.
 
-        At the next epoch unless the cursor is from a loaded state and a batch is left, or its epoch has not begun.
+        A loaded cursor after which no batch is left also begins the next epoch.
         """
         start = cursor if is_loaded else self._order.next_pass(cursor)
         self._rank_share = self._present_share()
