@@ -1,6 +1,5 @@
 """The draping process: the same garments as without it, and what happens when it fails or is killed."""
 
-import importlib
 import multiprocessing
 import os
 import shutil
@@ -14,7 +13,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
@@ -32,18 +30,6 @@ from tests.loaders.test_shards import assert_all_same
 @pytest.fixture(scope="module")
 def made() -> list[dict[str, Any]]:
     return items()
-
-
-def undraped(item: dict[str, Any]) -> dict[str, Any]:
-    """A transform: the item, and whether Warp is initialised in this process; with a GPU that takes a CUDA context."""
-    return {**item, "initialised": importlib.import_module("warp._src.context").runtime is not None}
-
-
-def test_a_spawned_worker_gets_the_same_garments_and_initialises_no_warp(made: list[dict[str, Any]]) -> None:
-    ds = Apart(COUNT, address_for("cpu"), transform=undraped)
-    loader = DataLoader(ds, batch_size=2, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
-    expected = [{**item, "initialised": False} for item in made]
-    assert_all_same(loader, [expected[:2], expected[2:]])
 
 
 def test_all_workers_share_one_draping_process(
@@ -145,8 +131,8 @@ def test_a_slow_drape_does_not_hold_up_later_ones(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(SharedDraper, "receive", first_last)
     monkeypatch.setattr(SharedDraper, "poll", lambda draper: False)
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
-    made = made_ahead(range(8), config, ahead=5, at_once=3)
-    assert [sample.key for sample in made] == [sample_key(index) for index in range(8)]
+    made = made_ahead(range(6), config, ahead=5, at_once=3)
+    assert [sample.key for sample in made] == [sample_key(index) for index in range(6)]
     assert max(in_flight) == 3
 
 

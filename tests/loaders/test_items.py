@@ -1,5 +1,6 @@
 """Fields, types and indices of items of every data set, and their error messages."""
 
+import importlib
 import logging
 import pickle
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.drapers import address_for
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
@@ -40,6 +42,7 @@ from gcd_dataset.loaders import (
 from gcd_dataset.loaders.base import tensor_of
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
+from tests.loaders.draping import Apart
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
 from tests.shards.folders import fill
@@ -182,7 +185,7 @@ def wrapped(ds: Garments, count: int = COUNT) -> list[Garments]:
 
 
 class OneOfEach(Dataset):
-    """The second item of each data set."""
+    """The second item of each data set, and whether Warp is initialised: with a GPU that takes a CUDA context."""
 
     def __init__(self, *kinds: Any) -> None:
         self.kinds = kinds
@@ -191,20 +194,28 @@ class OneOfEach(Dataset):
         return len(self.kinds)
 
     def __getitem__(self, index: int) -> Any:
-        return self.kinds[index][1]
+        return self.kinds[index][1], importlib.import_module("warp._src.context").runtime is not None
 
 
-def test_a_spawned_worker_reads_the_same_from_every_kind_of_data_set(
+def test_a_spawned_worker_gets_the_same_from_every_kind_of_data_set_and_initialises_no_warp(
     sets: dict[str, Path], few: Path, tmp_path: Path
 ) -> None:
     stored = [opened(sets, "mesh")[way]() for way in ("folder", "hdf5", "generated")]
     fake = FakeGarments(2)
     people = [PublishedBodies(few), BodyDataset(people_in_shards(tmp_path / "people", range(2)))]
+    draped = Apart(2, address_for("cpu"))
     kinds = OneOfEach(
-        *stored, *people, *wrapped(fake, 2), MixedDataset([fake], [1]), PublishedGarmentCodeData(published(tmp_path))
+        draped,
+        *stored,
+        *people,
+        *wrapped(fake, 2),
+        MixedDataset([fake], [1]),
+        PublishedGarmentCodeData(published(tmp_path)),
     )
     loader = DataLoader(kinds, batch_size=1, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
-    assert_all_same((item for [item] in loader), [kinds[index] for index in range(len(kinds))])
+    items, initialised = zip(*(entry for [entry] in loader), strict=True)
+    assert_all_same(items, [kind[1] for kind in kinds.kinds])
+    assert not any(initialised)
 
 
 @pytest.mark.parametrize("way", ["folder", "hdf5", "generated"])

@@ -57,13 +57,13 @@ def test_sketches_by_hand_are_a_function_of_seed_epoch_and_garment(worn_folder: 
 
 def test_a_flat_from_a_fixed_side_is_the_same_in_every_epoch(worn_folder: Path) -> None:
     garments = Augmented(dataset(worn_folder), small(yaws=(0.0,)))
-    first = garments[1]
+    first = garments[0]
     garments.set_epoch(1)
-    assert torch.equal(first["sketch"], garments[1]["sketch"])
+    assert torch.equal(first["sketch"], garments[0]["sketch"])
 
 
 def test_turned_sketches_stay_within_their_limit(worn_folder: Path) -> None:
-    turned = small(turn=40.0)(dataset(worn_folder)[1])
+    turned = small(turn=40.0)(dataset(worn_folder)[0])
     assert not torch.equal(turned["sketch"][0], turned["sketch"][1])
     away = -np.einsum("nij,ni->nj", turned["sketch_rt"][:, :, :3].numpy(), np.tile([0.0, 0.0, 1.0], (2, 1)))
     yaw = np.degrees(np.arctan2(away[:, 0], away[:, 2]))
