@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import OutputError, ShardError
-from gcd_dataset.release import gzip_index
-from gcd_dataset.release.archive import Archive, GzipScanner, SeekPoint, read_from
+from gcd_dataset.release.archive import WINDOW, Archive, GzipScanner, SeekPoint, read_from
 from gcd_dataset.release.published_names import ENDINGS
 from tests.release.published import BATCH, BODIES, TEST, TRAIN, file_of, pack, publish
 from tests.shards.folders import forbidden, public_folder
@@ -213,7 +212,7 @@ SIZE = 2_000_000
 @pytest.fixture(autouse=True)
 def close_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seek points every 256 kB of content, so that small files have several."""
-    monkeypatch.setattr(gzip_index, "EVERY", 1 << 18)
+    monkeypatch.setattr("gcd_dataset.release.archive.EVERY", 1 << 18)
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +256,7 @@ def test_seek_points_are_found_inside_a_stream(content: bytes, tmp_path: Path) -
     inside = [point for point in flow.points if point.window is not None]
     assert len(inside) >= 2
     for point in inside:
-        assert point.window == content[point.start - gzip_index.WINDOW : point.start]
+        assert point.window == content[point.start - WINDOW : point.start]
 
 
 def test_a_truncated_file_is_reported(content: bytes, tmp_path: Path) -> None:
