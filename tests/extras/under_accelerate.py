@@ -52,7 +52,7 @@ def require_refused(loader: Any, message: str) -> None:
 
 Accelerator(cpu=True)
 require_each_once("not prepared", sampled(rank=dist.get_rank(), world_size=2))
-whole = {"rank": 0, "world_size": 1}
+whole: dict[str, Any] = {"rank": 0, "world_size": 1}
 for workers in (0, 2):
     for options in ({}, {"split_batches": True}, {"dispatch_batches": True}, {"even_batches": False}):
         loader = prepared(sampled(workers, **whole), **options)
