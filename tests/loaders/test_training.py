@@ -30,7 +30,7 @@ from gcd_dataset.loaders import (
     collate_packed,
 )
 from gcd_dataset.loaders.loader import BatchMaker, Step
-from tests.loaders.patterns import pattern_shards
+from tests.loaders.rendered import pattern_shards
 
 N = 12
 
