@@ -212,6 +212,12 @@ def control_points(start: Point, end: Point, curve: Line | Quadratic | Cubic) ->
     return [np.asarray(p, float) for p in (start, *inner, end)]
 
 
+def signed_area(loop: Float[np.ndarray, "n 2"]) -> float:
+    """Area of a closed polyline, positive if it runs counter-clockwise [cm²]."""
+    x, y = loop.T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
 def arc_centre(start: Point, end: Point, arc: Arc) -> tuple[Float[np.ndarray, "2"], float, float]:
     """Centre [cm], angle of the start as seen from the centre [rad], and signed sweep [rad] of an arc.
 

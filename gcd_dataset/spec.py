@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, signed_area, to_frame
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import JsonPath, found, given, read_json
@@ -290,7 +290,8 @@ def _normalise_loops(panels: Mapping[str, Panel], seams: Iterable[Seam]) -> tupl
         if not panel.edges or any(not 0 <= edge.start < len(panel.vertices) for edge in panel.edges):
             shifts[name], changed[name] = 0, panel  # ``validate`` reports it
             continue
-        facing = panel if _signed_area(panel) >= 0 else _turned_over(panel)
+        corners = panel.vertices[[edge.start for edge in panel.edges]]
+        facing = panel if signed_area(corners) >= 0 else _turned_over(panel)
         corners = facing.vertices[[edge.start for edge in facing.edges]]
         first = int(np.argmin(np.linalg.norm(corners - corners.min(axis=0), axis=1)))
         shifts[name] = first
@@ -302,12 +303,6 @@ def _normalise_loops(panels: Mapping[str, Panel], seams: Iterable[Seam]) -> tupl
         return EdgeRef(ref.panel, (ref.edge - shifts[ref.panel]) % len(changed[ref.panel].edges))
 
     return changed, tuple(replace(s, left=renumbered(s.left), right=renumbered(s.right)) for s in seams)
-
-
-def _signed_area(panel: Panel) -> float:
-    """Area of the polygon of the corners, positive for a counter-clockwise loop [cm²]."""
-    x, y = panel.vertices[[edge.start for edge in panel.edges]].T
-    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def _turned_over(panel: Panel) -> Panel:

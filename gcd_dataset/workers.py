@@ -1,12 +1,14 @@
-"""Worker processes that end with this process, even if it is killed."""
+"""Worker processes that end with this process, even if it is killed; and threads that make items ahead."""
 
+import atexit
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -15,12 +17,15 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
+from gcd_dataset.waits import WaitClock, record_wait
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 KILLED = "a worker process was killed, perhaps for lack of memory: continue with fewer --workers"
 UNSTARTED = (
@@ -194,3 +199,70 @@ def _start_worker(lifeline: Connection) -> None:
 def _exit_with_parent(lifeline: Connection) -> None:
     lifeline.poll(None)  # returns at the end of file
     os._exit(1)
+
+
+def prefetch(
+    items: Iterator[Item],
+    count: int,
+    *,
+    begin: Callable[[], None] | None = None,
+    wait: bool = False,
+    name: str | None = None,
+) -> Generator[Item]:
+    """The same items, up to ``count`` of them made ahead by a daemon thread.
+
+    ``begin`` is called first, in the thread. When the generator is closed, or the interpreter exits, the thread ends
+    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it. With
+    ``name``, the time that the thread is blocked by a full buffer is recorded under that name
+    (``gcd_dataset.waits``).
+    """
+    room = threading.Semaphore(count)
+    ready = SimpleQueue[tuple[Item | None, BaseException | None]]()
+    closed = False
+
+    def make() -> None:
+        try:
+            if begin is not None:
+                begin()
+            clock = WaitClock()
+            while _acquire(room, clock) and not closed:
+                ready.put((next(items), None))
+                if name is not None:
+                    record_wait(name, clock.lap())
+        except BaseException as error:  # noqa: BLE001 - raised in the consumer
+            ready.put((None, error))
+
+    thread = threading.Thread(target=make, daemon=True)
+
+    def close() -> None:
+        nonlocal closed
+        closed = True
+        room.release()
+        if wait:
+            thread.join()
+
+    thread.start()
+    # A daemon thread that is still inside torch when the interpreter exits aborts the process.
+    atexit.register(close)
+    unregister = atexit.unregister  # a name of the module is gone when a generator is closed at interpreter exit
+    try:
+        while True:
+            item, error = ready.get()
+            if isinstance(error, StopIteration):
+                return
+            if error is not None:
+                raise error
+            room.release()
+            yield item  # type: ignore[misc]
+    finally:
+        error = None  # break a cycle: its traceback refers to this frame and to the frames of all callers
+        unregister(close)
+        close()
+
+
+def _acquire(room: threading.Semaphore, clock: WaitClock) -> bool:
+    """Acquire ``room``, counting the wait as idle; always true."""
+    begin = time.perf_counter()
+    room.acquire()
+    clock.add_idle(time.perf_counter() - begin)
+    return True

@@ -27,10 +27,9 @@ from gcd_dataset.generator.pipeline import (
     view_requests,
 )
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Rejected, Sample
 from gcd_dataset.waits import MAKERS
-from gcd_dataset.workers import streams
+from gcd_dataset.workers import prefetch, streams
 
 DEFAULT = MakeConfig()
 # Samples in work in a worker: twice the number at its draper, so that the draper stays busy while finished samples wait

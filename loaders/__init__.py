@@ -10,29 +10,27 @@ From data set to batch:
 3. Each *rank* takes every ``world_size``-th position, so all ranks together always have a prefix of the order. The rank
    is looked up at each ``iter()`` (``ranks.py``).
 4. The *cursor* is the position after the last batch that the training loop received, not the last one prefetched
-   (``batch_plan.py``).
+   (``loader.py``).
 5. With ``num_workers=0`` a *thread* of the training process prefetches stored garments. Generated garments and slow
    transforms need *worker processes*, those of a ``DataLoader``: a worker receives indices and epoch, and sends the
-   batch, or the error as a value (``batch_plan.py``, ``worker.py``).
+   batch, or the error as a value (``loader.py``, ``worker.py``).
 6. A *transform*, then an ``augment``, changes the item; both may be users' code, and run with random streams seeded by
-   seed, epoch and index (``user_code.py``). *Collate* packs or pads the items (``collate.py``).
+   seed, epoch and index (``loader.py``). *Collate* packs or pads the items (``batches.py``).
 7. The *state* is the cursor, with seed, length and a hash of the data set, which must match on loading. Any number of
    ranks or workers and any batch size may resume from it (``states.py``).
 8. *Views* are pictures rendered from items: in the workers on a CPU, otherwise from whole batches by threads of the
    training process, ahead of the loop (``views.py``).
 9. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation, views, scans and sketches on
    ``(seed, epoch, index)``, a generated garment on its ``(seed, index)``. None depends on rank, worker, batch size or
-   time. The same holds for ``FreshGarments``, which replays garments while new ones are made (``fresh.py``,
-   ``replay.py``).
+   time. The same holds for ``FreshGarments``, which replays garments while new ones are made (``fresh.py``).
 """
 
 from typing import TYPE_CHECKING
 
 from gcd_dataset.lazy import lazy_names
 from gcd_dataset.loaders.base import Garments
-from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
-from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.items import BodyFields, GarmentFields
+from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.fields import BodyFields, GarmentFields
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.shards import GarmentDataset
@@ -47,9 +45,7 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders.hdf5 import Hdf5Garments
     from gcd_dataset.loaders.mixed import MixedDataset
     from gcd_dataset.loaders.published import PublishedGarmentCodeData
-    from gcd_dataset.loaders.scans import Scan
-    from gcd_dataset.loaders.scene_items import VIEW_FIELDS
-    from gcd_dataset.loaders.sketches import Sketch
+    from gcd_dataset.loaders.scenes import VIEW_FIELDS, Scan, Sketch
     from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
     from gcd_dataset.loaders.views import Views
 
@@ -101,9 +97,7 @@ _NAMES_OF_MODULE = {
     "hdf5": ("Hdf5Garments",),
     "mixed": ("MixedDataset",),
     "published": ("PublishedGarmentCodeData",),
-    "scans": ("Scan",),
-    "scene_items": ("VIEW_FIELDS",),
-    "sketches": ("Sketch",),
+    "scenes": ("VIEW_FIELDS", "Scan", "Sketch"),
     "transforms": ("Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"),
     "views": ("Views",),
 }

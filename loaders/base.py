@@ -3,10 +3,13 @@
 import inspect
 import math
 import operator
+import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
+from difflib import get_close_matches
+from itertools import islice
 from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
@@ -15,25 +18,33 @@ from jaxtyping import Int
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
-from gcd_dataset.loaders.available import select_present_fields
-from gcd_dataset.loaders.indexing import (
-    UnknownKeyError,
-    index_from_key,
-    index_list,
-    resolve_index,
-    unknown_key,
-)
-from gcd_dataset.loaders.items import GarmentFields
-from gcd_dataset.loaders.one_thread import as_type
+from gcd_dataset.loaders.fields import GarmentFields, select_present_fields
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_fields, decode_sample
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, is_picture, key_of, members_of
 from gcd_dataset.shards.meta import read_meta
 
+MOST_COMPARED = 10_000  # keys that are compared with an unknown one
+CHUNK = 1 << 15  # elements: torch converts larger tensors with several threads
+
 Item: TypeAlias = Mapping[str, Any]
 """An item: ``GarmentFields``, or fields with what users' transforms made of them."""
 Transform: TypeAlias = Callable[[Any], Any]
 NOTHING: Mapping[str, str] = {}
+
+
+class InvalidIndexError(ConfigError, TypeError):
+    """An index that is neither an integer nor a name."""
+
+
+class IndexRangeError(ConfigError, IndexError):
+    """An index beyond the length."""
+
+
+class UnknownKeyError(ConfigError, KeyError):
+    """A key or name that no item has."""
+
+    __str__ = Exception.__str__  # KeyError's own puts the message in quotes
 
 
 class GarmentItem(dict[str, Any]):
@@ -348,6 +359,81 @@ def _load_item(dataset: Any, index: Any) -> Any:
         return dataset[index]
 
 
+def resolve_index(index: Any, length: int, what: str = "garment") -> int:
+    """An index as a position from 0; negative indices count from the end.
+
+    >>> resolve_index(np.int64(-1), 10)
+    9
+
+    Raises ``IndexError``, and ``InvalidIndexError`` for anything but an integer.
+    """
+    number = require_whole_number(index, what)
+    if not -length <= number < length:
+        raise IndexRangeError(
+            f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'a non-empty data set'}"
+        )
+    return number % length
+
+
+def require_whole_number(index: Any, what: str = "garment") -> int:
+    """The index as an int. Raises ``InvalidIndexError`` for anything but an integer, also for a bool."""
+    if type(index) is int:
+        return index
+    is_bool = isinstance(index, bool | np.bool_) or getattr(index, "dtype", None) in (torch.bool, np.bool_)
+    try:
+        if not is_bool:
+            return operator.index(index)
+    except (TypeError, RuntimeError):  # RuntimeError: a tensor of several elements
+        pass
+    given = type(index).__name__ if isinstance(index, torch.Tensor | np.ndarray) else repr(index)
+    mask = " (for a mask: the positions of its true entries)" if is_bool else ""
+    raise InvalidIndexError(f"{what} {given}: give a whole number{mask}, a name, a list of these, or a slice")
+
+
+def index_list(index: Any) -> list[Any] | None:
+    """The indices in a list, array or tensor; ``None`` for a single index. Raises ``InvalidIndexError``.
+
+    >>> index_list(torch.tensor([1, 2]))
+    [1, 2]
+    """
+    if isinstance(index, torch.Tensor | np.ndarray):
+        if index.ndim == 0:
+            return None
+        if index.ndim > 1 or str(index.dtype).removeprefix("torch.").rstrip("0123456789") not in ("int", "uint"):
+            form = f"{str(index.dtype).removeprefix('torch.')} of shape {list(index.shape)}"
+            column = "[:, 0]" if isinstance(index, torch.Tensor) else "[0]"
+            raise InvalidIndexError(
+                f"indices in an array of {form}: give whole numbers in one row, such as mask.nonzero(){column}"
+            )
+        numbers: list[Any] = index.tolist()
+        return numbers
+    return list(index) if isinstance(index, Sequence) and not isinstance(index, str | bytes) else None
+
+
+def index_from_key(key: str) -> int | None:
+    """The index in a key of this package; ``None`` for any other key.
+
+    >>> index_from_key("gcd_000000012"), index_from_key("gcd_12")
+    (12, None)
+    """
+    match = re.fullmatch(r"gcd_([0-9]{9,18})", key)
+    return int(match[1]) if match and key_of(int(match[1])) == key else None
+
+
+def unknown_key(key: str, keys: Iterable[str], like: Sequence[str]) -> UnknownKeyError:
+    """The error for an unknown key, with similar keys.
+
+    ``keys``: the known keys; ``like``: the first and the last, for the message.
+    """
+    digits = re.sub(r"[^0-9]", "", key)[:18]
+    compared = list(islice(keys, MOST_COMPARED))
+    by_digits = [key_of(int(digits))] if digits else []
+    near = [name for name in by_digits if name in compared] or get_close_matches(key, compared, n=3)
+    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    known = f"keys are {like[0]} to {like[1]}" if like[0] != like[1] else f"there is {like[0]}"
+    return UnknownKeyError(f"no garment {key!r:.99}: {hint}{known}")
+
+
 def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
     """Seed, index, options and versions from a sample's ``meta.json``. Raises ``ShardError`` if it is damaged."""
     content = read_meta(meta)
@@ -460,3 +546,14 @@ def tensor_of(array: np.ndarray, dtype: torch.dtype | None = None) -> torch.Tens
     # Arrays that view ``bytes`` are read-only; tensors cannot be.
     tensor = torch.from_numpy(array if array.flags.writeable else array.copy())
     return tensor if dtype is None or not tensor.is_floating_point() else as_type(tensor, dtype)
+
+
+def as_type(value: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
+    """The tensor cast to a type; the same tensor if it has that type."""
+    if value.numel() <= CHUNK or value.dtype == dtype or value.device.type != "cpu" or torch.get_num_threads() == 1:
+        return value.to(dtype)
+    result = torch.empty(value.shape, dtype=dtype)
+    source, target = value.reshape(-1), result.view(-1)
+    for cut in range(0, len(source), CHUNK):
+        target[cut : cut + CHUNK].copy_(source[cut : cut + CHUNK])
+    return result

@@ -17,16 +17,18 @@ from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import (
     GarmentItem,
     Transform,
+    UnknownKeyError,
+    index_list,
     recipe_from_meta,
     require_callable,
     require_float_dtype,
+    resolve_index,
     tensor_of,
     wrap_item,
 )
-from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_index
-from gcd_dataset.loaders.items import BodyFields
+from gcd_dataset.loaders.fields import BodyFields
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.body_folder import PublishedPeople
+from gcd_dataset.release.bodies import PublishedPeople
 from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
 from gcd_dataset.shards.layout import BODIES, select_fields
 from gcd_dataset.shards.reader import ShardReader, Verify

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
     """
     random = rng(seed, index, Stage.DESIGN)
     tube = _Tube(
+        name=key_of(index),
         width=float(random.uniform(30.0, 50.0)),
         length=float(random.uniform(20.0, 40.0)),
         columns=int(random.integers(3, 7)) * fineness,
@@ -92,7 +94,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
     return Sample(
         key=key_of(index),
         provenance=Provenance(seed, index, versions={"gcd_dataset": __version__}, recipe={"fake": True}),
-        pattern=tube.pattern(key_of(index)),
+        pattern=tube.pattern,
         measurements=Measurements(height=float(random.uniform(150.0, 190.0)), waist=2 * tube.width),
         design={"skirt": {"width": tube.width, "length": tube.length}},
         shape=BodyShape(random.normal(size=COMPONENTS).astype(np.float32).astype(float)),
@@ -101,7 +103,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
         points=tube.surface_points(rng(seed, index, Stage.POINTS), points),
         front=_picture(random),
         back=_picture(random),
-        gathers=tube.pattern("").gather_ratios(),
+        gathers=tube.pattern.gather_ratios(),
     )
 
 
@@ -109,12 +111,14 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
 class _Tube:
     """Two rectangles of ``columns`` × ``rows`` cells each; vertices of the seams are numbered first."""
 
+    name: str
     width: float
     length: float
     columns: int
     rows: int
 
-    def pattern(self, name: str) -> Pattern:
+    @cached_property
+    def pattern(self) -> Pattern:
         """Front and back, sewn together at both sides."""
         w, h = self.width, self.length
         corners = np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]])
@@ -124,12 +128,12 @@ class _Tube:
         panels = (Panel("front", corners, edges, front, "leg"), Panel("back", corners, edges, back, "leg"))
         seams = (Seam(EdgeRef("front", 1), EdgeRef("back", 3)), Seam(EdgeRef("front", 3), EdgeRef("back", 1)))
         # Through a specification and back: numbers that a shard stores exactly.
-        return pattern_from_spec(spec_from_pattern(Pattern(name, panels, seams)), name)
+        return pattern_from_spec(spec_from_pattern(Pattern(self.name, panels, seams)), self.name)
 
     def box_mesh(self) -> BoxMesh:
         """Both rectangles placed, seams welded."""
         uv, vertex, corners = self._flat(), self._vertex(), self._corners()
-        placed = np.concatenate([panel.placement.apply(uv) for panel in self.pattern("").panels])
+        placed = np.concatenate([panel.placement.apply(uv) for panel in self.pattern.panels])
         total = np.zeros((vertex.max() + 1, 3))
         np.add.at(total, vertex, placed)
         side = np.arange(self.rows + 1)

@@ -24,11 +24,10 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
-from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
+from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import read_file
 from gcd_dataset.shards.codec import decode_sample, encode_sample
@@ -46,6 +45,7 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.tar import END, samples_in, tar_entry
+from gcd_dataset.workers import prefetch
 
 logger = logging.getLogger("gcd_dataset")
 

@@ -12,9 +12,16 @@ import torch
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import open_regular, user_path
-from gcd_dataset.loaders.available import absent_when_empty
-from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, decode_item, recipe_from_meta, tensor_of
-from gcd_dataset.loaders.indexing import index_from_key
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Garments,
+    Transform,
+    decode_item,
+    index_from_key,
+    recipe_from_meta,
+    tensor_of,
+)
+from gcd_dataset.loaders.fields import absent_when_empty
 from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS
 from gcd_dataset.shards.hdf5 import FORMAT, crc_of, form_of
 from gcd_dataset.shards.layout import (

@@ -1,23 +1,57 @@
 """``GarmentLoader``: resumable batches; after any interruption no garment is lost or repeated."""
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sized
+import copy
+import hashlib
+import random
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence, Sized
 from contextlib import closing, nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
+import numpy as np
 import torch
-from torch.utils.data import Dataset, IterableDataset
+from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, require_callable, require_integer
-from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
-from gcd_dataset.loaders.collate import collate_packed
-from gcd_dataset.loaders.order import ElasticSampler, Pad
-from gcd_dataset.loaders.worker import unwrap
-from gcd_dataset.prefetch import prefetch
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.loaders.base import Garments, SelectedGarments, load_items, require_callable, require_integer
+from gcd_dataset.loaders.batches import collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.mixed import MixedDataset
+from gcd_dataset.loaders.order import ElasticSampler, Pad, RankShare
+from gcd_dataset.loaders.ranks import current_rank, require_rank
+from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
+from gcd_dataset.loaders.transforms import Augmented
+from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
+from gcd_dataset.workers import prefetch
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views
+
+Collate: TypeAlias = Callable[[list[Any]], Any]
+UserCode: TypeAlias = Callable[[Any, int], Any]
+"""``(item, index)`` to the transformed item."""
+
+COLLATES = (collate_list, collate_packed, collate_padded)
+BATCHES_AHEAD = 2  # batches that a thread prefetches
+LONGEST_PASS = 1 << 40  # items of a stream
+END = object()  # default of ``next`` at the end of a stream
+
+
+# A *pass* is the rest of an epoch: one ``iter()`` of the loader. A *cursor* is how far the training loop has come: a
+# position in the order, or a ``StreamCursor``. Each batch is made together with its ``Step``.
+
+
+class Step(NamedTuple):
+    """One batch of a pass."""
+
+    cursor: Any
+    """The cursor after it; after the last batch the end of the epoch."""
+    uses: list[int]
+    """For each garment the number of its use: its epoch, or another number where an epoch may repeat a garment."""
+    epoch: int = 0
+    indices: Sequence[int] = ()
+    repeated: list[bool] | None = None
+    """With ``pad="repeat"``: whether a garment fills up the epoch."""
 
 
 class GarmentLoader:
@@ -83,15 +117,17 @@ class GarmentLoader:
         _require_views(views)
         in_workers = views if views is not None and views.device == "cpu" and num_workers else None
         self._views = None if in_workers is not None else views
-        self._plan: BatchPlan
+        self._source: IndexedBatches | StreamBatches
         if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
             _require_stream_options(shuffle, num_workers, pad)
             seed = require_integer("seed", seed)
-            self._plan = StreamPlan(dataset, batch_size, collate_fn, rank, world_size, seed=seed, drop_last=drop_last)
+            self._source = StreamBatches(
+                dataset, batch_size, collate_fn, rank, world_size, seed=seed, drop_last=drop_last
+            )
         else:
             sized = cast(Sized, dataset)  # torch declares no length
             sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
-            self._plan = IndexedPlan(
+            self._source = IndexedBatches(
                 sampler,
                 dataset,
                 batch_size,
@@ -100,17 +136,17 @@ class GarmentLoader:
                 num_workers=num_workers,
                 views=in_workers,
             )
-        self._batches = self._plan.loader(
+        self._batches = self._source.loader(
             pin_memory=torch.cuda.device_count() > 0,
             # A generator of its own: without one, ``DataLoader`` draws from torch's global stream.
             generator=torch.Generator().manual_seed(seed % (1 << 63)),
         )
-        self._cursor: Cursor = self._plan.first
+        self._cursor: Any = self._source.first
         self._iterator, self._is_loaded = 0, False  # number of the valid iterator; whether to resume a loaded state
 
     def __len__(self) -> int:
         """Batches of a whole epoch. Raises ``TypeError`` for a stream without a length."""
-        return len(self._plan)
+        return len(self._source)
 
     def __repr__(self) -> str:
         position = self.state_dict()["position"]
@@ -119,15 +155,15 @@ class GarmentLoader:
     @property
     def epoch(self) -> int:
         """The epoch of the next batch, from 0."""
-        return self._plan.epoch(self._cursor)
+        return self._source.epoch(self._cursor)
 
     def state_dict(self) -> dict[str, Any]:
         """The position, in garments of all ranks, with seed, shuffle, length and data set, which identify the order."""
-        return self._plan.state(self._cursor)
+        return self._source.state(self._cursor)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._cursor, self._is_loaded = self._plan.cursor_in(state), True
+        self._cursor, self._is_loaded = self._source.cursor_in(state), True
         self._iterator += 1
 
     def __iter__(self) -> Iterator[Any]:
@@ -138,28 +174,18 @@ class GarmentLoader:
     def _batches_of(self, iterator: int) -> Iterator[Any]:
         """Batches of a pass; moves the cursor. Raises ``ConfigError`` once a newer iterator or state exists."""
         self._require_valid(iterator)
-        start = self._plan.begin(self._cursor if self._is_loaded else self._plan.next_pass(self._cursor))
+        self._source.begin(self._cursor, is_loaded=self._is_loaded)
         source = iter(self._batches)
-        with closing(_prefetched(source)) if self._plan.runs_in_thread else nullcontext(source) as batches:
-            numbered = enumerate(map(unwrap, batches), 1)
-            made = ((_Made(number, self._plan.after(start, number)), batch) for number, batch in numbered)
-            with closing(made if self._views is None else self._with_views(self._views, made, start)) as finished:
-                for (number, cursor), batch in finished:
-                    self._cursor, self._is_loaded = cursor, False
-                    yield self._plan.annotate(batch, start, number)
+        with closing(_prefetched(source)) if self._source.runs_in_thread else nullcontext(source) as batches:
+            made = (entry for entry in map(unwrap, batches))
+            with closing(made if self._views is None else _with_views(self._views, made)) as finished:
+                for step, batch in finished:
+                    self._cursor, self._is_loaded = step.cursor, False
+                    if step.repeated is not None and isinstance(batch, MutableMapping):
+                        batch["repeated"] = torch.tensor(step.repeated)
+                    yield batch
                     self._require_valid(iterator)
-        self._cursor = self._plan.after_last(self._cursor)
-
-    def _with_views(
-        self, views: "Views", made: Iterable[tuple["_Made", Any]], start: Cursor
-    ) -> Generator[tuple["_Made", Any]]:
-        """The batches with their pictures; threads render ahead of the loop."""
-        from gcd_dataset.loaders.views import garments_in, render_ahead
-
-        return render_ahead(
-            views,
-            ((tag, batch, self._plan.uses(start, tag.number, garments_in(batch))) for tag, batch in made),
-        )
+        self._cursor = self._source.after_last(self._cursor)
 
     def _require_valid(self, iterator: int) -> None:
         if iterator != self._iterator:
@@ -168,11 +194,11 @@ class GarmentLoader:
             )
 
 
-class _Made(NamedTuple):
-    """Number of a batch in its pass, from 1, and the cursor after it."""
+def _with_views(views: "Views", made: Iterable[tuple[Step, Any]]) -> Generator[tuple[Step, Any]]:
+    """The batches with their pictures; threads render ahead of the loop."""
+    from gcd_dataset.loaders.views import render_ahead
 
-    number: int
-    cursor: Cursor
+    return render_ahead(views, ((step, batch, step.uses) for step, batch in made))
 
 
 def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:
@@ -201,3 +227,391 @@ def _prefetched(batches: Iterator[Any]) -> Generator[Any]:
     return prefetch(
         batches, BATCHES_AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True
     )
+
+
+class IndexedBatches:
+    """The batches of an ``ElasticSampler``'s indices; also the ``batch_sampler`` of their loader."""
+
+    first = 0
+    """The cursor at the start of the first epoch."""
+
+    def __init__(
+        self,
+        sampler: ElasticSampler,
+        dataset: Dataset,
+        batch_size: int,
+        collate_fn: Collate,
+        *,
+        drop_last: bool,
+        num_workers: int,
+        views: "Views | None" = None,
+    ) -> None:
+        self._sampler, self._order, self._batch_size, self._drop_last = sampler, sampler.order, batch_size, drop_last
+        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed, views), num_workers
+        self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
+        self.runs_in_thread = self._reads_only and num_workers == 0 and not self._maker.has_user_code
+        """Whether batches may be made in a thread beside the training: no users' code is involved."""
+        self._rank_share, self._start = self._present_share(), 0
+
+    def loader(self, **options: Any) -> DataLoader:
+        """The ``DataLoader`` of ``(Step, batch)`` that serves all passes; its workers persist between them."""
+        if self._num_workers:
+            require_semaphores(self._num_workers)
+            return DataLoader(
+                self._maker,
+                batch_sampler=self,  # type: ignore[arg-type]  # declared as yielding lists
+                num_workers=self._num_workers,
+                persistent_workers=True,
+                worker_init_fn=begin_worker,
+                collate_fn=_unchanged,
+                **options,
+            )
+        read_ahead = self._reads_only and not self.runs_in_thread and not self._maker.is_user_dataset
+        return DataLoader(_Pass(self, self._maker, read_ahead), batch_size=None, collate_fn=_unchanged, **options)
+
+    def __len__(self) -> int:
+        """Batches of a whole epoch."""
+        return self._count(self._present_share().positions(0))
+
+    def __iter__(self) -> Iterator[Step]:
+        """The steps of the current pass."""
+        start, end, epoch = self._start, self._order.end(self._start), self.epoch(self._start)
+        positions, indices = self._rank_share.positions(start), self._rank_share.indices(start)
+        for number in range(1, self._count(positions) + 1):
+            own = positions[(number - 1) * self._batch_size : number * self._batch_size]
+            is_last = number == self._count(positions)
+            cursor = end if is_last else self._rank_share.after(start, number * self._batch_size)
+            repeated = [position >= end for position in own] if self._sampler.pad == "repeat" else None
+            yield Step(cursor, self._order.uses(own, epoch), epoch, list(islice(indices, len(own))), repeated)
+
+    def epoch(self, cursor: int) -> int:
+        return self._order.epoch(cursor)
+
+    def state(self, cursor: int) -> dict[str, Any]:
+        """The cursor, and the entries that identify its order."""
+        return self._order.state(cursor)
+
+    def cursor_in(self, state: Mapping[str, Any]) -> int:
+        """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
+        return self._order.position_in(state)
+
+    def begin(self, cursor: int, *, is_loaded: bool) -> None:
+        """Look up the ranks and begin a pass at a loaded cursor, otherwise at the start of the next epoch.
+
+        A loaded cursor after which no batch is left also begins the next epoch.
+        """
+        start = cursor if is_loaded else self._order.next_pass(cursor)
+        self._rank_share = self._present_share()
+        self._start = start if self._count(self._rank_share.positions(start)) else self._order.end(start)
+
+    def after_last(self, cursor: int) -> int:
+        """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
+        return cursor
+
+    def _present_share(self) -> RankShare:
+        """The share of this process's rank, looked up now. Raises ``ConfigError`` if no rank has a whole batch."""
+        rank_share = self._sampler.rank_share()
+        if not self._count(rank_share.positions(0)):
+            raise ConfigError(f"no rank has {self._batch_size} of {self._order.length} garments: leave out drop_last")
+        return rank_share
+
+    def _count(self, positions: Sequence[int]) -> int:
+        """Batches of a pass over some positions."""
+        whole, rest = divmod(len(positions), self._batch_size)
+        return whole + (rest > 0 and not self._drop_last)
+
+
+class BatchMaker(Dataset):
+    """Makes a batch from its indices, in the training process or a worker; errors get a note that names the garments.
+
+    Items are loaded without users' code where possible (``separate_user_code``). Users' code runs with the global
+    random streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are
+    untouched.
+    """
+
+    def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
+        self._plain, self._user_code = separate_user_code(dataset)
+        self._collate, self._seed, self._views = collate_fn, seed, views
+        self.is_user_dataset = not is_package_code(type(self._plain))
+        """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
+        self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
+
+    def __getitems__(self, step: Step) -> Any:
+        """``(step, batch)``, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
+        try:
+            batch = sent(self.finish(step, self.read(step)))
+            return batch if isinstance(batch, GcdError) else (step, batch)
+        except GcdError as error:
+            return with_traceback(error)
+
+    def read(self, step: Step) -> list[Any]:
+        """Load the items, without users' transforms."""
+        if not self.is_user_dataset:
+            return load_items(self._plain, step.indices)
+        with isolated_rng() as random_state:
+            if hasattr(self._plain, "__getitems__"):
+                random_state.seed(self._seed, *step.indices[:1], step.epoch)
+                return load_items(self._plain, step.indices)
+            items = []
+            for index in step.indices:
+                random_state.seed(self._seed, index, step.epoch)
+                items += load_items(self._plain, [index])
+            return items
+
+    def finish(self, step: Step, items: list[Any]) -> Any:
+        """Apply users' transforms, add views if they are rendered here, then collate."""
+        if not self.has_user_code:
+            return self._collate(self._with_views(step, items))
+        with isolated_rng() as random_state:
+            if self._user_code is not None:
+                items = list(items)
+                for row, index in enumerate(step.indices):
+                    random_state.seed(self._seed, index, step.epoch)
+                    items[row] = self._user_code(items[row], index)
+            random_state.seed(self._seed, *step.indices[:1], step.epoch, len(items))
+            return self._collate(self._with_views(step, items))
+
+    def _with_views(self, step: Step, items: list[Any]) -> list[Any]:
+        return items if self._views is None else self._views.add_to_items(items, step.uses)
+
+
+class _Pass(IterableDataset):
+    """The batches of the current pass, without workers; with ``read_ahead`` a thread reads the items."""
+
+    def __init__(self, steps: IndexedBatches, maker: BatchMaker, read_ahead: bool) -> None:
+        self._steps, self._maker, self._read_ahead = steps, maker, read_ahead
+
+    def __iter__(self) -> Iterator[tuple[Step, Any]]:
+        read = ((step, self._maker.read(step)) for step in self._steps)
+        with closing(prefetch(read, BATCHES_AHEAD, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
+            for step, items in loaded:
+                yield step, self._maker.finish(step, items)
+
+
+class StreamCursor(NamedTuple):
+    """How far the training loop has come in a stream."""
+
+    epoch: int
+    """Finished passes."""
+    position: int
+    """Items of this pass that all ranks together have received."""
+
+
+class StreamBatches(IterableDataset):
+    """Every ``world_size``-th item of a stream, from any position on.
+
+    A stream with ``begin_at``, such as ``FreshGarments``, can begin at any item, counted from the start of the first
+    pass. Any other stream is read from its beginning; if it has ``set_epoch``, that is called before each pass.
+    """
+
+    runs_in_thread = False  # the stream may be users' code
+    first = StreamCursor(0, 0)
+
+    def __init__(
+        self,
+        stream: IterableDataset,
+        batch_size: int,
+        collate_fn: Collate,
+        rank: int | None,
+        world_size: int | None,
+        *,
+        seed: int,
+        drop_last: bool,
+    ) -> None:
+        self._stream, self._batch_size, self._drop_last = stream, batch_size, drop_last
+        self._collate, self._seed = collate_fn, seed
+        self._fixed_rank = require_rank(rank, world_size)
+        self._rank = self._present_rank()
+        self._dataset_entries = dataset_entries(stream)
+        self._cursor = self.first
+
+    def loader(self, **options: Any) -> DataLoader:
+        return DataLoader(self, batch_size=None, collate_fn=_unchanged, **options)
+
+    def __len__(self) -> int:
+        count = self._length() // self._present_rank()[1]
+        return count // self._batch_size if self._drop_last else -(-count // self._batch_size)
+
+    def __iter__(self) -> Iterator[tuple[Step, Any]]:
+        """This rank's batches of the current pass, or of the next one if none is left."""
+        begun = self._cursor
+        for start in dict.fromkeys((begun, _next_pass(begun))):
+            self._cursor, items = start, self._items(start)
+            while (made := self._next_batch(items)) is not None:
+                yield made
+            if self._cursor != start:
+                return
+
+    def epoch(self, cursor: StreamCursor) -> int:
+        return cursor.epoch
+
+    def state(self, cursor: StreamCursor) -> dict[str, Any]:
+        return {**cursor._asdict(), **self._dataset_entries}
+
+    def cursor_in(self, state: Mapping[str, Any]) -> StreamCursor:
+        position = position_in_state(state, {}, self._dataset_entries)
+        return StreamCursor(require_whole("epoch", state.get("epoch", 0)), position)
+
+    def begin(self, cursor: StreamCursor, *, is_loaded: bool) -> None:
+        """As of ``IndexedBatches``; a stream may also turn out to have no item left."""
+        has_ended = hasattr(self._stream, "begin_at") and cursor.position >= self._length()
+        self._rank = self._present_rank()
+        self._cursor = cursor if is_loaded and not has_ended else _next_pass(cursor)
+
+    def after_last(self, cursor: StreamCursor) -> StreamCursor:
+        """The start of the next pass."""
+        return StreamCursor(cursor.epoch + 1, 0)
+
+    def _present_rank(self) -> tuple[int, int]:
+        return self._fixed_rank or current_rank()
+
+    def _length(self) -> int:
+        """Items of a pass. Raises ``TypeError`` for a stream without a length."""
+        if not isinstance(self._stream, Sized):
+            raise TypeError("a stream has no length")
+        return len(self._stream)
+
+    def _items(self, start: StreamCursor) -> Iterator[Any]:
+        """The items that follow a cursor, to the end of its pass."""
+        with isolated_rng() as random_state:
+            random_state.seed(self._seed, start.epoch)
+            if callable(begin_at := getattr(self._stream, "begin_at", None)):
+                return iter(begin_at(start.epoch * self._length() + start.position))
+            if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
+                set_epoch(start.epoch)
+            items = iter(self._stream)
+            for position in range(start.position):
+                random_state.seed(self._seed, start.epoch, position)
+                if next(items, END) is END:
+                    break
+            return items
+
+    def _next_batch(self, items: Iterator[Any]) -> tuple[Step, Any] | None:
+        """The next batch of this rank; ``None`` at the end."""
+        rank, world_size = self._rank
+        batch: list[Any] = []
+        with isolated_rng() as random_state:
+            while len(batch) < self._batch_size:
+                of_ranks: list[Any] = []  # one item for each rank
+                for position in range(self._cursor.position, self._cursor.position + world_size):
+                    random_state.seed(self._seed, self._cursor.epoch, position)
+                    of_ranks += islice(items, 1)
+                if len(of_ranks) < world_size:
+                    break
+                self._cursor = self._cursor._replace(position=self._cursor.position + world_size)
+                batch.append(of_ranks[rank])
+            if not batch or (self._drop_last and len(batch) < self._batch_size):
+                return None
+            random_state.seed(self._seed, *self._cursor, len(batch))
+            return self._step(len(batch)), self._collate(batch)
+
+    def _step(self, count: int) -> Step:
+        """The step of the ``count`` items made last."""
+        (rank, world_size), (epoch, after) = self._rank, self._cursor
+        first = epoch * LONGEST_PASS + after - count * world_size + rank
+        return Step(self._cursor, list(range(first, first + count * world_size, world_size)))
+
+
+def _next_pass(cursor: StreamCursor) -> StreamCursor:
+    return StreamCursor(cursor.epoch + 1, 0) if cursor.position else cursor
+
+
+def _unchanged(batch: Any) -> Any:
+    return batch
+
+
+class isolated_rng:  # noqa: N801 -- a context manager, named as functions are
+    """Context manager: saves the global random states of torch (CPU), NumPy and Python, and restores them on exit.
+
+    After ``seed``, draws depend on its arguments alone. Enter it in the training thread: the streams are per process.
+
+    >>> with isolated_rng() as random_state:
+    ...     random_state.seed(0, 7)
+    ...     first = torch.rand(3)
+    ...     random_state.seed(0, 7)
+    ...     again = torch.rand(3)
+    >>> torch.equal(first, again)
+    True
+    """
+
+    # A class, not a generator function: entered for every batch, and several times as fast.
+    __slots__ = ("_saved",)
+
+    def __enter__(self) -> "isolated_rng":
+        self._saved = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
+        return self
+
+    def seed(self, *key: int) -> None:
+        """Seed all three streams from a hash of the key."""
+        digest = hashlib.sha256(repr(key).encode()).digest()[:16]
+        torch.default_generator.manual_seed(int.from_bytes(digest[:8], "little"))
+        np.random.seed(np.frombuffer(digest, np.uint32))  # noqa: NPY002
+        random.seed(digest)
+
+    def __exit__(self, *error: object) -> None:
+        torch_state, numpy_state, python_state = self._saved
+        torch.set_rng_state(torch_state)
+        np.random.set_state(numpy_state)  # noqa: NPY002
+        random.setstate(python_state)
+
+
+def separate_user_code(dataset: Dataset) -> tuple[Dataset, UserCode | None]:
+    """A data set without users' transforms, and a function that applies them; ``None`` if there are none.
+
+    A data set of a user's class stays as it is.
+    """
+    if isinstance(dataset, SelectedGarments):
+        return _selected(dataset)
+    if isinstance(dataset, Augmented):
+        whole, first = separate_user_code(dataset.whole)
+        return whole, partial(_chained, first, dataset._augmented)
+    if isinstance(dataset, MixedDataset):
+        return _mixed(dataset)
+    if isinstance(dataset, Garments) and is_package_code(type(dataset)) and dataset.transform is not None:
+        return _without_transform(dataset), dataset._transformed
+    return dataset, None
+
+
+def is_package_code(code: Any) -> bool:
+    """Whether a class or ``collate_fn`` is of this package, and so draws no global random numbers."""
+    if isinstance(code, type):
+        return code.__module__.partition(".")[0] == __name__.partition(".")[0]
+    return (code.func if isinstance(code, partial) else code) in COLLATES
+
+
+def _without_transform(dataset: Garments) -> Any:
+    plain = copy.copy(dataset)
+    plain.transform = None
+    return plain
+
+
+def _selected(dataset: SelectedGarments) -> tuple[Dataset, UserCode | None]:
+    whole, transform = separate_user_code(dataset.whole)
+    if transform is None:
+        return dataset, None
+    plain = _without_transform(dataset)
+    plain.whole = whole
+    return plain, partial(_transform_selected, transform, dataset)
+
+
+def _mixed(dataset: MixedDataset) -> tuple[Dataset, UserCode | None]:
+    parts = [separate_user_code(part) for part in dataset.datasets]
+    if dataset.transform is None and all(transform is None for _, transform in parts):
+        return dataset, None
+    plain = _without_transform(dataset)
+    plain.datasets = tuple(part for part, _ in parts)
+    return plain, partial(_transform_mixed, [transform for _, transform in parts], dataset)
+
+
+def _chained(first: UserCode | None, second: UserCode, item: Any, index: int) -> Any:
+    return second(item if first is None else first(item, index), index)
+
+
+def _transform_selected(transform: UserCode, dataset: SelectedGarments, item: Any, index: int) -> Any:
+    return transform(item, int(dataset.positions[index]))
+
+
+def _transform_mixed(transforms: list[UserCode | None], dataset: MixedDataset, item: Any, index: int) -> Any:
+    part, part_index = dataset.source(index)
+    transform = transforms[part]
+    return dataset._transformed(item if transform is None else transform(item, part_index), index)

@@ -11,8 +11,16 @@ from math import gcd, lcm
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Transform, load_items, require_garments, require_integer
-from gcd_dataset.loaders.indexing import IndexRangeError, UnknownKeyError, require_whole_number
+from gcd_dataset.loaders.base import (
+    Garments,
+    IndexRangeError,
+    Transform,
+    UnknownKeyError,
+    load_items,
+    require_garments,
+    require_integer,
+    require_whole_number,
+)
 from gcd_dataset.loaders.order import cached_permutation
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.layout import Bytes

@@ -19,7 +19,7 @@ from torch.utils.data import DistributedSampler
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, require_integer
-from gcd_dataset.loaders.ranks import current_rank, require_rank, sharding_library
+from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 
 Pad = Literal["none", "repeat"]
@@ -220,8 +220,6 @@ class RankShare:
     rank: int
     world_size: int
     pad: Pad
-    outer_world_size: int = 1
-    """Ranks of a library that splits this share again, such as ``accelerate``."""
 
     def resume(self, position: int) -> int:
         """The position if every rank gets a garment in the rest of its epoch, otherwise the end of the epoch."""
@@ -235,7 +233,6 @@ class RankShare:
 
     def after(self, start: int, received: int) -> int:
         """The position after every rank has received ``received`` garments of a pass from ``start``."""
-        received *= self.outer_world_size
         is_done = received >= len(self.positions(start))
         return self.order.end(start) if is_done else start + received * self.world_size
 
@@ -262,13 +259,15 @@ class ElasticSampler(DistributedSampler[int]):
     all ranks get equally many; ``repeat`` fills up with the first garments of the epoch.
 
     A ``DistributedSampler`` by type, so Lightning does not replace it. A loader that ``accelerate`` has prepared splits
-    the garments over ranks itself: there the sampler yields all of them.
+    the garments over its processes itself, so with several of them the sampler requires ``rank`` and ``world_size``: 0
+    and 1 in such a loader, whose state then counts the garments that all processes have received.
 
     ``iter()`` after a broken-off loop begins the next epoch; after ``load_state_dict`` it yields the rest of the
     state's epoch. ``set_epoch`` selects the epoch of the next ``iter()``.
 
     ``state_dict()`` counts garments as they are passed to the ``DataLoader``, whose workers prefetch; pass
-    ``received``, the garments that the training loop has received. Raises ``ConfigError`` for an invalid rank.
+    ``received``, the garments that the training loop has received. Raises ``ConfigError`` for an invalid rank, and
+    without a rank where ``accelerate`` runs several processes.
     """
 
     def __init__(
@@ -309,16 +308,7 @@ class ElasticSampler(DistributedSampler[int]):
 
     def rank_share(self) -> RankShare:
         """This rank's share; the rank is looked up now. Raises ``ConfigError`` for more ranks than garments."""
-        library = sharding_library()
-        if library is None:
-            rank_share = RankShare(self.order, *(self._fixed_rank or current_rank()), self.pad)
-        elif self._fixed_rank not in (None, (0, 1)):
-            raise ConfigError(
-                f"world_size={self._fixed_rank[1]}: {library} splits garments over ranks too: leave out rank and "
-                "world_size"
-            )
-        else:
-            rank_share = RankShare(self.order, 0, 1, self.pad, outer_world_size=current_rank()[1])
+        rank_share = RankShare(self.order, *(self._fixed_rank or current_rank()), self.pad)
         if not rank_share.positions(0):
             raise ConfigError(
                 f"{self.order.length} garments for {rank_share.world_size} ranks: give pad='repeat', or fewer ranks"
@@ -327,9 +317,11 @@ class ElasticSampler(DistributedSampler[int]):
 
     def __len__(self) -> int:
         """This rank's garments in a whole epoch."""
+        self._require_no_second_split()
         return len(self.rank_share().positions(0))
 
     def __iter__(self) -> Iterator[int]:
+        self._require_no_second_split()
         self._rank_share = rank_share = self.rank_share()
         self._start = rank_share.resume(self.position if self._is_loaded else self.order.next_pass(self.position))
         return self._indices(rank_share, self._start)
@@ -360,6 +352,14 @@ class ElasticSampler(DistributedSampler[int]):
 
     def _indices(self, rank_share: RankShare, start: int) -> Iterator[int]:
         for count, index in enumerate(rank_share.indices(start), 1):
-            received = -(-count // rank_share.outer_world_size)
-            self.position, self._is_loaded = rank_share.after(start, received), False
+            self.position, self._is_loaded = rank_share.after(start, count), False
             yield index
+
+    def _require_no_second_split(self) -> None:
+        """Raise ``ConfigError`` without a given rank where ``accelerate`` runs several processes."""
+        if self._fixed_rank is None and (count := accelerate_processes()) > 1:
+            raise ConfigError(
+                f"accelerate runs {count} processes, and a loader that it prepares splits garments over them: give "
+                "rank=0, world_size=1 in such a loader, otherwise rank=accelerator.process_index, "
+                f"world_size={count}; or load with a GarmentLoader"
+            )

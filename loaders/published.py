@@ -17,14 +17,13 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
-from gcd_dataset.loaders.available import absent_at_stage
-from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.loaders.indexing import index_from_key
+from gcd_dataset.loaders.base import Garments, Transform, index_from_key
+from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern, Provenance, Sample
-from gcd_dataset.release.batch_index import PublishedBatches
+from gcd_dataset.release.batches import PublishedBatches
+from gcd_dataset.release.bodies import published_body
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.read_garment import PublishedGarment
-from gcd_dataset.release.wearers import published_body
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_partial_sample, encode_sample
 from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of

@@ -1,9 +1,8 @@
-"""The rank of this process, its device, and libraries that split a loader's items over ranks themselves."""
+"""The rank of this process and its device."""
 
 import os
 import sys
 from collections.abc import Sequence
-from types import FrameType
 
 import torch
 import torch.distributed
@@ -14,9 +13,6 @@ from gcd_dataset.loaders.base import require_integer
 
 GLOBAL = ("RANK", "WORLD_SIZE")  # environment variables of ``torchrun``
 LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # the same within this machine
-
-# accelerate's wrappers that split the items of any sampler or stream over ranks: module and classes.
-ACCELERATE = "accelerate.data_loader", frozenset({"BatchSamplerShard", "IterableDatasetShard", "DataLoaderDispatcher"})
 
 
 def require_rank(rank: int | None, world_size: int | None) -> tuple[int, int] | None:
@@ -94,23 +90,13 @@ def _local_rank() -> tuple[int, int | None] | None:
     return int(rank), None if count is None else int(count)
 
 
-def sharding_library() -> str | None:
-    """The library that is iterating in this thread and splits the items over ranks itself, or ``None``."""
-    # On every rank accelerate iterates over all items and keeps the items of this rank, even if the sampler has split
-    # them already. It does not mark the samplers that it wraps: only the call stack shows that it iterates.
-    module, classes = ACCELERATE
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None:
-        if frame.f_globals.get("__name__") == module and frame.f_code.co_qualname.partition(".")[0] in classes:
-            return module.partition(".")[0]
-        frame = frame.f_back
-    return None
+def accelerate_processes() -> int:
+    """Number of processes of ``accelerate``, in this process or the one that it was forked from; 1 without it.
 
-
-def accelerate_is_active() -> bool:
-    """Whether ``accelerate`` has several ranks, in this process or the one that it was forked from."""
+    A loader that it prepares splits the items of any sampler or stream over them, even if they have been split already.
+    """
     state = getattr(sys.modules.get("accelerate.state"), "PartialState", None)
-    return getattr(state, "_shared_state", {}).get("num_processes", 1) > 1
+    return getattr(state, "_shared_state", {}).get("num_processes", 1)
 
 
 def devices_of_process(device: str) -> str:

@@ -3,10 +3,12 @@
 import bisect
 import contextlib
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import torch
@@ -14,19 +16,123 @@ import torch
 from gcd_dataset.errors import ConfigError, GcdError, ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.remote import Remote, RemoteStore, open_store
-from gcd_dataset.loaders.available import STAGES, absent_at_stage, absent_when_empty
-from gcd_dataset.loaders.base import Garments, Transform, note_items, recipe_from_meta, require_integer
-from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
-from gcd_dataset.loaders.splits import parse_splits
-from gcd_dataset.loaders.stored import StoredItems
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Garments,
+    Transform,
+    UnknownKeyError,
+    index_from_key,
+    note_items,
+    recipe_from_meta,
+    require_integer,
+    tensor_of,
+)
+from gcd_dataset.loaders.fields import STAGES, absent_at_stage, absent_when_empty
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.cache import SIZE, size_in_bytes
-from gcd_dataset.shards.codec import NO_PICTURE, decode_fields
-from gcd_dataset.shards.columns import Columns
+from gcd_dataset.shards.codec import NO_PICTURE, SECTIONS, decode_field, decode_fields
+from gcd_dataset.shards.columns import Columns, value_of
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.layout import MEMBERS, Bytes, fields_of, is_picture, is_view_field, joint_fields, members_of
+from gcd_dataset.shards.layout import (
+    JOINT,
+    MEMBERS,
+    Bytes,
+    fields_of,
+    is_picture,
+    is_view_field,
+    joint_fields,
+    members_of,
+)
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
 from gcd_dataset.shards.store import Store
+
+BOUND = r"-?[0-9]{1,18}%?"  # 18 digits fit an int64
+PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
+
+
+@dataclass(frozen=True)
+class SplitPart:
+    """The samples ``start`` to ``stop`` of a split: integers or per cent, negative ones from the end."""
+
+    name: str
+    start: str | None = None
+    stop: str | None = None
+
+    def range_of(self, count: int) -> range:
+        """Positions in a split of ``count`` samples. Adjacent parts neither overlap nor leave a gap."""
+        return range(count)[_bound(self.start, count) : _bound(self.stop, count)]
+
+
+def parse_splits(text: str) -> tuple[SplitPart, ...]:
+    """The parts of a ``split=`` text. Raises ``ConfigError``."""
+    matches = [PART.fullmatch(part) for part in text.split("+")] if isinstance(text, str) else [None]
+    parts = tuple(SplitPart(match["name"], match["start"], match["stop"]) for match in matches if match)
+    if len(parts) < len(matches):
+        raise ConfigError(f"split={text!r:.99}: write train, train[:10%], train[100:200] or train+test")
+    for bound in (bound for part in parts for bound in (part.start, part.stop) if bound and bound.endswith("%")):
+        if abs(int(bound[:-1])) > 100:
+            raise ConfigError(f"split={text!r}: {bound} is out of range: give -100% to 100%")
+    return parts
+
+
+def _bound(text: str | None, count: int) -> int | None:
+    if text is None:
+        return None
+    return round(int(text[:-1]) / 100 * count) if text.endswith("%") else int(text)
+
+
+class StoredItems(Sequence[GarmentItem]):
+    """The items of a batch, made when they are asked for; ``collate_packed`` takes the stored rows themselves.
+
+    ``views``: field to the rows of each garment (``Columns.views``), for fields that join views those of their members.
+    Each item is a copy: changing it changes no other.
+    """
+
+    def __init__(
+        self, fields: Sequence[str], views: dict[str, list[np.ndarray]], dtype: torch.dtype | None, count: int
+    ) -> None:
+        self.fields, self.dtype, self._views, self._count = fields, dtype, views, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> GarmentItem: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[GarmentItem]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return [self[row] for row in range(self._count)[index]]
+        values = ((field, self._value(field, index)) for field in self.fields)
+        return GarmentItem((field, self._tensor(field, value)) for field, value in values)
+
+    def __iter__(self) -> Iterator[GarmentItem]:
+        return (self[row] for row in range(self._count))
+
+    def column(self, field: str) -> list[Any]:
+        """The value of a field of each garment: stored rows for arrays, tensors for pictures, else what it holds."""
+        if field in SECTIONS:
+            return self._views[field]
+        return [self._tensor(field, self._value(field, row)) for row in range(self._count)]
+
+    def _value(self, field: str, row: int) -> Any:
+        if field in JOINT:
+            members = {name: rows[row].tobytes() for name, rows in self._views.items() if name.startswith("view_")}
+            return decode_field(field, {_member(name): content for name, content in members.items()})
+        return value_of(field, self._views[field][row])
+
+    def _tensor(self, field: str, value: Any) -> Any:
+        if not isinstance(value, np.ndarray):
+            return value
+        try:
+            return tensor_of(value.copy() if field in SECTIONS else value, self.dtype)
+        except ShardError as error:
+            raise ShardError(f"field {field}: {error}") from error
+
+
+def _member(field: str) -> str:
+    return f"{field.removesuffix('_json')}.json" if field.endswith("_json") else f"{field}.jpg"
+
 
 META = MEMBERS[0]
 RECIPE = "recipe:"

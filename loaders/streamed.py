@@ -16,7 +16,7 @@ from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
-from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
+from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, in_process_group
 from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.layout import MEMBERS, is_picture, key_of
@@ -133,19 +133,19 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         worker, share = get_worker_info(), self._rank_share()
         if worker is None:
             return share
-        if len(share) < len(self) and accelerate_is_active():
-            raise ConfigError(
-                "streaming=True in workers with accelerate, which may split the garments too: give num_workers=0, or "
-                "leave out streaming=True and load with a GarmentLoader"
-            )
         size = _requested_batch()
         batches = -(-len(share) // size)
         begin, end = (edge * batches // worker.num_workers * size for edge in (worker.id, worker.id + 1))
         return share[begin:end]
 
     def _rank_share(self) -> range:
-        """The positions of the garments of this rank."""
-        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
+        """The positions of the garments of this rank. Raises ``ConfigError`` with several processes of accelerate."""
+        if (count := accelerate_processes()) > 1:
+            raise ConfigError(
+                f"streaming=True with {count} processes of accelerate, which may split the garments too: leave it out, "
+                "or load with a GarmentLoader"
+            )
+        rank, ranks = self._ranks or current_rank()
         return range(*(edge * len(self) // ranks for edge in (rank, rank + 1)))
 
     def _tars(self) -> Iterator[StreamedTar]:

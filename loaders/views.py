@@ -21,11 +21,17 @@ from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, require_integer, require_ranges
-from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, PackedBatch, PaddedBatch
+from gcd_dataset.loaders.batches import (
+    POINTS_TO,
+    RAGGED,
+    PackedBatch,
+    PaddedBatch,
+    collate_packed,
+    collate_padded,
+    pin_tensor,
+)
 from gcd_dataset.loaders.body_datasets import Bodies
-from gcd_dataset.loaders.collate import collate_packed, collate_padded
-from gcd_dataset.loaders.one_thread import pin_tensor
-from gcd_dataset.loaders.scene_items import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
+from gcd_dataset.loaders.scenes import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (

@@ -109,7 +109,7 @@ def test_the_folders_before_the_drape_do_not_import_it() -> None:
 
 
 def test_the_libraries_of_exports_are_imported_when_a_file_is_written() -> None:
-    for module in ("dxf_file", "pdf_file", "usd_file", "mesh_files"):
+    for module in ("dxf_file", "pdf_file", "meshes"):
         assert not loaded_by(f"gcd_dataset.exports.{module}") & {
             "ezdxf",
             "reportlab",

@@ -23,7 +23,7 @@ from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.names import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.records import Drape, Outcome, Sample
-from gcd_dataset.release.draft import release_draft
+from gcd_dataset.release.write import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.manifest import read_manifest

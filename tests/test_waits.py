@@ -18,10 +18,10 @@ from gcd_dataset.making.progress import Progress
 from gcd_dataset.making.run import Made, Wanted, run
 from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Work
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
+from gcd_dataset.workers import prefetch
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail="keep", design=SKIRTS)

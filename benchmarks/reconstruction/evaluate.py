@@ -217,7 +217,7 @@ def _draped(
 
 
 def _preset(preset: str, garments: Sequence[Scored]) -> dict[str, float]:
-    legacy = import_module("gcd_dataset.metrics.legacy")
+    legacy = import_module("benchmarks.reconstruction.scoring.legacy")
     predicted, true = [garment.predicted for garment in garments], [garment.true for garment in garments]
     return dict(legacy.legacy_scores(preset, predicted, true))
 

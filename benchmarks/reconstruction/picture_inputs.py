@@ -45,12 +45,11 @@ from gcd_dataset.generator.render.pictures import Picture
 from gcd_dataset.generator.render.plain import SKIN, ColouredMesh
 from gcd_dataset.generator.render.plain_batch import PendingRender, start_render
 from gcd_dataset.generator.views import stored_body, stored_scene
-from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Body
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.tensors import PANEL_LABELS
-from gcd_dataset.workers import streams
+from gcd_dataset.workers import prefetch, streams
 
 SIDES = 2  # pictures of a garment: front, back
 

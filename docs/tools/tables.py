@@ -24,8 +24,8 @@ from gcd_dataset.generator.drape import FABRICS
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.rules import RULES
 from gcd_dataset.hub.card import FIELD_DESCRIPTIONS
-from gcd_dataset.loaders.available import ADDED
 from gcd_dataset.loaders.fake import FakeGarments, fake_sample
+from gcd_dataset.loaders.fields import ADDED
 from gcd_dataset.measurements import MEASURE, Measurements
 from gcd_dataset.records import POSITION_STEP, UV_STEP, BodyPart, EdgeRole, Grade, Outcome
 from gcd_dataset.shards import encode_sample, meta, notes

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.records import Pattern
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.viewer.album import Album
+    from gcd_dataset.viewer.garments import Album
     from gcd_dataset.viewer.server import Design
 
 DEFAULT_DESIGN = "default"
@@ -91,8 +91,8 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.generator.svg import pattern_svg
     from gcd_dataset.records import Sample
-    from gcd_dataset.viewer.album import NO_BODY, published_content
     from gcd_dataset.viewer.content import content_of
+    from gcd_dataset.viewer.garments import NO_BODY, published_content
     from gcd_dataset.viewer.page import page_of
 
     published = _published(options)
@@ -143,7 +143,7 @@ def _sheet(options: argparse.Namespace) -> int:
 
 def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
     """Positions for a contact sheet. Raises ``ConfigError`` for none or too many, ``ShardError`` for unknown ones."""
-    from gcd_dataset.viewer.album import Filter
+    from gcd_dataset.viewer.garments import Filter
 
     try:
         where = Filter(**dict(condition.split("=", 1) for condition in options.where))
@@ -166,7 +166,7 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
 
 def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
-    from gcd_dataset.viewer.album import SpecAlbum
+    from gcd_dataset.viewer.garments import SpecAlbum
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
@@ -188,7 +188,7 @@ def _serve(options: argparse.Namespace) -> int:
 def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.shards.folder import is_set
-    from gcd_dataset.viewer.album import PublishedAlbum, ShardAlbum, spec_album
+    from gcd_dataset.viewer.garments import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
     if options.truth is not None and is_set(folder):

@@ -7,8 +7,8 @@ from gcd_dataset.doctor import checks
 from gcd_dataset.doctor.checks import Check
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import open_regular
-from gcd_dataset.release.batch_index import PublishedBatches
-from gcd_dataset.release.body_folder import FOLDER
+from gcd_dataset.release.batches import PublishedBatches
+from gcd_dataset.release.bodies import FOLDER
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import DEFAULT_BODY
 from gcd_dataset.shards.access import reading

@@ -14,17 +14,15 @@ from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gcd_dataset.exports.dxf_file import dxf
-    from gcd_dataset.exports.mesh_files import glb, obj, ply
+    from gcd_dataset.exports.meshes import glb, obj, ply, usd
     from gcd_dataset.exports.pdf_file import pdf
-    from gcd_dataset.exports.usd_file import usd
 
 __all__ = ["dxf", "glb", "obj", "pdf", "ply", "usd"]
 
 _NAMES_OF_MODULE = {
     "dxf_file": ("dxf",),
-    "mesh_files": ("glb", "obj", "ply"),
+    "meshes": ("glb", "obj", "ply", "usd"),
     "pdf_file": ("pdf",),
-    "usd_file": ("usd",),
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 
 from gcd_dataset import __version__
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
-from gcd_dataset.exports.packing import pack
+from gcd_dataset.exports.pdf_file import pack
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import write_whole
 from gcd_dataset.names import plain_names

@@ -123,12 +123,6 @@ def cut_pieces(pattern: Pattern, *, seam_allowance: float = 1.0) -> tuple[CutPie
     return tuple(_piece(sheet, shown, seam_allowance) for sheet in lay_out(shown).panels)
 
 
-def polygon_area(points: Float[np.ndarray, "n 2"]) -> float:
-    """Area inside a closed polyline."""
-    (x, y), (next_x, next_y) = points.T, np.roll(points, -1, axis=0).T
-    return float(abs(0.5 * (x * next_y - next_x * y).sum()))
-
-
 def _mirrored(panel: Panel) -> Panel:
     edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
     return replace(panel, vertices=panel.vertices * [-1.0, 1.0], edges=edges)

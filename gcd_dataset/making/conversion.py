@@ -13,7 +13,7 @@ from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progr
 from gcd_dataset.making.run import Made, Wanted, run
 from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Work
-from gcd_dataset.release.batch_index import PublishedBatches
+from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import SPLIT_NAMES
 from gcd_dataset.shards import encode_sample

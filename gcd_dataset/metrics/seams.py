@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.metrics.matching import PanelPair, matched_edges
-from gcd_dataset.metrics.outlines import Outline, OutlineMap
-from gcd_dataset.metrics.shapes import PanelShape
+from gcd_dataset.metrics.shapes import Outline, OutlineMap, PanelShape
 from gcd_dataset.records import EdgeRef, Pattern
 
 NEAR = 2.0  # cm: the partner of a point is right within this distance along the outline

@@ -5,19 +5,17 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from gcd_dataset.release.batch_index import PublishedBatches
-    from gcd_dataset.release.body_folder import PublishedPeople
+    from gcd_dataset.release.batches import PublishedBatches
+    from gcd_dataset.release.bodies import PcaShapes, PublishedPeople, read_pca
     from gcd_dataset.release.garment_list import PublishedGarments
-    from gcd_dataset.release.pca import PcaShapes, read_pca
     from gcd_dataset.release.read_garment import PublishedGarment
 
 __all__ = ["PcaShapes", "PublishedBatches", "PublishedGarment", "PublishedGarments", "PublishedPeople", "read_pca"]
 
 _NAMES_OF_MODULE = {
-    "batch_index": ("PublishedBatches",),
-    "body_folder": ("PublishedPeople",),
+    "batches": ("PublishedBatches",),
+    "bodies": ("PcaShapes", "PublishedPeople", "read_pca"),
     "garment_list": ("PublishedGarments",),
-    "pca": ("PcaShapes", "read_pca"),
     "read_garment": ("PublishedGarment",),
 }
 

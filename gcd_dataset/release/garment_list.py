@@ -11,8 +11,7 @@ from typing import Any
 
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 from gcd_dataset.filekinds import BODY_FOLDERS
-from gcd_dataset.release.batch_index import PublishedBatches
-from gcd_dataset.release.properties import Facts
+from gcd_dataset.release.batches import Facts, PublishedBatches
 from gcd_dataset.release.published_names import REMEDY, SPLIT_FILE, SPLIT_NAMES
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.shards.access import read_file

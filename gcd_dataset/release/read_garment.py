@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.bodyfiles import parse_measurements
 from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
-from gcd_dataset.release.ply import Ply, read_ply, weld
-from gcd_dataset.release.properties import Facts
+from gcd_dataset.release.batches import Facts
+from gcd_dataset.release.meshes import Ply, read_ply, weld
 from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.yamlfile import PlainLoader, require_shallow, require_small

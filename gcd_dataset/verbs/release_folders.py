@@ -25,9 +25,15 @@ from gcd_dataset.generator.lay_plan import LayPlan, lay_out
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Sample
-from gcd_dataset.release.draft import ReleaseDraft, release_draft
 from gcd_dataset.release.published_names import DEFAULT_BODY, SPLIT_NAMES, properties_name
-from gcd_dataset.release.write import FAIL_CLASSES, PatternDrawing, garment_files, yaml_bytes
+from gcd_dataset.release.write import (
+    FAIL_CLASSES,
+    PatternDrawing,
+    ReleaseDraft,
+    garment_files,
+    release_draft,
+    yaml_bytes,
+)
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import splits_in
 from gcd_dataset.verbs.statistics import batch_properties, garment_type

@@ -22,7 +22,7 @@ from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
-from gcd_dataset.viewer.markup import asset, inline_svg, picture, script_data, table
+from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
 
 SCRIPTS = ("geometry.js", "scale.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.viewer.album import Album, Filter, Found
-from gcd_dataset.viewer.markup import asset, inline_svg, script_data
+from gcd_dataset.viewer.garments import Album, Filter, Found
+from gcd_dataset.viewer.notebook import asset, inline_svg, script_data
 from gcd_dataset.viewer.page import page_of
 
 if TYPE_CHECKING:

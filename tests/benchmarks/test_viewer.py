@@ -11,7 +11,7 @@ from benchmarks.run import main
 from benchmarks.viewing.server import shown
 from benchmarks.viewing.workload import FULL, KIND, OUTCOME, full_range, write_set
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.viewer.album import Filter, ShardAlbum
+from gcd_dataset.viewer.garments import Filter, ShardAlbum
 
 COUNT = 4 * FULL
 

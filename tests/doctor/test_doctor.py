@@ -18,7 +18,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Outcome, Pattern, Sample
-from gcd_dataset.release.body_folder import FOLDER, KINDS
+from gcd_dataset.release.bodies import FOLDER, KINDS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.tar import END, tar_entry

@@ -18,6 +18,7 @@ from gcd_dataset.shards import ShardWriter
 from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import squares
+from tests.loaders.draping import SKIRTS
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,7 @@ def test_a_specification_is_draped_on_the_neutral_body(
 ) -> None:
     """As ``gcd drape --glb`` writes it: a node, texture coordinates and a material for each panel."""
     monkeypatch.setattr(fitting, "drape_patterns", partial(fitting.drape_patterns, resolution=6.0, device="cpu"))
-    write_pattern(make(0, 0, MakeConfig(stage="pattern")).pattern, tmp_path / "a.json")
+    write_pattern(make(0, 0, MakeConfig(stage="pattern", design=SKIRTS)).pattern, tmp_path / "a.json")
     assert run("export", tmp_path / "a.json", "--glb", tmp_path / "a.glb") == 0, capsys.readouterr().err
     words = ("--resolution", "6", "--device", "cpu", "--quiet", "--glb", "--out", tmp_path / "draped")
     assert run("drape", tmp_path / "a.json", *words) == 0

@@ -17,8 +17,7 @@ from pypdf.generic import ContentStream
 from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, curve_points
 from gcd_dataset.errors import ConfigError, ExtraMissing, PatternError
 from gcd_dataset.exports import pdf
-from gcd_dataset.exports.pdf_file import bezier_pieces, pdf_bytes
-from gcd_dataset.exports.tiling import PAPERS, Page, paper_named, tile
+from gcd_dataset.exports.pdf_file import PAPERS, Page, bezier_pieces, paper_named, pdf_bytes, tile
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.patterns import NAMES, exact_area, named, panel_of, quarter_circle, square, squares
 

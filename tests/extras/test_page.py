@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gcd_dataset.exports.cloth import smooth_normals
+from gcd_dataset.exports.meshes import smooth_normals
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.meshedges import mesh_edges

@@ -23,9 +23,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.viewer import album as album_module
-from gcd_dataset.viewer.album import ShardAlbum, spec_album
+from gcd_dataset.viewer import garments as album_module
 from gcd_dataset.viewer.design_desk import Desk
+from gcd_dataset.viewer.garments import ShardAlbum, spec_album
 from gcd_dataset.viewer.server import Design, Gallery, serve
 from tests.hub.server import running_hub
 from tests.release.published import publish

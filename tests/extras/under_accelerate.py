@@ -1,4 +1,4 @@
-"""A program of two ranks: each of accelerate's ways to split the garments of a loader."""
+"""A program of two ranks: each of accelerate's ways to split the garments of a loader, and those that are refused."""
 
 import sys
 from typing import Any
@@ -9,7 +9,7 @@ from accelerate import Accelerator, DataLoaderConfiguration
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders import ElasticSampler, GarmentDataset
+from gcd_dataset.loaders import ElasticSampler, GarmentDataset, GarmentLoader
 
 garments = GarmentDataset(sys.argv[1], fields=["meta"])
 stream = GarmentDataset(sys.argv[1], fields=["meta"], streaming=True)
@@ -41,10 +41,6 @@ def sampled(workers: int = 0, **options: Any) -> DataLoader:
     )
 
 
-def streamed(workers: int = 0) -> DataLoader:
-    return DataLoader(stream, SIZE, num_workers=workers, collate_fn=numbers)
-
-
 def require_refused(loader: Any, message: str) -> None:
     try:
         next(iter(loader))
@@ -55,26 +51,24 @@ def require_refused(loader: Any, message: str) -> None:
 
 
 Accelerator(cpu=True)
-require_each_once("not prepared", sampled())
-require_each_once("not prepared, stream", streamed())
+require_each_once("not prepared", sampled(rank=dist.get_rank(), world_size=2))
+whole: dict[str, Any] = {"rank": 0, "world_size": 1}
 for workers in (0, 2):
     for options in ({}, {"split_batches": True}, {"dispatch_batches": True}, {"even_batches": False}):
-        loader = prepared(sampled(workers), **options)
+        loader = prepared(sampled(workers, **whole), **options)
         assert len(loader) == N // SIZE // (1 if options.get("split_batches") else 2), (options, len(loader))
         require_each_once(f"{options} {workers}", loader)
-    require_each_once(f"a stream, {workers}", prepared(streamed(workers), dispatch_batches=False))
-require_each_once("a stream, dispatched", prepared(streamed()))
-require_each_once("all garments, explicitly", prepared(sampled(rank=0, world_size=1)))
-require_refused(prepared(sampled(rank=dist.get_rank(), world_size=2)), "world_size=2: accelerate splits garments")
-if dist.get_rank() == 0:  # rank 0 alone reads, and broadcasts to the other ranks
-    require_refused(streamed(1), "streaming=True in workers with accelerate")
+require_refused(sampled(), "give rank=0, world_size=1")
+require_refused(DataLoader(stream, SIZE, collate_fn=numbers), "streaming=True with 2 processes of accelerate")
+require_each_once("a GarmentLoader", GarmentLoader(garments, SIZE, collate_fn=numbers))
+require_each_once("a GarmentLoader of a stream", GarmentLoader(stream, SIZE, shuffle=False, collate_fn=numbers))
 
-sampler = ElasticSampler(garments)
+sampler = ElasticSampler(garments, **whole)
 loader = prepared(DataLoader(garments, SIZE, sampler=sampler, num_workers=1, collate_fn=numbers))
 seen = [number for _, batch in zip(range(2), loader, strict=False) for number in batch.tolist()]
-state = sampler.state_dict(received=len(seen))
+state = sampler.state_dict(received=2 * len(seen))
 assert state["position"] == 2 * len(seen), state
-again = ElasticSampler(garments)
+again = ElasticSampler(garments, **whole)
 again.load_state_dict(state)
 seen += [
     number

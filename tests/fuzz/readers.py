@@ -48,8 +48,8 @@ from gcd_dataset.tomlfile import read_toml
 from gcd_dataset.validate import check_pattern, require_valid
 from gcd_dataset.verbs import generate_people
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
-from gcd_dataset.viewer.album import spec_album
 from gcd_dataset.viewer.design_desk import Desk, controls
+from gcd_dataset.viewer.garments import spec_album
 from gcd_dataset.viewer.server import Design, Gallery
 from tests.fuzz.documents import edited, json_bytes
 from tests.fuzz.mutation import mutated

@@ -7,8 +7,8 @@ import pytest
 from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.verbs import doctor
-from gcd_dataset.viewer import album as albums
-from gcd_dataset.viewer.album import ShardAlbum
+from gcd_dataset.viewer import garments as albums
+from gcd_dataset.viewer.garments import ShardAlbum
 from gcd_dataset.viewer.server import Gallery
 from tests.hub.server import Fault, Hub
 from tests.hub.sets import COUNT

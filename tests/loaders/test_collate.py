@@ -1,8 +1,5 @@
 """Batches of ragged garments: row numbers keep their meaning."""
 
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +9,7 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.one_thread import copy_tensor
+from gcd_dataset.loaders.batches import copy_tensor
 from gcd_dataset.tensors import EdgeColumn
 from tests.loaders.test_shards import same as all_same
 
@@ -203,33 +200,6 @@ def test_entries_that_a_transform_adds_are_listed() -> None:
         assert batch["name"] == B * ["x"]
         assert batch["weight"].tolist() == B * [2.0]
         assert [len(mask) for mask in batch["mask"]] == [len(item["verts"]) for item in items]
-
-
-ONE_THREAD = """
-import os, torch
-from gcd_dataset.loaders import collate_packed, collate_padded
-from gcd_dataset.loaders.one_thread import copy_tensor
-
-def threads():
-    return len(os.listdir("/proc/self/task"))
-
-torch.set_num_threads(4)
-rows = [10**6, 10**5]
-items = [{"verts": torch.empty(n, 3), "faces": torch.empty(n, 3, dtype=torch.int32)} for n in rows]
-more, before = [{"points": torch.empty(10**6, 6)}] * 2, threads()
-collate_packed([{name: copy_tensor(value) for name, value in item.items()} for item in items])
-collate_packed(more), collate_padded(items)
-assert threads() == before, "others have helped"
-more[0]["points"].clone()
-assert threads() > before, "torch has no other threads: nothing was tested"
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc/self/task")
-def test_large_arrays_are_copied_by_one_thread() -> None:
-    """torch's threads spin after each call and take cores from the workers."""
-    done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_copies_share_no_memory() -> None:

@@ -1,20 +1,17 @@
 """``GeneratedGarments``: the bytes of a generated data set; caching and repair."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import DressedDesign, prepare
 from gcd_dataset.generator.recipe import recipe_of
-from gcd_dataset.loaders import GarmentDataset, GeneratedGarments, collate_packed
+from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.shards import ShardWriter
 from tests.loaders.test_shards import assert_all_same, same
 
@@ -47,14 +44,6 @@ def test_a_batch_holds_the_same_items(items: list[dict[str, Any]]) -> None:
     assert_all_same(ds.__getitems__([2, 0, -1]), [items[2], items[0], items[2]])
     with pytest.raises(IndexError):
         ds.__getitems__([0, COUNT])
-
-
-@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (1, "spawn")])
-def test_workers_change_nothing(items: list[dict[str, Any]], workers: int, context: str) -> None:
-    loader = DataLoader(
-        garments(), batch_size=2, num_workers=workers, multiprocessing_context=context, collate_fn=collate_packed
-    )
-    assert_all_same(loader, [collate_packed(items[:2]), collate_packed(items[2:])])
 
 
 def test_global_random_state_changes_nothing(items: list[dict[str, Any]]) -> None:
@@ -204,15 +193,6 @@ def test_options_that_do_not_exist_are_refused() -> None:
 def test_arguments_are_checked_at_once(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         GeneratedGarments(**{"n": 1, **options})
-
-
-def test_box_meshes_do_not_import_warp() -> None:
-    code = (
-        "import sys; from gcd_dataset.loaders import GeneratedGarments; "
-        "GeneratedGarments(2, drape=None, resolution=8.0, device='cuda:3').recipe(1); "
-        "sys.exit('warp' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_wearer_of_few_garments_does_not_stop_a_data_set() -> None:

@@ -1,5 +1,6 @@
 """Fields, types and indices of items of every data set, and their error messages."""
 
+import importlib
 import logging
 import pickle
 from collections.abc import Callable
@@ -11,13 +12,15 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.drapers import address_for
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
     Augmented,
+    BodyDataset,
     Chain,
     FakeGarments,
     FreshGarments,
@@ -32,15 +35,19 @@ from gcd_dataset.loaders import (
     PublishedBodies,
     PublishedGarmentCodeData,
     Yaw,
+    collate_list,
     collate_packed,
     collate_padded,
 )
 from gcd_dataset.loaders.base import tensor_of
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
+from tests.loaders.draping import Apart
 from tests.loaders.test_shards import assert_all_same, same
+from tests.release.published import publish as published
 from tests.shards.folders import fill
 from tests.shards.people import MESH, fake_person, publish
+from tests.shards.people import fill as people_in_shards
 
 COUNT = 4
 FIRST = 3  # number of the first stored sample, so that keys differ from positions
@@ -173,13 +180,48 @@ def test_a_batch_of_mixed_types_is_refused(sets: dict[str, Path]) -> None:
 # -------------------------------------------------------------------------------------------------------------- indices
 
 
-def wrapped(ds: Garments) -> list[Garments]:
-    return [ds, Augmented(ds, Yaw(0.0)), ds.select(range(COUNT)), ds[:]]
+def wrapped(ds: Garments, count: int = COUNT) -> list[Garments]:
+    return [ds, Augmented(ds, Yaw(0.0)), ds.select(range(count)), ds[:]]
+
+
+class OneOfEach(Dataset):
+    """The second item of each data set, and whether Warp is initialised: with a GPU that takes a CUDA context."""
+
+    def __init__(self, *kinds: Any) -> None:
+        self.kinds = kinds
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    def __getitem__(self, index: int) -> Any:
+        return self.kinds[index][1], importlib.import_module("warp._src.context").runtime is not None
+
+
+def test_a_spawned_worker_gets_the_same_from_every_kind_of_data_set_and_initialises_no_warp(
+    sets: dict[str, Path], few: Path, tmp_path: Path
+) -> None:
+    stored = [opened(sets, "mesh")[way]() for way in ("folder", "hdf5", "generated")]
+    fake = FakeGarments(2)
+    people = [PublishedBodies(few), BodyDataset(people_in_shards(tmp_path / "people", range(2)))]
+    draped = Apart(2, address_for("cpu"))
+    kinds = OneOfEach(
+        draped,
+        *stored,
+        *people,
+        *wrapped(fake, 2),
+        MixedDataset([fake], [1]),
+        PublishedGarmentCodeData(published(tmp_path)),
+    )
+    loader = DataLoader(kinds, batch_size=1, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
+    items, initialised = zip(*(entry for [entry] in loader), strict=True)
+    assert_all_same(items, [kind[1] for kind in kinds.kinds])
+    assert not any(initialised)
 
 
 @pytest.mark.parametrize("way", ["folder", "hdf5", "generated"])
 def test_a_list_of_indices_gives_a_list_of_items(sets: dict[str, Path], way: str) -> None:
-    for ds in wrapped(opened(sets, "pattern")[way](fields=["meta", "panels"])):
+    whole = opened(sets, "pattern")[way](fields=["meta", "panels"])
+    for ds in [whole] if way == "generated" else wrapped(whole):
         several = [ds[1], ds[-1], ds[1]]
         for indices in ([1, -1, 1], (1, -1, 1), np.array([1, -1, 1]), torch.tensor([1, -1, 1], dtype=torch.int16)):
             assert_all_same(ds[indices], several)

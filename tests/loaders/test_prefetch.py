@@ -2,15 +2,13 @@
 
 import contextlib
 import gc
-import subprocess
-import sys
 import threading
 import weakref
 from collections.abc import Iterator
 
 import pytest
 
-from gcd_dataset.prefetch import prefetch
+from gcd_dataset.workers import prefetch
 
 
 def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
@@ -112,24 +110,6 @@ def test_a_caught_error_keeps_no_object_alive() -> None:
         assert kept() is None
     finally:
         gc.enable()
-
-
-AT_THE_END = """
-import torch
-from gcd_dataset.prefetch import prefetch
-
-def items():
-    while True:
-        yield torch.ones(1500, 1500) @ torch.ones(1500, 1500)
-
-made = prefetch(items(), 99, wait=True)
-next(made)
-"""
-
-
-def test_a_program_can_end_while_items_are_made() -> None:
-    done = subprocess.run([sys.executable, "-c", AT_THE_END], capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_begin_runs_in_the_thread() -> None:

@@ -17,8 +17,7 @@ from gcd_dataset.errors import ConfigError, PatternError, ShardError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.batch_index import PublishedBatches
-from gcd_dataset.release.properties import Facts
+from gcd_dataset.release.batches import Facts, PublishedBatches
 from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.release.write import garment_files

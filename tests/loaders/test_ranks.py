@@ -1,12 +1,12 @@
 """GPUs of ranks: one each under torchrun, all of them without ranks."""
 
-import subprocess
 import sys
+from unittest.mock import Mock
 
 import pytest
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders import GeneratedGarments
+from gcd_dataset.loaders import ElasticSampler, FakeGarments, GarmentLoader, GeneratedGarments
 from gcd_dataset.shards.layout import recipe_hash
 
 GPUS = 4
@@ -95,11 +95,14 @@ def test_the_recipe_is_independent_of_the_gpu(monkeypatch: pytest.MonkeyPatch) -
     assert len({recipe_hash(recipe) for recipe in recipes}) == 1
 
 
-def test_the_main_process_does_not_initialise_cuda() -> None:
-    code = (
-        "import sys, torch; torch.cuda.device_count = lambda: 2\n"
-        "from gcd_dataset.loaders import GeneratedGarments\n"
-        "assert GeneratedGarments(2).config.device == 'cuda:0,1'\n"
-        "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+def test_several_processes_of_accelerate_are_never_split_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loader that accelerate prepares splits its items itself; a ``GarmentLoader`` is none."""
+    state = Mock(PartialState=Mock(_shared_state={"num_processes": 2}))
+    monkeypatch.setitem(sys.modules, "accelerate.state", state)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    garments = FakeGarments(6, fields=["meta"])
+    for ask in (len, iter):
+        with pytest.raises(ConfigError, match=r"accelerate runs 2 processes, .*: give rank=0, world_size=1 in such"):
+            ask(ElasticSampler(garments))
+    assert [len(list(ElasticSampler(garments, rank=0, world_size=size))) for size in (1, 2)] == [6, 3]
+    assert len(list(GarmentLoader(garments, 2))) == 3

@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
+from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome, Sample
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
@@ -81,16 +81,6 @@ def test_the_recipe_suffices_to_make_the_garment_again(folder: Path) -> None:
     assert (recipe["seed"], recipe["index"], recipe["recipe"]) == (0, 7, RECIPE)
     assert recipe == FakeGarments(COUNT).recipe(7)
     assert same(FakeGarments(COUNT, seed=recipe["seed"])[recipe["index"]], GarmentDataset(folder)[7])
-
-
-@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (1, "spawn")])
-def test_workers_change_nothing(folder: Path, workers: int, context: str) -> None:
-    ds = GarmentDataset(folder)
-    alone = list(DataLoader(ds, batch_size=4, collate_fn=collate_packed))
-    shared = DataLoader(
-        ds, batch_size=4, collate_fn=collate_packed, num_workers=workers, multiprocessing_context=context
-    )
-    assert_all_same(alone, shared)
 
 
 def test_an_unreadable_folder_is_named() -> None:

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.loaders.splits import SplitPart, parse_splits
+from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.shards import ShardReader
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import open_writer

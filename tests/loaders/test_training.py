@@ -29,8 +29,8 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
-from gcd_dataset.loaders.batch_plan import BatchIndices, BatchMaker
-from tests.loaders.patterns import pattern_shards
+from gcd_dataset.loaders.loader import BatchMaker, Step
+from tests.loaders.rendered import pattern_shards
 
 N = 12
 
@@ -97,7 +97,7 @@ def test_loading_does_not_change_the_models_random_draws(folder: Path) -> None:
     alone, _ = trained(GarmentLoader(plain, 2))
     _, noise = trained(GarmentLoader(changed, 2))
     assert len(set(noise)) == N
-    for workers in (0, 0, 0, 0, 0, 0, 1, 2):
+    for workers in (0, 0, 2):
         assert trained(GarmentLoader(changed, 2, num_workers=workers)) == (alone, noise)
     assert trained(GarmentLoader(plain, 2, collate_fn=jittered_batch))[0] == alone
 
@@ -161,8 +161,8 @@ def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) ->
 def test_the_batch_maker_can_be_pickled(folder: Path, wrapped: Any) -> None:
     """Spawned workers receive it pickled."""
     making = BatchMaker(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
-    sent, turn = pickle.loads(pickle.dumps(making)), BatchIndices(1, [3, 0])
-    assert torch.equal(making.__getitems__(turn)["noise"], sent.__getitems__(turn)["noise"])
+    sent, turn = pickle.loads(pickle.dumps(making)), Step(2, [1, 1], 1, [3, 0])
+    assert torch.equal(making.__getitems__(turn)[1]["noise"], sent.__getitems__(turn)[1]["noise"])
 
 
 class UsersDataset(Dataset):
@@ -201,8 +201,7 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
 # ---------------------------------------------------------------------------------------------------------------- ranks
 
 
-@pytest.mark.parametrize("world_size", [1, 2, 3])
-@pytest.mark.parametrize("workers", [0, 1, 2])
+@pytest.mark.parametrize(("world_size", "workers"), [(1, 1), (2, 2), (3, 0)])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
     """With 11 garments and batches of 2, the epoch ends differently for each world size."""
     ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
@@ -272,10 +271,11 @@ def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
     sampler = ElasticSampler(ds)
     plain = DataLoader(ds, 2, sampler=sampler, collate_fn=collate_packed, num_workers=1)
     stream = GarmentDataset(folder, fields=["meta"], streaming=True)
-    spawned = DataLoader(stream, 2, collate_fn=collate_packed, num_workers=1, multiprocessing_context="spawn")
     torch.distributed.init_process_group("gloo", f"file://{place}", rank=rank, world_size=2)
-    seen = [every(it) for it in (loader, loader, plain, DataLoader(stream, 2, collate_fn=collate_packed), spawned)]
+    seen = [every(it) for it in (loader, loader, plain, DataLoader(stream, 2, collate_fn=collate_packed))]
+    sent = pickle.dumps(stream)  # as to a spawned worker, which has no process group
     torch.distributed.destroy_process_group()
+    seen.append(every(DataLoader(pickle.loads(sent), 2, collate_fn=collate_packed)))
     tell.send((seen, loader.state_dict()["position"], sampler.state_dict(received=6)["position"]))
 
 
@@ -421,8 +421,7 @@ def test_integers_of_any_type_are_valid_in_a_state(folder: Path) -> None:
 # -------------------------------------------------------------------------------------------------------------- streams
 
 
-@pytest.mark.parametrize("workers", [0, 1, 2, 3])
-@pytest.mark.parametrize("world_size", [1, 2, 3])
+@pytest.mark.parametrize(("world_size", "workers"), [(1, 0), (1, 2), (2, 3), (3, 0)])
 def test_ranks_and_workers_split_a_stream_evenly(
     folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
 ) -> None:
@@ -439,8 +438,7 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert workers or seen == list(range(N))
 
 
-@pytest.mark.parametrize("world_size", [1, 2])
-@pytest.mark.parametrize(("workers", "size"), [(0, 5), (2, 5), (3, 2), (4, 12), (4, None)])
+@pytest.mark.parametrize(("world_size", "workers", "size"), [(1, 0, 5), (2, 2, 5), (1, 3, 2), (1, 4, 12), (2, 3, None)])
 def test_the_workers_of_a_stream_make_as_many_batches_as_one_process(
     three: Path, ranks: Callable, world_size: int, workers: int, size: int | None
 ) -> None:

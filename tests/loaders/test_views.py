@@ -1,6 +1,7 @@
 """Pictures rendered when garments are read: the same for any worker, order and batch; truths follow the geometry."""
 
 import math
+import pickle
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -38,24 +39,12 @@ from gcd_dataset.loaders import (
 )
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardReader
-from tests.loaders.rendered import SEED, SIZE, samples, write
+from tests.loaders.rendered import COUNT, SEED, SIZE
 from tests.release.published import RELEASE, publish
 
-COUNT = 3
 
-
-@pytest.fixture(scope="module")
-def made() -> list[Sample]:
-    return samples(COUNT)
-
-
-@pytest.fixture(scope="module")
-def folder(made: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("views"), made)
-
-
-def dataset(folder: Path, **options: Any) -> GarmentDataset:
-    return GarmentDataset(folder, fields=VIEW_FIELDS, **options)
+def dataset(worn_folder: Path, **options: Any) -> GarmentDataset:
+    return GarmentDataset(worn_folder, fields=VIEW_FIELDS, **options)
 
 
 def small(**options: Any) -> Views:
@@ -78,15 +67,15 @@ def assert_same(some: Mapping[int, torch.Tensor], others: Mapping[int, torch.Ten
 
 
 @pytest.fixture(scope="module")
-def first_epoch(folder: Path) -> dict[int, torch.Tensor]:
+def first_epoch(worn_folder: Path) -> dict[int, torch.Tensor]:
     """The pictures of epoch 0, each garment rendered alone."""
     views = small()
-    return {item["meta"]["index"]: item["views"] for item in map(views, dataset(folder))}
+    return {item["meta"]["index"]: item["views"] for item in map(views, dataset(worn_folder))}
 
 
-def test_stored_views_are_those_rendered_from_the_shards(folder: Path) -> None:
-    reader, views = ShardReader(folder), small()
-    for number, item in enumerate(dataset(folder)):
+def test_stored_views_are_those_rendered_from_the_shards(worn_folder: Path) -> None:
+    reader, views = ShardReader(worn_folder), small()
+    for number, item in enumerate(dataset(worn_folder)):
         rendered = views(item)
         for view, picture, k, rt in zip(
             reader.sample(number).views, rendered["views"], rendered["camera_k"], rendered["camera_rt"], strict=True
@@ -96,27 +85,27 @@ def test_stored_views_are_those_rendered_from_the_shards(folder: Path) -> None:
             assert np.array_equal(np.float32(view.facts["camera"]["rt"]), rt)
 
 
-@pytest.mark.parametrize("collate", [collate_packed, collate_padded, collate_list])
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("workers", "collate", "seed", "batch_size"),
+    [(0, collate_packed, 0, 2), (0, collate_padded, 1, 3), (2, collate_list, 1, 2)],
+)
 def test_pictures_depend_on_epoch_and_garment_alone(
-    folder: Path, first_epoch: dict[int, torch.Tensor], workers: int, collate: Any
+    worn_folder: Path, first_epoch: dict[int, torch.Tensor], workers: int, collate: Any, seed: int, batch_size: int
 ) -> None:
     views = small()
-    for seed, batch_size in ((0, 2), (1, 3)):
-        loader = GarmentLoader(
-            dataset(folder), batch_size, seed=seed, num_workers=workers, collate_fn=collate, views=views
-        )
-        assert_same(pictures(loader), first_epoch)
-        second = pictures(loader)
-        assert not any(torch.equal(second[number], first_epoch[number]) for number in second)
-        views.set_epoch(1)
-        assert_same(second, pictures([[views(item) for item in dataset(folder)]]))
-        views.set_epoch(0)
+    loader = GarmentLoader(
+        dataset(worn_folder), batch_size, seed=seed, num_workers=workers, collate_fn=collate, views=views
+    )
+    assert_same(pictures(loader), first_epoch)
+    second = pictures(loader)
+    assert not any(torch.equal(second[number], first_epoch[number]) for number in second)
+    views.set_epoch(1)
+    assert torch.equal(second[1], views(dataset(worn_folder)[1])["views"])
 
 
-def test_other_data_sets_have_other_pictures_at_the_same_number(folder: Path) -> None:
+def test_other_data_sets_have_other_pictures_at_the_same_number(worn_folder: Path) -> None:
     """Data sets of another seed, or of the same seed and another recipe; not those on another device."""
-    item = dataset(folder)[0]
+    item = dataset(worn_folder)[0]
     meta, views = item["meta"], small(n=1)
     for change in ({"seed": SEED + 1}, {"recipe": {**meta["recipe"], "resolution": 3.0}}):
         other = {**item, "meta": {**meta, **change}}
@@ -125,50 +114,42 @@ def test_other_data_sets_have_other_pictures_at_the_same_number(folder: Path) ->
     assert torch.equal(views(elsewhere)["views"], views(item)["views"])
 
 
-def test_a_resumed_loader_renders_the_rest_of_the_epoch_as_before(folder: Path) -> None:
-    loader = GarmentLoader(dataset(folder), 1, views=small())
+def test_a_resumed_loader_renders_the_rest_of_the_epoch_as_before(worn_folder: Path) -> None:
+    loader = GarmentLoader(dataset(worn_folder), 1, views=small())
     list(loader)
     begun = iter(loader)
     received = pictures([next(begun)])
     state = loader.state_dict()
     assert state["position"] == COUNT + 1  # received, not rendered ahead
     rest = pictures(begun)
-    other = GarmentLoader(dataset(folder), 2, views=small())
+    other = GarmentLoader(dataset(worn_folder), 2, views=small())
     other.load_state_dict(state)
     assert_same(pictures(other), rest)
     assert received.keys() | rest.keys() == set(range(COUNT))
 
 
-@pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
-def test_a_transform_renders_the_same_in_workers_of_any_start_method(
-    folder: Path, first_epoch: dict[int, torch.Tensor], context: str
-) -> None:
-    loader = DataLoader(
-        dataset(folder, transform=small()),
-        batch_size=2,
-        num_workers=1,
-        multiprocessing_context=context,
-        collate_fn=collate_list,
-    )
-    assert_same(pictures(loader), first_epoch)
+def test_a_transform_renders_the_same_when_pickled(worn_folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
+    """As for a spawned worker."""
+    ds = pickle.loads(pickle.dumps(dataset(worn_folder, transform=small())))
+    assert torch.equal(ds[1]["views"], first_epoch[1])
 
 
-def test_batches_of_a_plain_data_loader(folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
-    loader = DataLoader(dataset(folder), batch_size=2, collate_fn=collate_packed)
+def test_batches_of_a_plain_data_loader(worn_folder: Path, first_epoch: dict[int, torch.Tensor]) -> None:
+    loader = DataLoader(dataset(worn_folder), batch_size=2, collate_fn=collate_packed)
     assert_same(pictures(small().batches(loader)), first_epoch)
     assert not torch.equal(pictures(small().batches(loader, epoch=1))[0], first_epoch[0])
-    stacked = DataLoader(dataset(folder), batch_size=1, collate_fn=tuple)
+    stacked = DataLoader(dataset(worn_folder), batch_size=1, collate_fn=tuple)
     with pytest.raises(ConfigError, match="views of a tuple: give collate_packed"):
         list(small().batches(stacked))
 
 
-def test_a_packed_batch_gives_each_garment_back(folder: Path) -> None:
-    views, items = small(maps=("depth", "uv")), list(dataset(folder))
+def test_a_packed_batch_gives_each_garment_back(worn_folder: Path) -> None:
+    views, items = small(maps=("depth", "uv")), list(dataset(worn_folder))[1:]
     for added, batch in (
         (views, collate_packed(items)),
         (views, collate_packed([views(item) for item in items])),
     ):
-        batch = added.add_to_batch(batch, [0] * COUNT)
+        batch = added.add_to_batch(batch, [0] * len(items))
         for number, item in enumerate(items):
             expected, found = views(item), batch.garment(number)
             assert found.keys() == expected.keys()
@@ -177,17 +158,17 @@ def test_a_packed_batch_gives_each_garment_back(folder: Path) -> None:
                 assert same(found[name], value) if isinstance(value, torch.Tensor) else found[name] == value
 
 
-def test_padding_of_invisible_corners_is_invisible(folder: Path) -> None:
-    batch = small().add_to_batch(collate_padded(list(dataset(folder))), [0] * COUNT)
+def test_padding_of_invisible_corners_is_invisible(worn_folder: Path) -> None:
+    batch = small().add_to_batch(collate_padded(list(dataset(worn_folder))), [0] * COUNT)
     mask = batch["panel_corner_visible_mask"]
     assert not mask.all()
     assert not batch.panel_corner_visible[~mask].any()
     assert (batch.panel_corners[~mask] == -1).all()
 
 
-def test_visible_corners_lie_where_the_cameras_project_them(folder: Path) -> None:
+def test_visible_corners_lie_where_the_cameras_project_them(worn_folder: Path) -> None:
     views = small(n=3, size=128, maps=("depth", "panel_id"))
-    item = views(dataset(folder)[0])
+    item = views(dataset(worn_folder)[0])
     K, RT = item["camera_k"].double(), item["camera_rt"].double()
     panels = item["spec"]["pattern"]["panels"]
     names = item["meta"]["panel_names"]
@@ -210,15 +191,15 @@ def test_visible_corners_lie_where_the_cameras_project_them(folder: Path) -> Non
     assert set(item["panel_id_map"].unique().tolist()) <= {-1, *range(len(names))}
 
 
-def test_landmarks_have_one_order_for_all_bodies(folder: Path) -> None:
+def test_landmarks_have_one_order_for_all_bodies(worn_folder: Path) -> None:
     views = small()
-    item = views(dataset(folder)[1])
+    item = views(dataset(worn_folder)[1])
     assert item["landmark_pixels"].shape == (2, len(views.landmark_names), 2)
     assert item["landmark_visible"].any()
 
 
-def test_a_wearer_without_weights_is_drawn_again_or_given(folder: Path, made: list[Sample]) -> None:
-    item = dataset(folder)[1]
+def test_a_wearer_without_weights_is_drawn_again_or_given(worn_folder: Path, worn: list[Sample]) -> None:
+    item = dataset(worn_folder)[1]
     shown = small()(item)["views"]
     without = {name: value for name, value in item.items() if name != "body"}
     assert torch.equal(small()(without)["views"], shown)
@@ -229,7 +210,7 @@ def test_a_wearer_without_weights_is_drawn_again_or_given(folder: Path, made: li
 
     def body_of(name: str) -> Any:
         asked.append(name)
-        body = build_body(made[1].shape)  # type: ignore[arg-type]
+        body = build_body(worn[1].shape)  # type: ignore[arg-type]
         return replace(body, vertices=np.concatenate([body.vertices, np.zeros((1, 3))]), parts=np.append(body.parts, 0))
 
     given = small(bodies=body_of)(published)
@@ -239,9 +220,9 @@ def test_a_wearer_without_weights_is_drawn_again_or_given(folder: Path, made: li
     assert not given["landmark_visible"].any()
 
 
-def test_every_use_of_a_fresh_garment_has_its_own_pictures(folder: Path) -> None:
+def test_every_use_of_a_fresh_garment_has_its_own_pictures(worn_folder: Path) -> None:
     def loader() -> GarmentLoader:
-        fresh = FreshGarments(dataset(folder), replay=2, room=2)
+        fresh = FreshGarments(dataset(worn_folder), replay=2, room=2)
         return GarmentLoader(fresh, 2, shuffle=False, views=small())
 
     batches = list(loader())
@@ -257,8 +238,8 @@ def test_every_use_of_a_fresh_garment_has_its_own_pictures(folder: Path) -> None
         assert torch.equal(batch["views"], other["views"])
 
 
-def test_garments_that_a_mixture_repeats_look_different_each_time(folder: Path) -> None:
-    mixed = MixedDataset([dataset(folder), dataset(folder)[:1]], [1, 1])
+def test_garments_that_a_mixture_repeats_look_different_each_time(worn_folder: Path) -> None:
+    mixed = MixedDataset([dataset(worn_folder), dataset(worn_folder)[:1]], [1, 1])
     shown = []
     for workers in (0, 1):
         loader = GarmentLoader(mixed, 2, num_workers=workers, views=small(n=1, size=32))
@@ -268,65 +249,65 @@ def test_garments_that_a_mixture_repeats_look_different_each_time(folder: Path) 
     assert all(torch.equal(p, q) for (_, p), (_, q) in zip(here, there, strict=True))
 
 
-def test_as_an_augmentation_views_follow_its_stream(folder: Path) -> None:
-    ds = Augmented(dataset(folder), small(n=1), seed=3)
+def test_as_an_augmentation_views_follow_its_stream(worn_folder: Path) -> None:
+    ds = Augmented(dataset(worn_folder), small(n=1), seed=3)
     shown = ds[0]["views"]
     assert torch.equal(ds[0]["views"], shown)
     ds.set_epoch(1)
     assert not torch.equal(ds[0]["views"], shown)
 
 
-def test_a_turned_figure_is_not_rendered_beside_its_wearer(folder: Path) -> None:
+def test_a_turned_figure_is_not_rendered_beside_its_wearer(worn_folder: Path) -> None:
     """``Yaw`` turns the cloth; the wearer, built from shape weights, would stay."""
     for user in (small(n=1, size=16), Scan(size=16, points=4), Sketch(size=16)):
         name = type(user).__name__
         with pytest.raises(TransformError, match=f"turned by Yaw before {name}, .*: apply {name} before Yaw"):
-            Augmented(dataset(folder), Chain(Yaw(), user))[0]
-    item = Augmented(dataset(folder), Chain(small(n=1, size=16), Yaw()))[0]
-    plain = Augmented(dataset(folder), small(n=1, size=16))[0]
+            Augmented(dataset(worn_folder), Chain(Yaw(), user))[0]
+    item = Augmented(dataset(worn_folder), Chain(small(n=1, size=16), Yaw()))[0]
+    plain = Augmented(dataset(worn_folder), small(n=1, size=16))[0]
     assert not torch.allclose(item["camera_rt"], plain["camera_rt"])
 
 
-def test_appearances_keep_to_their_ranges(folder: Path) -> None:
+def test_appearances_keep_to_their_ranges(worn_folder: Path) -> None:
     plain = small(appearance=AppearanceRanges(prints=(), plain=1.0, tones=(2,)))
     striped = small(appearance=AppearanceRanges(prints=(PrintKind.STRIPES,), plain=0.0, tones=(2,)))
-    pairs = [(plain(item), striped(item)) for item in dataset(folder)]
+    pairs = [(plain(item), striped(item)) for item in dataset(worn_folder)]
     assert any(not torch.equal(one["views"], other["views"]) for one, other in pairs)  # some cloth takes no print
     assert all(torch.equal(one["camera_rt"], other["camera_rt"]) for one, other in pairs)
 
 
-def test_what_an_item_lacks_is_named_at_once(folder: Path) -> None:
+def test_what_an_item_lacks_is_named_at_once(worn_folder: Path) -> None:
     with pytest.raises(TransformError, match=r"Views needs spec, uv, panel_id, .*VIEW_FIELDS"):
-        GarmentDataset(folder, fields=["meta", "verts", "faces"], transform=small())[0]
-    flat = {**dataset(folder)[0], "verts": torch.zeros(0, 3)}
+        GarmentDataset(worn_folder, fields=["meta", "verts", "faces"], transform=small())[0]
+    flat = {**dataset(worn_folder)[0], "verts": torch.zeros(0, 3)}
     with pytest.raises(ConfigError, match="gcd_000000000 has no verts: Views renders draped garments"):
         small()(flat)
-    lost = {**dataset(folder)[0], "verts": torch.full((5, 3), torch.nan)}
+    lost = {**dataset(worn_folder)[0], "verts": torch.full((5, 3), torch.nan)}
     with pytest.raises(ConfigError, match="its drape diverged"):
         small()(lost)
     with pytest.raises(ConfigError, match="8 shape weights, the body model takes"):
         small()(FakeGarments(1)[0])
 
 
-def test_fake_garments_are_rendered_on_a_given_body(made: list[Sample]) -> None:
-    wearer = build_body(made[0].shape)  # type: ignore[arg-type]
+def test_fake_garments_are_rendered_on_a_given_body(worn: list[Sample]) -> None:
+    wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
     views = small(n=1, bodies=lambda name: wearer)
     [batch] = GarmentLoader(FakeGarments(2), 2, views=views)
     assert batch["views"].shape == (2, 1, SIZE, SIZE, 3)
 
 
 def test_views_beyond_the_memory_of_one_rendering_are_the_same(
-    folder: Path, first_epoch: dict[int, torch.Tensor], monkeypatch: pytest.MonkeyPatch
+    worn_folder: Path, first_epoch: dict[int, torch.Tensor], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("gcd_dataset.loaders.views", "gcd_dataset.generator.render.casting"):
         monkeypatch.setattr(f"{module}.PIXELS", SIZE**2)
-    assert torch.equal(small()(dataset(folder)[0])["views"], first_epoch[0])
+    assert torch.equal(small()(dataset(worn_folder)[0])["views"], first_epoch[0])
 
 
-def test_a_gpu_is_refused_in_a_worker(folder: Path) -> None:
+def test_a_gpu_is_refused_in_a_worker(worn_folder: Path) -> None:
     views = small()
     views.device = "cuda:0"
-    loader = DataLoader(dataset(folder, transform=views), batch_size=1, num_workers=1, collate_fn=collate_list)
+    loader = DataLoader(dataset(worn_folder, transform=views), batch_size=1, num_workers=1, collate_fn=collate_list)
     with pytest.raises(TransformError, match=r"Views on cuda:0 in a worker process.*GarmentLoader\(views=Views"):
         next(iter(loader))
 
@@ -356,10 +337,10 @@ def test_a_loader_takes_views_only() -> None:
         GarmentLoader(FakeGarments(2), 1, views=3)  # type: ignore[arg-type]
 
 
-def test_a_loop_that_ends_early_leaves_no_thread(folder: Path) -> None:
+def test_a_loop_that_ends_early_leaves_no_thread(worn_folder: Path) -> None:
     import threading
 
-    loader = GarmentLoader(dataset(folder), 1, views=small(n=1))
+    loader = GarmentLoader(dataset(worn_folder), 1, views=small(n=1))
     begun = iter(loader)
     assert len(list(islice(begun, 1))) == 1
     begun.close()  # type: ignore[attr-defined]
@@ -370,9 +351,9 @@ PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "pictures.md"
 
 
 def test_the_programs_of_the_page_run(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    worn_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "garments").symlink_to(folder)
+    (tmp_path / "garments").symlink_to(worn_folder)
     monkeypatch.chdir(tmp_path)
     programs = re.findall(r'```python title="\w+\.py"\n(.*?)```', PAGE.read_text(), re.DOTALL)
     assert len(programs) == 2
@@ -382,27 +363,27 @@ def test_the_programs_of_the_page_run(
     assert lines[0] == f"torch.Size([{COUNT}, 4, 32, 32, 3]) torch.Size([{COUNT}, 4, 32, 32])"
 
 
-def test_the_page_lists_every_entry_and_map(folder: Path) -> None:
-    plain = dataset(folder)[0]
+def test_the_page_lists_every_entry_and_map(worn_folder: Path) -> None:
+    plain = dataset(worn_folder)[0]
     entries = small(maps=MAPS)(plain).keys() - plain.keys()
     table = PAGE.read_text().partition("## What a batch holds")[2].partition("##")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == entries
 
 
 def test_published_garments_are_rendered_on_given_bodies_also_in_a_mixture(
-    folder: Path, made: list[Sample], tmp_path: Path
+    worn_folder: Path, worn: list[Sample], tmp_path: Path
 ) -> None:
     fields = [field for field in VIEW_FIELDS if field != "body"]
     published = PublishedGarmentCodeData(publish(tmp_path), fields=fields)
     with pytest.raises(TransformError, match=r"wearer, mean_all: read the field body too, or for published"):
         PublishedGarmentCodeData(tmp_path / RELEASE, fields=fields, transform=small())[0]
-    wearer = build_body(made[0].shape)  # type: ignore[arg-type]
-    views = small(bodies=lambda name: wearer)
-    mixed = MixedDataset([published, GarmentDataset(folder, fields=fields)], [1, 1])
+    wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
+    views = small(n=1, size=24, bodies=lambda name: wearer)
+    mixed = MixedDataset([published[:2], GarmentDataset(worn_folder, fields=fields)[:1]], [1, 1])
     [batch] = GarmentLoader(mixed, len(mixed), views=views)
-    assert batch["views"].shape == (len(mixed), 2, SIZE, SIZE, 3)
+    assert batch["views"].shape == (len(mixed), 1, 24, 24, 3)
     own = {meta["index"]: use for use, meta in enumerate(batch["meta"]) if meta["pose"] is not None}
     assert own
     for number, use in own.items():
-        expected = views.add_to_items([dataset(folder)[number]], [use])[0]["views"]
+        expected = views.add_to_items([dataset(worn_folder)[number]], [use])[0]["views"]
         assert torch.equal(batch["views"][use], expected)

@@ -1,10 +1,14 @@
 """A small data set of fake garments in the published layout, written by ``export_published``."""
 
+import atexit
 import json
+import shutil
 import tarfile
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import yaml
@@ -48,12 +52,21 @@ def fill(folder: Path) -> Path:
     return folder
 
 
-def publish(folder: Path) -> Path:
-    """The same designs in the published layout, in folders."""
-    out = folder / RELEASE
-    for _ in export_published(exported_splits(fill(folder / "shards")), out):
+@cache
+def _published() -> TemporaryDirectory:
+    """The published folder, written once in each process of the tests."""
+    folder = TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    made = Path(folder.name)
+    for _ in export_published(exported_splits(fill(made / "shards")), made / RELEASE):
         pass
-    return out
+    return folder
+
+
+def publish(folder: Path) -> Path:
+    """The same designs in the published layout, in folders; and as shards in ``folder``/shards."""
+    shutil.copytree(_published().name, folder, dirs_exist_ok=True)
+    return folder / RELEASE
 
 
 def pack(root: Path, *, packed: bool = True) -> Path:

@@ -8,8 +8,8 @@ import pytest
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.sections import pack, unpack
-from gcd_dataset.viewer import garment_tags
-from gcd_dataset.viewer.garment_tags import OUTCOME, TAG, GarmentTags
+from gcd_dataset.viewer import garments
+from gcd_dataset.viewer.garments import OUTCOME, TAG, GarmentTags
 
 COUNT = 6
 WORDS = ("skirt", "dress")
@@ -49,7 +49,7 @@ def test_each_read_adds_the_next_garments(folder: Path) -> None:
 
 
 def test_a_call_before_each_part_sees_what_is_known(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(garment_tags, "CHUNK", 4)
+    monkeypatch.setattr(garments, "CHUNK", 4)
     tags, known = GarmentTags(ShardReader(folder)), []
     tags.read(between=lambda: known.append(tags.known))
     assert known == [0, 4]
@@ -102,7 +102,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(folder: Path, tmp_path: 
 
 
 def test_the_cache_keeps_the_latest_data_sets(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(garment_tags, "KEPT_FILES", 1)
+    monkeypatch.setattr(garments, "KEPT_FILES", 1)
     for name in ("top", "jumpsuit"):
         GarmentTags(ShardReader(write(tmp_path / name, (name,))), tmp_path / "cache").read()
     assert len(list((tmp_path / "cache").rglob("*.z"))) == 1

@@ -17,8 +17,8 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.viewer.album import Album, ShardAlbum
 from gcd_dataset.viewer.design_desk import Desk
+from gcd_dataset.viewer.garments import Album, ShardAlbum
 from gcd_dataset.viewer.server import Design, Gallery, serve
 
 

@@ -162,7 +162,7 @@ def test_a_preset_is_loaded_when_asked_for(
         )
         return {"panels": right / len(true), "unknown": float("nan"), "preset": float(preset == "aipparel")}
 
-    module = ModuleType("gcd_dataset.metrics.legacy")
+    module = ModuleType("benchmarks.reconstruction.scoring.legacy")
     module.legacy_scores = legacy_scores  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     ours = save(tmp_path / "ours", {"a": garment()})

@@ -14,10 +14,10 @@ from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
 from benchmarks.reconstruction.encoding_losses import main as print_losses
 from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.importing import garment_name, main
+from benchmarks.reconstruction.scoring.legacy import legacy_scores
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
 from gcd_dataset.encodings.specifications import repaired
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.metrics.legacy import legacy_scores
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern, write_pattern
 

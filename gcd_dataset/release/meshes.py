@@ -1,17 +1,20 @@
-"""Reads and writes meshes as the published PLY files: binary, seam vertices split by panel, with texture coordinates.
+"""Meshes of the publication: bodies as OBJ; garments as binary PLY, seam vertices split by panel.
 
 The authors' converter keeps one pair of texture coordinates per vertex, so it stores a seam vertex once for each of its
 panels, and the vertex numbers of the other files of a garment do not apply. Welding vertices of equal position,
 numbered by first occurrence, restores these numbers.
 """
 
+import hashlib
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.bodyfiles import obj_lines, read_body_file
+from gcd_dataset.errors import BodyError, ShardError
 from gcd_dataset.records import Record
 
 VERTEX = np.dtype([("position", "<f4", 3), ("texture", "<f8", 2)])
@@ -87,3 +90,57 @@ def weld(*positions: Float[np.ndarray, "c 3"]) -> tuple[Int[np.ndarray, " v"], I
     number = np.empty_like(order)
     number[order] = np.arange(len(order))
     return first[order], number[vertex.ravel()]
+
+
+@dataclass(frozen=True)
+class ObjText:
+    """The vertex and face lines of an OBJ file."""
+
+    path: Path
+    v: tuple[bytes, ...]
+    f: tuple[bytes, ...]
+
+    def positions(self) -> Float[np.ndarray, "v 3"]:
+        """Vertex positions in the unit of the file. Raises ``BodyError``."""
+        try:
+            found = np.loadtxt([line.decode("ascii") for line in self.v], usecols=(1, 2, 3), ndmin=2)
+        except ValueError as error:
+            raise self._broken(f"a vertex that is not three numbers ({error})") from error
+        if not np.isfinite(found).all():
+            raise self._broken("a position that is NaN or infinite")
+        return found
+
+    def triangles(self) -> Int[np.ndarray, "f 3"]:
+        """Rows of the vertices at the corners of each face. Raises ``BodyError``."""
+        corners = [[corner.partition(b"/")[0] for corner in line.split()[1:]] for line in self.f]
+        if odd := next((line for line, face in zip(self.f, corners, strict=True) if len(face) != 3), None):
+            raise self._broken(f"a face that is not a triangle ({odd[:60].decode(errors='replace')})")
+        try:
+            found = np.array(corners, dtype="S").astype(np.int64) - 1
+        except (ValueError, OverflowError) as error:
+            raise self._broken(f"a face without vertex numbers ({error})") from error
+        if found.min() < 0 or found.max() >= len(self.v):
+            raise self._broken(f"a face with a vertex that is not one of its {len(self.v)}")
+        return found.astype(np.int32)
+
+    def faces_hash(self) -> str:
+        """SHA-256 of the face lines."""
+        return hashlib.sha256(b"\n".join(self.f)).hexdigest()
+
+    def _broken(self, problem: str) -> BodyError:
+        return BodyError(f"{self.path}: holds {problem}: extract or export it again")
+
+
+def read_obj(path: Path) -> ObjText:
+    """The vertex and face lines of a file. Raises ``BodyError`` for a file without vertices or faces."""
+    lines = obj_lines(read_body_file(path))
+    text = ObjText(
+        path,
+        tuple(line for line in lines if line.startswith(b"v")),
+        tuple(line for line in lines if line.startswith(b"f")),
+    )
+    if not (text.v and text.f):
+        raise BodyError(
+            f"{path}: {len(text.v)} vertices and {len(text.f)} faces, not a mesh: extract or export it again"
+        )
+    return text

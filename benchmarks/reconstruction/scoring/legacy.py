@@ -72,8 +72,6 @@ from gcd_dataset.encodings.sewformer import edge_rows_7
 from gcd_dataset.errors import ConfigError, PatternError, did_you_mean
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["PRESETS", "legacy_scores"]
-
 Pair: TypeAlias = tuple[Pattern | None, Pattern]
 
 EMPTY = 0.07  # standardised units: an edge with all values this close to those of padding is padding; metrics.py

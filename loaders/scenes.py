@@ -1,12 +1,13 @@
-"""The geometry of a loaded garment and its wearer, for ``Views``, ``Scan`` and ``Sketch``."""
+"""``Scan`` and ``Sketch``, and what they share with ``Views``: the geometry of a loaded garment and its wearer."""
 
 import contextlib
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -15,12 +16,25 @@ from torch.utils.data import get_worker_info
 from gcd_dataset import __version__
 from gcd_dataset.bodies import POSES
 from gcd_dataset.errors import BodyError, ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, require_callable, require_integer
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Item,
+    require_callable,
+    require_integer,
+    require_number,
+    require_ranges,
+)
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.ranks import device_of_process
 from gcd_dataset.loaders.worker import shared_number
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
-from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.seeding import Stage
+from gcd_dataset.seeding import rng as seeded_rng
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.render.depth_noise import DepthNoise
+    from gcd_dataset.generator.render.scans import PointScan, ScanRanges
+    from gcd_dataset.generator.render.sketches import SketchStyle
 
 VIEW_FIELDS: tuple[str, ...] = (
     "meta", "spec", "panels", "edges", "stitches", "body",
@@ -211,7 +225,7 @@ def _drawn_weights(meta: Mapping[str, Any]) -> np.ndarray | None:
     try:
         _, seed, number, drawn = (f"{meta['body']}:0").split(":")[:4]
         group = meta["recipe"]["bodies"]
-        stream = rng(int(seed), int(number), Stage.BODY, int(drawn))
+        stream = seeded_rng(int(seed), int(number), Stage.BODY, int(drawn))
         shape: BodyShape = draw_from("random" if group == "both" else group, stream)[1]
     except (ValueError, KeyError, BodyError):
         return None
@@ -254,3 +268,153 @@ def _array(value: Any) -> np.ndarray:
     tensor = torch.as_tensor(value).detach().cpu()
     array: np.ndarray = (tensor.float() if tensor.is_floating_point() else tensor).numpy()
     return array
+
+
+class Scan(SceneTransform):
+    """Scans each garment with ``n`` depth cameras: a transform, or an augmentation.
+
+    >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
+    >>> ds = GarmentDataset("garments", fields=VIEW_FIELDS, transform=Scan(n=1, points=4096))  # doctest: +SKIP
+    >>> ds[0]["scan"].shape  # doctest: +SKIP
+    torch.Size([4096, 6])
+
+    An item gets ``scan`` [points, 6], ``scan_panel_id``, ``scan_camera``, ``scan_camera_rt`` [n, 3, 4] and
+    ``scan_camera_k``, described in ``GarmentFields``.
+
+    Scans are a function of ``seed``, epoch and garment, as for ``Views``; not of workers, order or batch.
+    A CPU and a GPU differ in roundings. As a ``transform``, ``set_epoch`` sets the epoch, in running workers too; in
+    ``Augmented`` and ``FreshGarments(augment=…)`` each use has a stream of its own.
+
+    - ``noise``: errors of the sensor; ``None``: ``KINECT``. ``NOISELESS`` has none.
+    - ``cameras``: ranges to draw from; ``None``: all round. The ``n`` cameras stand evenly spaced on a circle.
+    - ``body``: whether points of the skin belong to the scan; the wearer hides cloth in any case.
+    - ``size``: rows and columns of the depth images [pixels].
+    - ``device``: ``cpu``, as workers need, or the GPU that casts the rays.
+    - ``bodies``: the wearers of garments without shape weights, as for ``Views``.
+
+    Raises ``ConfigError`` for invalid options; and where items are scanned for a GPU in a worker, a field that is
+    missing, and a wearer that is unknown.
+    """
+
+    def __init__(
+        self,
+        n: int = 1,
+        points: int = 4096,
+        *,
+        noise: "DepthNoise | None" = None,
+        cameras: "ScanRanges | None" = None,
+        body: bool = False,
+        size: int = 480,
+        seed: int = 0,
+        device: str = "cpu",
+        bodies: Bodies | BodyOf | None = None,
+    ) -> None:
+        from gcd_dataset.generator.render.depth_noise import KINECT
+        from gcd_dataset.generator.render.scans import ScanRanges
+
+        self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
+        super().__init__(size, seed, device, bodies)
+        self.body = body
+        self.noise = require_ranges("noise", noise, KINECT)
+        self.cameras = require_ranges("cameras", cameras, ScanRanges())
+
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        return [_entries(self._scan(item, use)) for item, use in zip(items, uses, strict=True)]
+
+    def _scan(self, item: Item, use: int) -> "PointScan":
+        from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
+        from gcd_dataset.generator.views import stored_scene
+
+        garment = StoredGarment.of(item, user="Scan")
+        scene = stored_scene(garment.mesh, garment.vertices, wearer_of(garment, self._body_of))
+        stream = seeded_rng(garment.picture_seed(self.seed), garment.index, Stage.SCAN, use)
+        cameras = draw_scan_cameras(stream, scene, self.n, ranges=self.cameras, body=self.body)
+        options: dict[str, Any] = {"noise": self.noise, "body": self.body, "size": self.size, "device": self.device}
+        return scan(scene, cameras, stream, points=self.points, **options)
+
+    def __repr__(self) -> str:
+        return f"Scan(n={self.n}, points={self.points}, size={self.size}, seed={self.seed}, on {self.device})"
+
+
+def _entries(scan: "PointScan") -> Item:
+    """The new entries of an item."""
+    entries = {
+        "scan": np.concatenate([scan.points, scan.normals], axis=1).astype(np.float32),
+        "scan_panel_id": scan.panel_id.astype(np.int32),
+        "scan_camera": scan.camera.astype(np.int32),
+        "scan_camera_rt": scan.extrinsics.astype(np.float32),
+        "scan_camera_k": np.repeat(scan.intrinsics[None].astype(np.float32), len(scan.extrinsics), axis=0),
+    }
+    return {name: torch.from_numpy(value) for name, value in entries.items()}
+
+
+class Sketch(SceneTransform):
+    """Draws each garment as lines: a transform, or an augmentation.
+
+    >>> from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset
+    >>> ds = GarmentDataset("garments", fields=VIEW_FIELDS, transform=Sketch(size=512))  # doctest: +SKIP
+    >>> ds[0]["sketch"].shape  # doctest: +SKIP
+    torch.Size([2, 512, 512])
+
+    An item gets ``sketch`` [n, size, size] for the n ``yaws``, ``sketch_k`` and ``sketch_rt``, described in
+    ``GarmentFields``.
+
+    Lines drawn by hand and ``turn`` are a function of ``seed``, epoch and garment, as for ``Views``; not of workers,
+    order or batch. Clean lines from a fixed side are the same in every epoch. A CPU and a GPU differ in roundings. As a
+    ``transform``, ``set_epoch`` sets the epoch, in running workers too; in ``Augmented`` and
+    ``FreshGarments(augment=…)`` each use has a stream of its own.
+
+    - ``yaws``: sides to draw [degrees]: 0 in front, 90 at the wearer's left, 180 behind.
+    - ``turn``: largest random turn added to each of them [degrees].
+    - ``style``: ``None`` is ``FLAT``, a technical flat; ``HAND`` is drawn by hand, on the wearer.
+    - ``device``: ``cpu``, as workers need, or the GPU that casts the rays.
+    - ``bodies``: the wearers of garments without shape weights, as for ``Views``; for a style with ``body``.
+
+    Raises ``ConfigError`` for invalid options; and where items are drawn for a GPU in a worker, a field that is
+    missing, and a wearer that is unknown.
+    """
+
+    def __init__(
+        self,
+        size: int = 512,
+        *,
+        yaws: Sequence[float] = (0.0, 180.0),
+        turn: float = 0.0,
+        style: "SketchStyle | None" = None,
+        seed: int = 0,
+        device: str = "cpu",
+        bodies: Bodies | BodyOf | None = None,
+    ) -> None:
+        from gcd_dataset.generator.render.sketches import FLAT
+
+        super().__init__(size, seed, device, bodies)
+        if not isinstance(yaws, list | tuple | np.ndarray) or not len(yaws):
+            raise ConfigError(f"yaws={yaws!r:.99}: give one angle or more in a tuple")
+        self.yaws = tuple(require_number("yaws", yaw, least=-math.inf) for yaw in yaws)
+        self.turn = require_number("turn", turn, most=180.0, unit=" degrees")
+        self.style = require_ranges("style", style, FLAT)
+
+    def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
+        return [self._entries(item, use) for item, use in zip(items, uses, strict=True)]
+
+    def _entries(self, item: Item, use: int) -> Item:
+        """The new entries of an item."""
+        from gcd_dataset.generator.render.sketches import NOBODY, sketch, sketch_camera
+        from gcd_dataset.generator.views import stored_scene
+
+        garment = StoredGarment.of(item, user="Sketch")
+        body = wearer_of(garment, self._body_of) if self.style.body else NOBODY
+        scene = stored_scene(garment.mesh, garment.vertices, body)
+        stream = seeded_rng(garment.picture_seed(self.seed), garment.index, Stage.SKETCH, use)
+        cameras = [sketch_camera(scene, yaw + stream.uniform(-self.turn, self.turn)) for yaw in self.yaws]
+        options: dict[str, Any] = {"size": self.size, "style": self.style, "rng": stream, "device": self.device}
+        entries = {
+            "sketch": np.stack([sketch(scene, camera, **options) for camera in cameras]),
+            "sketch_k": np.stack([camera.intrinsics(self.size) for camera in cameras]).astype(np.float32),
+            "sketch_rt": np.stack([camera.extrinsics() for camera in cameras]).astype(np.float32),
+        }
+        return {name: torch.from_numpy(value) for name, value in entries.items()}
+
+    def __repr__(self) -> str:
+        yaws = ", ".join(f"{yaw:g}" for yaw in self.yaws)
+        return f"Sketch(size={self.size}, yaws=({yaws}), seed={self.seed}, on {self.device})"

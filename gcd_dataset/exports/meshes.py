@@ -1,0 +1,355 @@
+"""Draped garments as GLB, OBJ, PLY and USD, panel by panel: a material each, texture coordinates in one scale."""
+
+import re
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from gcd_dataset.curves import sample_curve
+from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
+from gcd_dataset.files import open_whole, write_whole
+from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.names import plain_names
+from gcd_dataset.records import Body, BoxMesh, Pattern
+
+TILE = 10.0  # cm of cloth that a texture covers
+SMALLEST_TILE, LARGEST_TILE = 0.01, 10_000.0  # cm: beyond, texture coordinates lose their digits as f32
+SKIN = (0.80, 0.77, 0.74)
+CURVE_POINTS = 129  # of an edge, to order the vertices of a seam along it
+
+
+def texture_coordinates(mesh: BoxMesh, tile: float = TILE) -> Float[np.ndarray, "c 2"]:
+    """Texture coordinates of the seam-split vertices: 1 is ``tile`` cm of cloth in all panels; v runs along the grain.
+
+    Panels drawn from the inside are mirrored, so that a print reads from the outside. Raises ``ConfigError`` for
+    a ``tile`` under 0.1 mm or over 100 m.
+    """
+    if not SMALLEST_TILE <= tile <= LARGEST_TILE:
+        raise ConfigError(f"a texture tile of {tile:g} cm: give one from {SMALLEST_TILE:g} to {LARGEST_TILE:g} cm")
+    a, b, c = (mesh.uv[mesh.corners[:, i]] for i in range(3))
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    is_mirrored = np.bincount(mesh.panel_id, doubled, minlength=len(mesh.panel_names)) < 0
+    side = np.ones(len(mesh.uv))
+    side[mesh.corners.ravel()] = np.repeat(np.where(is_mirrored, -1.0, 1.0)[mesh.panel_id], 3)
+    return mesh.uv * np.stack([side, np.ones(len(side))], axis=1) / tile
+
+
+def panel_colour(number: int) -> tuple[float, float, float]:
+    """Colour of panel ``number``, as in pictures, 0 … 1."""
+    red, green, blue = PALETTE[number % len(PALETTE)]
+    return red, green, blue
+
+
+def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
+    """Unit normals of the vertices, weighted by the areas of the faces; continuous across seams."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    of_face = np.cross(b - a, c - a)
+    normals = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(of_face[:, i], 3), minlength=len(vertices)) for i in range(3)], axis=1
+    )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+
+
+def seam_vertices(mesh: BoxMesh, pattern: Pattern) -> tuple[Int[np.ndarray, " n"], ...]:
+    """The vertices of each seam, from the start of its left edge to the end, in the order of ``pattern.seams``."""
+    panel_of = np.zeros(len(mesh.uv), int)
+    panel_of[mesh.corners.ravel()] = np.repeat(mesh.panel_id, 3)
+    by_vertex = np.argsort(mesh.uv_vertex, kind="stable")
+    first = np.searchsorted(mesh.uv_vertex[by_vertex], np.arange(len(mesh.vertices) + 1))
+    ordered = []
+    for number, seam in enumerate(pattern.seams):
+        panel = pattern.panel(seam.left.panel)
+        edge = panel.edges[seam.left.edge]
+        line = shapely.LineString(sample_curve(*panel.edge_ends(seam.left.edge), edge.curve, CURVE_POINTS))
+        number_of_panel = mesh.panel_names.index(panel.name)
+        vertices = np.unique(mesh.seams[mesh.seams[:, 1] == number, 0])
+        along = []
+        for vertex in vertices.tolist():
+            rows = by_vertex[first[vertex] : first[vertex + 1]]
+            points = shapely.points(mesh.uv[rows[panel_of[rows] == number_of_panel]])
+            along.append(float(line.project(points[np.argmin(line.distance(points))])) if len(points) else np.inf)
+        ordered.append(vertices[np.argsort(along, kind="stable")])
+    return tuple(ordered)
+
+
+METRE = 0.01  # of a centimetre: glTF is in metres
+ROUGHNESS = 0.9  # of cloth
+GLB_FACTS = "gcd"
+"""Key in the ``extras`` of the scene of a GLB file: names of garment and panels, centimetres of a texture tile."""
+
+PANEL, BODY = "gcd_panel", "gcd_body"
+"""Keys in the ``extras`` of the meshes of panels and body, with their names."""
+
+
+def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+    """Write the draped garment, on its body, as binary glTF [m].
+
+    A node and a material for each panel, named after it. ``tile``: centimetres of cloth that a texture covers, in both
+    directions of every panel. ``body``: whether to include the body, if the sample holds its shape. Raises
+    ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
+    ``OutputError``.
+    """
+    path = require_suffix(path, ".glb")
+    write_whole(path, glb_bytes(garment, tile=tile, body=body))
+
+
+def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+    """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
+
+    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
+    """
+    path = require_suffix(path, ".obj")
+    materials = path.with_suffix(".mtl")
+    text, library = obj_text(garment, materials=materials.name, tile=tile, body=body)
+    with open_whole(materials) as mtl_file, open_whole(path) as obj_file:
+        mtl_file.write(library.encode())
+        obj_file.write(text.encode())
+
+
+def ply(garment: Draped, path: Path | str) -> None:
+    """Write the draped garment as binary PLY [cm], faces in the colours of their panels.
+
+    The vertices have the order of the sample's ``verts``. Raises errors as ``glb`` does.
+    """
+    path = require_suffix(path, ".ply")
+    write_whole(path, ply_bytes(garment))
+
+
+def glb_bytes(garment: Draped, *, tile: float = TILE, body: bool = True) -> bytes:
+    """The content of the file that ``glb`` writes."""
+    import trimesh
+
+    mesh, drape = draped_mesh(garment)
+    uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
+    scene = trimesh.Scene()
+    for number, (name, part) in enumerate(zip(mesh.panel_names, _part_names(mesh.panel_names), strict=True)):
+        rows, corners = np.unique(mesh.corners[mesh.panel_id == number], return_inverse=True)
+        if not len(rows):
+            continue
+        vertex = mesh.uv_vertex[rows]
+        panel = trimesh.Trimesh(
+            METRE * drape.vertices[vertex],
+            corners.reshape(-1, 3),
+            vertex_normals=normals[vertex],
+            visual=trimesh.visual.TextureVisuals(uv=uv[rows], material=_material(name, panel_colour(number), two=True)),
+            metadata={PANEL: name},
+            process=False,
+        )
+        scene.add_geometry(panel, geom_name=part, node_name=part)
+    worn = body_of(garment) if body else None
+    if worn is not None:
+        scene.add_geometry(_skin(worn), geom_name="body", node_name="body")
+    scene.metadata[GLB_FACTS] = {
+        "garment": key_of(garment),
+        "pattern": garment.pattern.name,
+        "panels": list(mesh.panel_names),
+        "tile_cm": tile,
+        "body": worn is not None,
+    }
+    return scene.export(file_type="glb", include_normals=True)
+
+
+def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool = True) -> tuple[str, str]:
+    """The contents of the OBJ file and of the MTL file called ``materials``."""
+    mesh, drape = draped_mesh(garment)
+    uv, worn = texture_coordinates(mesh, tile), body_of(garment) if body else None
+    names = _part_names(re.sub(r"[\s#\\]+", "_", panel) for panel in mesh.panel_names)
+    lines = [
+        f"# gcd_dataset {shown(key_of(garment))}: centimetres, y up; a texture covers {tile:g} cm",
+        f"mtllib {materials}",
+        "o garment",
+        *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in drape.vertices.tolist()),
+        *(f"vt {u:.6g} {v:.6g}" for u, v in uv.tolist()),
+    ]
+    for number, name in enumerate(names):
+        of_panel = mesh.panel_id == number
+        lines += [f"g {name}", f"usemtl {name}"]
+        pairs = np.stack([mesh.faces[of_panel] + 1, mesh.corners[of_panel] + 1], axis=2).reshape(-1, 6)
+        lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in pairs.tolist()]
+    colours = [(name, panel_colour(number)) for number, name in enumerate(names)]
+    if worn is not None:
+        lines += ["o body", *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in worn.vertices.tolist()), "usemtl body"]
+        lines += ["f {} {} {}".format(*row) for row in (worn.faces + 1 + len(drape.vertices)).tolist()]
+        colours.append(("body", SKIN))
+    library = [
+        line for name, (r, g, b) in colours for line in (f"newmtl {name}", f"Kd {r:.4g} {g:.4g} {b:.4g}", "illum 1")
+    ]
+    return "\n".join(lines) + "\n", "\n".join(library) + "\n"
+
+
+def ply_bytes(garment: Draped) -> bytes:
+    """The content of the file that ``ply`` writes."""
+    import trimesh
+
+    mesh, drape = draped_mesh(garment)
+    colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
+    cloth = trimesh.Trimesh(np.asarray(drape.vertices, np.float32), mesh.faces, process=False)
+    cloth.visual.face_colors = np.rint(255 * np.column_stack([colours, np.ones(len(colours))])).astype(np.uint8)[
+        mesh.panel_id
+    ]
+    return cloth.export(file_type="ply")
+
+
+def _material(name: str, colour: tuple[float, float, float], *, two: bool) -> Any:
+    """A material of one colour; ``two``: seen from both sides."""
+    from trimesh.visual.material import PBRMaterial
+
+    rgba = np.rint(255 * np.array([*colour, 1.0])).astype(np.uint8)
+    return PBRMaterial(name=name, baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=ROUGHNESS, doubleSided=two)
+
+
+def _skin(body: Body) -> Any:
+    import trimesh
+
+    visual = trimesh.visual.TextureVisuals(
+        uv=np.zeros((len(body.vertices), 2)), material=_material("body", SKIN, two=False)
+    )
+    return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
+
+
+def _part_names(panels: Iterable[str]) -> list[str]:
+    """A name for the part of each panel: none is empty, another's, that of the body, or of the root of a scene."""
+    names: list[str] = []
+    for name in panels:
+        while name in (*names, "", "body", "world"):
+            name += "_"
+        names.append(name)
+    return names
+
+
+METRES_PER_UNIT = 0.01
+SEAM_WIDTH = 0.3  # cm
+SEAM_COLOUR = (0.15, 0.15, 0.15)
+LONGEST_NAME = 60  # letters
+SUFFIXES = (".usd", ".usda", ".usdc")
+
+
+def usd(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+    """Write the draped garment, on its body, as USD: text for ``.usda``, binary for ``.usd`` and ``.usdc``.
+
+    Centimetres (``metersPerUnit`` 0.01), y up. ``garment`` is one mesh, its vertices in the order of the sample's
+    ``verts``, with texture coordinates ``primvars:st`` (1 is ``tile`` cm of cloth) and a ``GeomSubset`` with a material
+    for each panel; ``seams`` are linear curves, one for each seam of the pattern, in order, from the start of its left
+    edge. ``body``: whether to include the body, if the sample holds its shape. Raises ``ShardError`` for a sample
+    without a drape, ``ConfigError`` for another suffix, ``ExtraMissing`` without usd-core, ``OutputError``.
+    """
+    path = require_suffix(path, *SUFFIXES)
+    stage = _stage(garment, tile, body)
+    # USD writes by suffix, and to names that it opens itself.
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / f"garment{path.suffix.lower()}"
+        stage.GetRootLayer().Export(str(draft))
+        write_whole(path, draft.read_bytes())
+
+
+def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
+    pxr_usd, geom = (optional(f"pxr.{name}") for name in ("Usd", "UsdGeom"))
+    draped_mesh(garment)
+    stage = pxr_usd.Stage.CreateInMemory()
+    geom.SetStageUpAxis(stage, geom.Tokens.y)
+    geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
+    root = geom.Xform.Define(stage, f"/{_identifiers([key_of(garment)], 'garment')[0]}")
+    root.GetPrim().SetCustomDataByKey("pattern", shown(garment.pattern.name))
+    stage.SetDefaultPrim(root.GetPrim())
+    top = str(root.GetPath())
+    _add_garment(stage, top, garment, tile)
+    _add_seams(stage, top, garment)
+    if with_body and (body := body_of(garment)) is not None:
+        _add_body(stage, top, body)
+    return stage
+
+
+def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
+    geom, shade, sdf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf"))
+    mesh, drape = draped_mesh(garment)
+    cloth = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
+    cloth.CreateDoubleSidedAttr(True)
+    st = geom.PrimvarsAPI(cloth).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
+    st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
+    st.SetIndices(_array("IntArray", mesh.corners.ravel()))
+    cloth.GetPrim().SetCustomDataByKey("tile_cm", tile)
+    colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
+    display = cloth.CreateDisplayColorPrimvar(geom.Tokens.uniform)
+    display.Set(_array("Vec3fArray", colours))
+    display.SetIndices(_array("IntArray", mesh.panel_id))
+    names = _identifiers(mesh.panel_names, "piece")
+    for number, name in enumerate(names):
+        faces = _array("IntArray", np.flatnonzero(mesh.panel_id == number))
+        subset = geom.Subset.CreateGeomSubset(
+            cloth, name, geom.Tokens.face, faces, shade.Tokens.materialBind, geom.Tokens.partition
+        )
+        subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
+        subset.GetPrim().SetDisplayName(mesh.panel_names[number])
+        _bind(stage, subset, f"{top}/materials/{name}", panel_colour(number))
+
+
+def _add_seams(stage: Any, top: str, garment: Draped) -> None:
+    geom = optional("pxr.UsdGeom")
+    mesh, drape = draped_mesh(garment)
+    lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, garment.pattern)]
+    lines = [line if len(line) > 1 else np.repeat(line[:1], 2, axis=0) for line in lines if len(line)]
+    if not lines:
+        return
+    curves = geom.BasisCurves.Define(stage, f"{top}/seams")
+    curves.CreateTypeAttr(geom.Tokens.linear)
+    curves.CreateWrapAttr(geom.Tokens.nonperiodic)
+    points = np.concatenate(lines)
+    curves.CreatePointsAttr(_array("Vec3fArray", points))
+    curves.CreateCurveVertexCountsAttr(_array("IntArray", np.array([len(line) for line in lines])))
+    curves.CreateWidthsAttr(_array("FloatArray", np.array([SEAM_WIDTH])))
+    curves.SetWidthsInterpolation(geom.Tokens.constant)
+    curves.CreateExtentAttr(_array("Vec3fArray", np.stack([points.min(0), points.max(0)])))
+    curves.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SEAM_COLOUR])))
+
+
+def _add_body(stage: Any, top: str, body: Body) -> None:
+    geom = optional("pxr.UsdGeom")
+    skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
+    skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
+    _bind(stage, skin, f"{top}/materials/body", SKIN)
+
+
+def _add_mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """A triangle mesh with smooth normals that is not subdivided."""
+    geom = optional("pxr.UsdGeom")
+    mesh = geom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(_array("Vec3fArray", vertices))
+    mesh.CreateFaceVertexCountsAttr(_array("IntArray", np.full(len(faces), 3)))
+    mesh.CreateFaceVertexIndicesAttr(_array("IntArray", faces.ravel()))
+    mesh.CreateSubdivisionSchemeAttr(geom.Tokens.none)
+    mesh.CreateNormalsAttr(_array("Vec3fArray", smooth_normals(vertices, faces)))
+    mesh.SetNormalsInterpolation(geom.Tokens.vertex)
+    mesh.CreateExtentAttr(_array("Vec3fArray", np.stack([vertices.min(0), vertices.max(0)])))
+    return mesh
+
+
+def _bind(stage: Any, bound: Any, path: str, colour: tuple[float, float, float]) -> None:
+    """Give a mesh or subset a material of one colour."""
+    gf, sdf, shade = (optional(f"pxr.{name}") for name in ("Gf", "Sdf", "UsdShade"))
+    material = shade.Material.Define(stage, path)
+    shader = shade.Shader.Define(stage, f"{path}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", sdf.ValueTypeNames.Color3f).Set(gf.Vec3f(*colour))
+    shader.CreateInput("roughness", sdf.ValueTypeNames.Float).Set(ROUGHNESS)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    shade.MaterialBindingAPI.Apply(bound.GetPrim()).Bind(material)
+
+
+def _array(kind: str, values: np.ndarray) -> Any:
+    """The values as an array of USD, such as ``Vec3fArray``."""
+    dtype = np.int32 if kind == "IntArray" else np.float32
+    return getattr(optional("pxr.Vt"), kind).FromNumpy(np.ascontiguousarray(values, dtype))
+
+
+def _identifiers(names: Sequence[str], stem: str) -> list[str]:
+    """A different identifier for each name, in ASCII: USD before 24.03 refuses other letters; none is ``body``."""
+    plain = plain_names(names, longest=LONGEST_NAME, stem=stem)
+    free = [f"_{name}" if name[0].isdigit() or name == "body" else name for name in plain]
+    return [re.sub(r"\W", "_", name) for name in plain_names(free, longest=LONGEST_NAME + 1)]

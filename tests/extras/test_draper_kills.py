@@ -1,0 +1,191 @@
+"""Draping processes that are killed, or whose clients are: each test starts its own."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from multiprocessing.connection import Listener
+from pathlib import Path
+from typing import Any
+
+import pytest
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
+from gcd_dataset.generator.drapers.address import _create, socket_file
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.pipeline import sample_key
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders import FakeGarments, FreshGarments, collate_list
+from tests.loaders.draping import COUNT, SKIRTS, Apart, drape_request, drapers, items, kill_drapers, own_address
+from tests.loaders.test_shards import assert_all_same
+
+
+@pytest.fixture
+def address() -> Iterator[DraperAddress]:
+    with own_address() as address:
+        yield address
+
+
+def test_a_draper_about_to_end_is_replaced(address: DraperAddress) -> None:
+    """Its socket still accepts connections, but sends no greeting."""
+    with Listener(str(socket_file(address.folder)), "AF_UNIX") as dying:
+        thread = threading.Thread(target=lambda: dying.accept().close())
+        thread.start()
+        with SharedDraper(address) as draper:
+            draper.send(drape_request(7))
+            assert draper.receive().number == 7
+        thread.join()
+
+
+def test_a_draper_whose_starter_is_killed_serves_the_next_client(
+    address: DraperAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its starter dies while the draping process loads: the next client waits for it and starts no second process."""
+    child = os.fork()
+    if child == 0:
+        popen = subprocess.Popen
+
+        def killed(*command: Any, **options: Any) -> None:
+            popen(*command, **options)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        monkeypatch.setattr(subprocess, "Popen", killed)
+        try:
+            address.connect()
+        finally:
+            os._exit(1)
+    os.waitpid(child, 0)
+    begun = drapers(address)
+    assert len(begun) == 1
+    with SharedDraper(address) as draper:
+        draper.send(drape_request(7))
+        assert draper.receive().number == 7
+    assert drapers(address) == begun
+
+
+class Unreadable:
+    """An object that cannot be unpickled."""
+
+    def __reduce__(self) -> tuple[type[int], tuple[str]]:
+        return int, ("no number",)
+
+
+def test_a_request_that_cannot_be_unpickled_is_one_error(address: DraperAddress) -> None:
+    with SharedDraper(address) as draper:
+        draper.send(replace(drape_request(0), number=Unreadable()))  # type: ignore[arg-type]
+        with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+            draper.receive()
+
+
+def test_more_requests_may_wait_than_the_soft_limit_of_open_files(address: DraperAddress) -> None:
+    few, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, most))
+    try:
+        draper = SharedDraper(address)  # the draping process inherits the limit
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (few, most))
+    with draper:
+        one = drape_request(0)
+        for number in range(150):
+            draper.send(replace(one, number=number))
+        assert draper.receive().number in range(150)
+
+
+def test_a_draper_killed_under_a_loader_is_one_error(address: DraperAddress) -> None:
+    loader = iter(DataLoader(Apart(50, address), batch_size=1, num_workers=1, collate_fn=collate_list, timeout=120))
+    next(loader)
+    kill_drapers(address)
+    with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+        for _ in loader:
+            pass
+
+
+def test_fresh_garments_resume_after_their_draper_was_killed(address: DraperAddress) -> None:
+    """They start a new draper and continue at the lost garment."""
+    whole = [item["meta"]["index"] for item in FreshGarments(FakeGarments(40, fields=["meta"]), replay=2, room=4)]
+    fresh = FreshGarments(Apart(40, address, fields=["meta"]), replay=2, room=4, workers=1)
+    given = [next(made := iter(fresh))["meta"]["index"]]
+    kill_drapers(address)
+    with pytest.raises(DrapeError) as raised:
+        given.extend(item["meta"]["index"] for item in made)
+    assert str(raised.value).startswith("the process that drapes on cpu has ended, perhaps killed for lack of memory")
+    fresh.load_state_dict(fresh.state_dict())
+    given.extend(item["meta"]["index"] for item in islice(fresh, 1))
+    assert given == whole[: len(given)]
+
+
+def test_a_draper_killed_under_workers_is_one_error(address: DraperAddress, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.maker.addresses_for", lambda devices: (address,))
+    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
+    made = produce(5, range(100), config, workers=2)
+    given = [next(made)]
+    kill_drapers(address)
+    with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+        given.extend(made)
+    assert [sample.key for sample in given] == [sample_key(index) for index in range(len(given))]
+
+
+def test_workers_are_distributed_over_the_draping_processes(address: DraperAddress) -> None:
+    ds = Apart(COUNT, address)
+    addresses = (address, _create("cpu"))
+    ds._addresses = addresses
+    assert_all_same(FreshGarments(ds, room=1, workers=2), items())
+    assert [len(drapers(each)) for each in addresses] == [1, 1]
+    (addresses[1].folder / "owner").unlink()
+    kill_drapers(addresses[1])
+
+
+def test_a_killed_worker_does_not_hold_up_others(address: DraperAddress) -> None:
+    with SharedDraper(address) as draper:
+        draper.send(drape_request(0))
+        draper.receive()
+        child = os.fork()
+        if child == 0:
+            try:
+                other = SharedDraper(address)
+                for number in range(20):
+                    other.send(drape_request(number))
+            finally:
+                os.kill(os.getpid(), signal.SIGKILL)
+        os.waitpid(child, 0)
+        draper.send(drape_request(1))
+        assert draper.receive().number == 1
+
+
+def test_a_worker_that_does_not_read_does_not_hold_up_others(address: DraperAddress) -> None:
+    with SharedDraper(address) as deaf, SharedDraper(address) as draper:
+        large = drape_request(0, 3.0)
+        for _ in range(3):
+            deaf.send(large)
+        draper.send(drape_request(1))
+        assert draper.receive().number == 1
+
+
+def test_the_draper_ends_with_the_process_that_owns_it() -> None:
+    code = (
+        "import os, signal\n"
+        "from gcd_dataset.generator.drapers import address_for\n"
+        "address = address_for('cpu')\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    address.connect(); os._exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "address.connect()\n"  # the draper has outlived the child that started it
+        "print(address.folder, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
+    address = DraperAddress(Path(out), "cpu")
+    deadline = time.monotonic() + 60
+    while drapers(address) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert drapers(address) == []
+    assert not address.folder.exists()

@@ -1,0 +1,130 @@
+"""Loaders in processes of their own: killed trainings, threads, and the end of the interpreter."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from torch.utils.data import DataLoader
+
+from gcd_dataset.loaders import Augmented, FakeGarments, GarmentDataset, PointNoise, collate_list
+from tests.loaders.test_loader import require_resumed
+from tests.loaders.test_shards import same
+from tests.shards.folders import fill
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_run_killed_at_any_batch_resumes(workers: int, tmp_path: Path) -> None:
+    """By a thread, and by a worker process, which the kill orphans."""
+    ds = FakeGarments(10, fields=["meta"])
+    stored = GarmentDataset(fill(tmp_path / "data", range(10)), fields=["meta"])
+    require_resumed(ds if workers else stored, workers, tmp_path / "run.pt", kills=20)
+
+
+def test_a_killed_training_leaves_no_workers() -> None:
+    """Although their finished items overfill the pipe and are never read."""
+    code = (
+        "import multiprocessing, os, signal\n"
+        "from gcd_dataset.loaders import FakeGarments, FreshGarments\n"
+        "ds = FakeGarments(99, fields=['meta'], transform=lambda item: 1_000_000 * 'a')\n"
+        "next(made := iter(FreshGarments(ds, workers=2, room=1)))\n"
+        "print(*(worker.pid for worker in multiprocessing.active_children()), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as training:
+        assert training.stdout is not None
+        workers = [int(pid) for pid in training.stdout.readline().split()]
+    assert len(workers) == 2
+    deadline = time.monotonic() + 120
+    while any(map(is_alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert [pid for pid in workers if is_alive(pid)] == []
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+ONE_THREAD = """
+import os, torch
+from gcd_dataset.loaders import collate_packed, collate_padded
+from gcd_dataset.loaders.batches import copy_tensor
+
+def threads():
+    return len(os.listdir("/proc/self/task"))
+
+torch.set_num_threads(4)
+rows = [10**6, 10**5]
+items = [{"verts": torch.empty(n, 3), "faces": torch.empty(n, 3, dtype=torch.int32)} for n in rows]
+more, before = [{"points": torch.empty(10**6, 6)}] * 2, threads()
+collate_packed([{name: copy_tensor(value) for name, value in item.items()} for item in items])
+collate_packed(more), collate_padded(items)
+assert threads() == before, "others have helped"
+more[0]["points"].clone()
+assert threads() > before, "torch has no other threads: nothing was tested"
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc/self/task")
+def test_large_arrays_are_copied_by_one_thread() -> None:
+    """torch's threads spin after each call and take cores from the workers."""
+    done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+AT_THE_END = """
+import torch
+from gcd_dataset.workers import prefetch
+
+def items():
+    while True:
+        yield torch.ones(1500, 1500) @ torch.ones(1500, 1500)
+
+made = prefetch(items(), 99, wait=True)
+next(made)
+"""
+
+
+def test_a_program_can_end_while_items_are_made() -> None:
+    done = subprocess.run([sys.executable, "-c", AT_THE_END], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_set_epoch_reaches_a_persistent_spawned_worker() -> None:
+    ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
+    loader = DataLoader(
+        ds,
+        batch_size=2,
+        num_workers=1,
+        persistent_workers=True,
+        multiprocessing_context="spawn",
+        collate_fn=collate_list,
+    )
+    [first] = loader
+    ds.set_epoch(1)
+    [second] = loader
+    assert not same(first, second)
+    assert same(second, list(ds))
+
+
+def test_box_meshes_do_not_import_warp() -> None:
+    code = (
+        "import sys; from gcd_dataset.loaders import GeneratedGarments; "
+        "GeneratedGarments(2, drape=None, resolution=8.0, device='cuda:3').recipe(1); "
+        "sys.exit('warp' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_main_process_does_not_initialise_cuda() -> None:
+    code = (
+        "import sys, torch; torch.cuda.device_count = lambda: 2\n"
+        "from gcd_dataset.loaders import ElasticSampler, FakeGarments, GarmentLoader, GeneratedGarments\n"
+        "assert GeneratedGarments(2).config.device == 'cuda:0,1'\n"
+        "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,31 @@
+"""Garments that are made once in each process."""
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.loaders.fake import FakeGarments, fake_sample
+from gcd_dataset.records import Sample
+from gcd_dataset.shards.codec import encode_sample
+from tests.loaders.rendered import COUNT, samples, write
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _fake_garments_made_once() -> Iterator[None]:
+    members = cache(lambda seed, position: encode_sample(fake_sample(seed, position)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FakeGarments, "_members", lambda ds, position, names: members(ds._seed, position))
+        yield
+
+
+@pytest.fixture(scope="session")
+def worn() -> list[Sample]:
+    """Garments with their views, on their wearers."""
+    return samples(COUNT)
+
+
+@pytest.fixture(scope="session")
+def worn_folder(worn: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("worn"), worn)
