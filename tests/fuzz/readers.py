@@ -7,10 +7,11 @@ import os
 import random
 import shutil
 import tarfile
+import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -76,11 +77,6 @@ class Reader:
 def damaged(reader: Reader, name: str, count: int) -> Iterator[bytes]:
     """``count`` damaged copies of the file, the same in every run."""
     return (mutated(reader.content, random.Random(f"{name}:{number}")) for number in range(count))
-
-
-def reader_named(name: str, folder: Path) -> Reader:
-    """The reader, with its files in ``folder``."""
-    return READERS[name](folder)
 
 
 def _plain(value: Any) -> Any:
@@ -237,9 +233,20 @@ def _archive(folder: Path) -> Reader:
 
 def _release(folder: Path) -> Path:
     root = folder / "release"
-    for _ in export_published(exported_splits(write_shards(folder / "shards", count=1)), root):
-        pass
+    for path, content in _release_files().items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_bytes(content)
     return root
+
+
+@cache
+def _release_files() -> Mapping[Path, bytes]:
+    """Path in the release to content, of one garment."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder, "release")
+        for _ in export_published(exported_splits(write_shards(Path(folder, "shards"), count=1)), root):
+            pass
+        return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def _read_release(root: Path, path: Path, data: bytes) -> Any:
