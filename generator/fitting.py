@@ -15,6 +15,7 @@ import numpy as np
 from gcd_dataset import __version__
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
+from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
@@ -30,7 +31,6 @@ from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
-from gcd_dataset.validate import Severity, require_valid
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
-from gcd_dataset.cli.verb import Stopped, interrupts_after_imports
+from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
@@ -35,7 +35,7 @@ from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from tests.generator.drape.garments import stouter
 from tests.helpers import napkins
 from tests.shards.folders import contents
-from tests.test_validate import sewn_unequally
+from tests.test_faults import sewn_unequally
 
 SKIRT = MakeConfig(
     bodies="neutral",

@@ -14,8 +14,10 @@ from typing import Any
 import pytest
 import torch
 
+from gcd_dataset import Progress, convert
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports.published import export_published, exported_splits, garment_type
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
@@ -23,9 +25,6 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.verbs import Progress, convert
-from gcd_dataset.verbs.release_folders import export_published, exported_splits
-from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill, open_writer
 

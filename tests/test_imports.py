@@ -133,7 +133,7 @@ LAYERS = {
     "jsonfile": {"errors", "filekinds", "files"},
     "spec": {"errors", "curves", "records", "files", "jsonfile"},
     "crossings": {"curves", "records"},
-    "validate": {"errors", "curves", "records", "crossings"},
+    "faults": {"errors", "curves", "records", "crossings"},
     "tensors": {"errors", "curves", "records"},
     "bodies": {"errors", "records"},
     "bodyfiles": {"errors", "files", "jsonfile", "measurements", "records", "yamlfile"},

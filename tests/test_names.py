@@ -13,6 +13,7 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError, ShardError
+from gcd_dataset.exports.published import _name_in_release, export_published
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.maker import make
@@ -27,7 +28,6 @@ from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.manifest import read_manifest
-from gcd_dataset.verbs.release_folders import _name_in_release, export_published
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.shards.folders import RECIPE

@@ -23,8 +23,11 @@ import zstandard
 from hypothesis.strategies import SearchStrategy
 from webdataset.tariterators import tar_file_iterator
 
+from gcd_dataset import generate_people
 from gcd_dataset.bodyfiles import measurements_text
 from gcd_dataset.errors import GcdError
+from gcd_dataset.exports.published import export_published, exported_splits
+from gcd_dataset.faults import check_pattern, require_valid
 from gcd_dataset.generator.body import named_body, read_body
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.dressing import dress
@@ -46,9 +49,6 @@ from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.tomlfile import read_toml
-from gcd_dataset.validate import check_pattern, require_valid
-from gcd_dataset.verbs import generate_people
-from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.viewer.album import spec_album
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.server import Design, Gallery

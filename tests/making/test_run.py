@@ -16,6 +16,7 @@ from typing import Any
 import fsspec
 import pytest
 
+from gcd_dataset import Job, generate, generate_people, index
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.generator.maker import produce
@@ -25,7 +26,6 @@ from gcd_dataset.making import garments, store
 from gcd_dataset.making.tasks import parse_job
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.verbs import Job, generate, generate_people, index
 from tests.making.real import COUNT, CUFFED, contents, killed, made_once, stopped
 from tests.shards.folders import forbidden, public_folder
 
