@@ -14,6 +14,7 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError, ShardError
 from gcd_dataset.exports.published import _name_in_release, export_published
+from gcd_dataset.files import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.maker import make
@@ -22,7 +23,6 @@ from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.names import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter

@@ -213,10 +213,10 @@ def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
 def _download(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
+    from gcd_dataset.files import safe_name
     from gcd_dataset.hub.download import download
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
-    from gcd_dataset.names import safe_name
     from gcd_dataset.shards.folder import downloaded_from
 
     source = parse_source(options.repo, options.revision)

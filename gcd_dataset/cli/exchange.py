@@ -160,10 +160,9 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
 def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[Any, Path], None]) -> int:
     """Export specification files, several of them to the folder ``out``; a bad one costs no other."""
     from gcd_dataset.exports.inputs import require_suffix
-    from gcd_dataset.files import make_folder
+    from gcd_dataset.files import make_folder, safe_name
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns
-    from gcd_dataset.names import safe_name
     from gcd_dataset.records import Outcome
 
     if len(sources) == 1:

@@ -22,8 +22,7 @@ from gcd_dataset.errors import shown
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.exports.tiling import MARGIN, OVERLAP, Page, Paper, Tiling, paper_named, tile
-from gcd_dataset.files import write_whole
-from gcd_dataset.names import plain_names
+from gcd_dataset.files import plain_names, write_whole
 from gcd_dataset.records import Panel, Pattern, Sample
 
 POINTS = 72 / 2.54  # of a PDF in a centimetre

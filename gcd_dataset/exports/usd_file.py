@@ -18,8 +18,7 @@ from gcd_dataset.exports.cloth import (
     texture_coordinates,
 )
 from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
-from gcd_dataset.files import write_whole
-from gcd_dataset.names import plain_names
+from gcd_dataset.files import plain_names, write_whole
 from gcd_dataset.records import Body
 
 METRES_PER_UNIT = 0.01

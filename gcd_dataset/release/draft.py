@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import make_folder, write_whole, writing_to
-from gcd_dataset.names import require_name
+from gcd_dataset.files import make_folder, require_name, write_whole, writing_to
 from gcd_dataset.shards.access import locked, reading
 
 UNFINISHED, NOTE, LOCK = ".unfinished", ".garments", ".export.lock"

@@ -4,8 +4,7 @@ import hashlib
 from pathlib import Path
 
 from gcd_dataset.errors import OutputError
-from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.names import safe_name
+from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.shards.access import reading
 
 

@@ -34,7 +34,7 @@ from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.jsonfile import JsonPath, parse_json
+from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -48,7 +48,6 @@ from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
-from gcd_dataset.tomlfile import read_toml
 from gcd_dataset.viewer.album import spec_album
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.server import Design, Gallery
