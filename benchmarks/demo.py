@@ -12,13 +12,13 @@ import numpy as np
 from torch.utils.data import DataLoader
 from tqdm import tqdm
 
+from gcd_dataset import Progress, generate
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, collate_packed
 from gcd_dataset.spec import pattern_from_spec
-from gcd_dataset.verbs import Progress, generate
 
 SEED = 4
 DESIGNS = 4  # each for the neutral body and a random one

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Rule, check_pattern
 from gcd_dataset.generator.garments import outfit
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
 from gcd_dataset.generator.garments.space import DesignSpace, draw
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
-from gcd_dataset.validate import Rule, check_pattern
 
 SPACE = DesignSpace.declared(OutfitDesign)
 FLOOR_SLACK = 1.0  # cm by which a garment may be longer than from the neck to the floor

@@ -1,8 +1,14 @@
 """Made-to-measure garments with their sewing patterns, for PyTorch.
 
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
-line; ``decode`` decodes tars that other libraries read. The names are imported on first use, with NumPy alone; torch
-and Warp are imported by the modules that use them.
+line; ``decode`` decodes tars that other libraries read. ``generate``, ``convert``, ``index``, ``export`` and
+``publish`` are the commands of the same names: each can be repeated after it was stopped, and those that take long
+report their progress to a callback. The names are imported on first use, with NumPy alone; torch and Warp are imported
+by the modules that use them.
+
+>>> from gcd_dataset import generate
+>>> generate("shards", 1000, seed=7).made  # doctest: +SKIP
+1000
 """
 
 from typing import TYPE_CHECKING
@@ -10,6 +16,14 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from gcd_dataset.exports.datasets import export
+    from gcd_dataset.hub.publish import publish
+    from gcd_dataset.making.conversion import convert
+    from gcd_dataset.making.garments import generate, generate_recipe
+    from gcd_dataset.making.people import generate_people
+    from gcd_dataset.making.progress import Progress, ProgressCallback
+    from gcd_dataset.making.run import index
+    from gcd_dataset.making.tasks import Job
     from gcd_dataset.records import (
         Body,
         BodyPart,
@@ -36,19 +50,42 @@ __all__ = [
     "Drape",
     "Edge",
     "EdgeRef",
+    "Job",
     "Measurements",
     "Outcome",
     "Panel",
     "Pattern",
     "Placement",
+    "Progress",
+    "ProgressCallback",
     "Sample",
     "Seam",
     "__version__",
+    "convert",
     "decode",
+    "export",
+    "generate",
+    "generate_people",
+    "generate_recipe",
+    "index",
+    "publish",
 ]
 
 __version__ = "0.1.0"
 
-_RECORDS = [name for name in __all__ if name not in ("__version__", "decode")]
+_NAMES_OF_MODULE = {
+    "exports.datasets": ("export",),
+    "hub.publish": ("publish",),
+    "making.conversion": ("convert",),
+    "making.garments": ("generate", "generate_recipe"),
+    "making.people": ("generate_people",),
+    "making.progress": ("Progress", "ProgressCallback"),
+    "making.run": ("index",),
+    "making.tasks": ("Job",),
+    "shards.codec": ("decode",),
+}
+_OTHERS = {"__version__", *(name for names in _NAMES_OF_MODULE.values() for name in names)}
 
-__getattr__, __dir__ = lazy_names(__name__, {"records": _RECORDS, "shards.codec": ("decode",)})
+__getattr__, __dir__ = lazy_names(
+    __name__, {"records": [name for name in __all__ if name not in _OTHERS], **_NAMES_OF_MODULE}
+)

@@ -1,6 +1,7 @@
-"""JSON from outside: strict parsing and type checks, with errors that name the file and the position in it."""
+"""JSON and TOML from outside: strict parsing and type checks, with errors that name the file and the position in it."""
 
 import json
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import GcdError, SpecError, shown
+from gcd_dataset.errors import ConfigError, GcdError, SpecError, shown
 from gcd_dataset.filekinds import other_kind
 from gcd_dataset.files import read_whole
 
@@ -223,3 +224,27 @@ def _limit(values: Any) -> str:
     """The bound of numbers, for a message on values of which one exceeds it."""
     numbers = [value for value in values if isinstance(value, int | float)] if isinstance(values, list) else []
     return f" of at most {LARGEST_NUMBER:g}" if any(abs(value) > LARGEST_NUMBER for value in numbers) else ""
+
+
+# ----------------------------------------------------------------------------------------------------------------- TOML
+
+LARGEST_TOML = 1 << 20  # bytes, a second to parse; a config file has some kilobytes
+MOST_DOTS = 1000  # in a line; for a dotted key tomllib takes time and memory that grow with the square of its parts
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """The parsed TOML of a file. Raises ``ConfigError`` if it is missing, broken or too large."""
+    content = read_whole(path, "TOML file", limit=LARGEST_TOML, error=ConfigError)
+    try:
+        if max(line.count(b".") for line in content.split(b"\n")) > MOST_DOTS:
+            raise RecursionError
+        table = tomllib.loads(content.decode("utf-8-sig"))
+        if not is_flat(table):
+            raise RecursionError
+        return table
+    except RecursionError as error:
+        raise ConfigError(f"{path}: nested too deep: flatten the TOML") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is not valid UTF-8: correct the TOML") from error
+    except ValueError as error:  # also raised for an integer of thousands of digits, with advice after a semicolon
+        raise ConfigError(f"{path}: {str(error).partition(';')[0]}: correct the TOML") from error

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from gcd_dataset.errors import ConfigError, did_you_mean, shown
-from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.jsonfile import read_toml
 
 
 @dataclass(frozen=True)

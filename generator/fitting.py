@@ -15,7 +15,8 @@ import numpy as np
 from gcd_dataset import __version__
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
-from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.faults import Severity, require_valid
+from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.in_order import Work, in_order
@@ -26,11 +27,9 @@ from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, Reject, ch
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.svg import pattern_svg
-from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
-from gcd_dataset.validate import Severity, require_valid
 
 log = logging.getLogger(__name__)
 

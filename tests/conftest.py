@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Deterministic and without deadlines; --hypothesis-profile=default explores.
-settings.register_profile("same", derandomize=True, deadline=None)
+# Deterministic and without deadlines; make test-extras takes "many", and --hypothesis-profile=default explores.
+settings.register_profile("same", derandomize=True, deadline=None, max_examples=20)
+settings.register_profile("many", derandomize=True, deadline=None, max_examples=200)
 settings.load_profile("same")
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"

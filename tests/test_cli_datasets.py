@@ -1,4 +1,4 @@
-"""``gcd info``, ``verify``, ``index``, ``show``, ``publish`` and ``download``."""
+"""``gcd generate --stage body``, ``info``, ``check``, ``index``, ``show``, ``publish`` and ``download``."""
 
 import os
 import re
@@ -13,14 +13,17 @@ from typing import Any
 import pytest
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator.body import draw_shape
+from gcd_dataset.loaders import BodyDataset
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.writer import Draft
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, running_hub
 from tests.shards import people
-from tests.shards.folders import fill, open_writer
+from tests.shards.folders import contents, fill, open_writer
 
 # Warnings inside ``huggingface_hub`` are not ours to fix.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -69,19 +72,19 @@ def test_generate_names_other_files_until_it_has_begun(
     assert "other files" not in caplog.text
 
 
-def test_verify_finds_nothing_wrong(data: Path, capsys: Capture) -> None:
-    assert main(["verify", str(data)]) == 0
-    assert main(["verify", str(data), "--full"]) == 0
-    assert said(capsys).count("no fault found") == 2
+def test_check_finds_nothing_wrong(data: Path, capsys: Capture) -> None:
+    assert main(["check", str(data)]) == 0
+    assert main(["check", str(data), "--bytes"]) == 0
+    assert said(capsys).count("nothing harmful found") == 2
 
 
-def test_verify_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
+def test_check_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
     path = data / "train-00001.tar"
     content = bytearray(path.read_bytes())
     content[content.index(b"gcd_000000005.verts.z\0") + 600] ^= 1
     path.write_bytes(content)
-    assert main(["verify", str(data)]) == 0  # within a member: the headers are intact
-    assert main(["verify", str(data), "--full"]) == 1
+    assert main(["check", str(data)]) == 0  # within a member: the headers are intact
+    assert main(["check", str(data), "--bytes"]) == 1
     text = said(capsys)
     assert "train-00001.tar: its hash differs from manifest.json" in text
     assert "sample gcd_000000005, member verts.z: bytes differ" in text
@@ -98,31 +101,31 @@ def test_verify_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
         (lambda folder: shutil.copy(folder / "train-00000.tar", folder / "test-00000.tar"), "not listed in manifest"),
     ],
 )  # fmt: skip
-def test_verify_names_each_fault(data: Path, capsys: Capture, harm: object, message: str) -> None:
+def test_check_names_each_fault(data: Path, capsys: Capture, harm: object, message: str) -> None:
     harm(data)  # type: ignore[operator]
-    assert main(["verify", str(data)]) == 1
+    assert main(["check", str(data)]) == 1
     assert message in said(capsys)
 
 
 def test_a_missing_shard_is_named(data: Path, capsys: Capture) -> None:
     (data / "train-00001.tar").unlink()
-    assert main(["verify", str(data)]) == 1
+    assert main(["check", str(data)]) == 1
     assert "train-00001.tar: no such file, but manifest.json lists it" in said(capsys)
 
 
 def test_splits_that_share_designs_are_reported(data: Path, capsys: Capture) -> None:
     with open_writer(data, split="test") as writer:
         writer.write(fake_sample(0, 3))
-    assert main(["verify", str(data)]) == 1
+    assert main(["check", str(data)]) == 1
     assert "test and train share 1" in said(capsys)
 
 
 def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:
     folder = people.fill(tmp_path / "people", range(6))
     (folder / "train.index").unlink()
-    for verb in ("index", "verify", "info"):
+    for verb in ("index", "check", "info"):
         assert main([verb, str(folder)]) == 0
-    assert "no fault found" in (text := said(capsys))
+    assert "nothing harmful found" in (text := said(capsys))
     assert "person" in text
 
 
@@ -154,7 +157,7 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     assert main(["info", str(out)]) == 0
     assert "  unfinished: 3 of 8 samples are made: gcd generate" in said(capsys)
     message = "3 of 8 samples are made"
-    for verb, code in (("verify", 1), ("index", 0)):
+    for verb, code in (("check", 1), ("index", 0)):
         assert main([verb, str(out)]) == code
         assert message in said(capsys)
     assert main(publish) == 2
@@ -201,10 +204,8 @@ def test_a_signal_while_a_verb_starts_ends_it_with_one_line(
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),
         (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "give per cent"),
         (["publish", "nowhere", "me/garments"], 1, "nowhere: no such folder"),
-        (["verify", "nowhere"], 1, "nowhere: no such folder"),
-        (["verify", "me/garments"], 1, "me/garments: no such folder: give a folder of shards; for a repository"),
-        (["verify", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
-        (["verify", "hf://me/garments"], 2, "run gcd download hf://me/garments first"),
+        (["check", "nowhere"], 1, "nowhere: no such folder"),
+        (["check", "https://example.org/a", "--bytes"], 2, "run gcd download https://example.org/a first"),
         (["show", "me/nothing", "--png", "a.png"], 1, "me/nothing"),
         (["show", "me/garments", "--png", "a.png", "--split", "half"], 1, "half"),
         (["show", "nowhere", "--png", "a.png"], 1, "nowhere: no such folder"),
@@ -222,3 +223,59 @@ def test_errors_are_one_line(
     error = capsys.readouterr().err.strip()
     assert message in error
     assert len(error.splitlines()) == 1
+
+
+BODIES = ["--stage", "body", "--quiet"]
+
+
+def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, at_once = tmp_path / "data", tmp_path / "at_once"
+    for folder, count, workers in ((out, "1", "0"), (out, "3", "2"), (at_once, "3", "0"), (at_once, "3", "0")):
+        options = ["--count", count, "--seed", "3", "--workers", workers]
+        assert main(["generate", str(folder), *options, *BODIES]) == 0
+    assert [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()] == [
+        "1 bodies in two poses, 1 of them made now",
+        "3 bodies in two poses, 2 of them made now",
+        "3 bodies in two poses, 3 of them made now",
+        "3 bodies in two poses, 0 of them made now",
+    ]
+    assert contents(out) == contents(at_once)
+    kinds, indices = zip(*(item["name"].split(":3:") for item in BodyDataset(out, fields=["name"])), strict=True)
+    assert indices == tuple("012")
+    assert set(kinds) <= {"female", "male"}
+
+
+@pytest.mark.parametrize("group", ["female", "male", "pooled"])
+def test_people_of_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str], group: str) -> None:
+    assert main(["generate", str(tmp_path), "--count", "2", "--bodies", group, *BODIES]) == 0
+    people = list(BodyDataset(tmp_path, fields=["name", "shape"]))
+    assert [person["name"] for person in people] == [f"{group}:0:0", f"{group}:0:1"]
+    drawn = draw_shape(rng(0, 1, Stage.BODY), group=group)
+    assert people[1]["shape"].numpy() == pytest.approx(drawn.weights, rel=1e-6)
+    assert main(["generate", str(tmp_path), "--count", "3", *BODIES]) == 2
+    assert "bodies" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--resolution", "2"], "resolution is for garments"),
+        (["--on-fail", "keep"], "on-fail is for garments"),
+        (["--bodies", "neutral"], "bodies is 'neutral': a body set is drawn from random, female, male, pooled"),
+        (["--count", "0"], "count is 0"),
+    ],
+)
+def test_options_for_garments_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    assert main(["generate", str(tmp_path / "out"), "--count", "1", *options, *BODIES]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_garments_are_not_put_among_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path), "--count", "1", *BODIES]) == 0
+    before = contents(tmp_path)
+    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--quiet"]) == 2
+    assert "made with kind='bodies', asked for kind='garments'" in capsys.readouterr().err
+    assert contents(tmp_path) == before

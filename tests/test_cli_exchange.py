@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,8 +15,10 @@ from typing import Any
 import pytest
 import torch
 
+from gcd_dataset import Progress, convert
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports.published import export_published, exported_splits, garment_type
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
@@ -23,9 +26,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.verbs import Progress, convert
-from gcd_dataset.verbs.release_folders import export_published, exported_splits
-from gcd_dataset.verbs.statistics import garment_type
+from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill, open_writer
 
@@ -35,6 +36,22 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return publish(tmp_path_factory.mktemp("published"))
+
+
+@pytest.fixture(scope="module")
+def converted(published: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The published garments as shards."""
+    out = tmp_path_factory.mktemp("converted")
+    assert run("convert", published, out, "--quiet") == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported(converted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shards in the published layout."""
+    out = tmp_path_factory.mktemp("exported")
+    assert run("export", converted, "--layout", "published", out, "--quiet") == 0
+    return out
 
 
 def run(*words: object) -> int:
@@ -67,9 +84,7 @@ def test_converted_shards_equal_the_published_files(
         assert after.recipe(0) == before.recipe(0)
 
 
-def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
-    assert run("convert", published, tmp_path / "whole", "--quiet") == 0
-
+def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, converted: Path, tmp_path: Path) -> None:
     def stop(progress: Progress) -> None:
         if progress.made == 3:
             raise KeyboardInterrupt
@@ -77,16 +92,16 @@ def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_pat
     with pytest.raises(KeyboardInterrupt):
         convert(published, tmp_path / "pieces", on_progress=stop)
     assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
-    assert contents(tmp_path / "pieces") == contents(tmp_path / "whole")
+    assert contents(tmp_path / "pieces") == contents(converted)
 
 
-def test_garments_downloaded_later_are_added_under_their_own_numbers(published: Path, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(published, tmp_path / "root"))
-    assert run("convert", root, tmp_path / "both", "--quiet") == 0
-    assert run("convert", root, tmp_path / "out", "--quiet", "--bodies", "random") == 0
+def test_garments_downloaded_later_are_added_under_their_own_numbers(
+    published: Path, converted: Path, tmp_path: Path
+) -> None:
+    assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "random") == 0
     assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
-    assert run("convert", root, tmp_path / "out", "--quiet") == 0
-    assert contents(tmp_path / "out") == contents(tmp_path / "both")
+    assert run("convert", published, tmp_path / "out", "--quiet") == 0
+    assert contents(tmp_path / "out") == contents(converted)
 
 
 def test_as_many_garments_on_other_bodies_are_another_data_set(
@@ -125,15 +140,13 @@ def test_a_folder_of_another_data_set_is_not_added_to(
 # -------------------------------------------------------------------------------------------------------------- export
 
 
-def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path) -> None:
-    assert run("convert", published, tmp_path / "shards", "--quiet") == 0
-    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "again", "--quiet") == 0
+def test_shards_to_the_published_layout_and_back(published: Path, exported: Path) -> None:
     # Not byte for byte: pictures are encoded again, coordinates were stored as float32.
     near = ("render_front.png", "render_back.png", "_sim.ply", "_boxmesh.ply", "_orig_lens.pickle")
     for path in published.rglob("[!.]*"):
         if path.is_file() and not path.name.endswith(near):
-            assert path.read_bytes() == (tmp_path / "again" / path.relative_to(published)).read_bytes(), path
-    before, after = (PublishedGarmentCodeData(root) for root in (published, tmp_path / "again"))
+            assert path.read_bytes() == (exported / path.relative_to(published)).read_bytes(), path
+    before, after = (PublishedGarmentCodeData(root) for root in (published, exported))
     for item, other in zip(before, after, strict=True):
         for field in ("verts", "box", "faces", "labels", "seams", "panels", "edges", "stitches"):
             assert torch.equal(item[field], other[field]), field
@@ -176,17 +189,19 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """Path to content of all files, hidden ones included."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """Path to content of all files, hidden ones included; without what readers keep beside them."""
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(".gcd.json")]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def test_a_stopped_export_goes_on_to_the_same_bytes(
-    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    converted: Path,
+    exported: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    shards = tmp_path / "shards"
-    assert run("convert", published, shards, "--quiet") == 0
-    assert run("export", shards, "--layout", "published", tmp_path / "whole", "--quiet") == 0
-    export = ["export", shards, "--layout", "published", tmp_path / "pieces", "--quiet"]
+    export = ["export", converted, "--layout", "published", tmp_path / "pieces", "--quiet"]
     with monkeypatch.context() as full:
         files = itertools.count()
         sync = os.fsync
@@ -204,7 +219,7 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
     written = garments[0].stat().st_mtime_ns
     assert run(*export) == 0
     assert garments[0].stat().st_mtime_ns == written
-    assert tree(tmp_path / "pieces") == tree(tmp_path / "whole")
+    assert tree(tmp_path / "pieces") == tree(exported)
     assert run(*export) == 2  # the export is complete
     assert "not empty" in capsys.readouterr().err
 
@@ -219,13 +234,12 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
 def test_ctrl_c_reports_the_progress(
     form: list[str],
     message: str,
-    published: Path,
+    converted: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run("convert", published, "shards", "--quiet") == 0
     capsys.readouterr()
     read = ShardReader.read
 
@@ -235,7 +249,7 @@ def test_ctrl_c_reports_the_progress(
         return read(reader, position, members)
 
     monkeypatch.setattr(ShardReader, "read", interrupted)
-    assert run("export", "shards", *form, "--quiet") == 130
+    assert run("export", converted, *form, "--quiet") == 130
     assert capsys.readouterr().err == f"gcd export: {message}\n"
     assert not Path("out.h5").exists()
 
@@ -327,16 +341,12 @@ for room in ({size // 20}, {size // 2}, {size - 1}):
 
 def test_a_killed_export_to_hdf5_leaves_nothing_for_long(tmp_path: Path) -> None:
     data = fill(tmp_path / "data", range(3))
-    program = f"""
-import os, signal
-from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.hdf5 import write_hdf5
-writing = write_hdf5(ShardReader({str(data)!r}), {str(tmp_path / "a.h5")!r})
-next(writing)
-os.kill(os.getpid(), signal.SIGKILL)
-"""
     for _ in range(2):
-        subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, check=False)
+        if (child := os.fork()) == 0:
+            writing = write_hdf5(ShardReader(data), tmp_path / "a.h5")
+            next(writing)
+            os.kill(os.getpid(), signal.SIGKILL)
+        os.waitpid(child, 0)
         assert len([path for path in tmp_path.iterdir() if path.name != "data"]) == 1
     assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "data"]

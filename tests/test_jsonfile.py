@@ -1,14 +1,16 @@
-"""Broken or ambiguous JSON raises one error of the caller's class."""
+"""JSON, YAML and TOML from outside."""
 
 import json
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcd_dataset.errors import BodyError, ShardError, SpecError
-from gcd_dataset.jsonfile import DEEPEST, found, parse_json, read_json
+from gcd_dataset.errors import BodyError, ConfigError, ShardError, SpecError
+from gcd_dataset.jsonfile import DEEPEST, found, parse_json, read_json, read_toml
+from gcd_dataset.yamlfile import require_shallow, strict_yaml
 
 BROKEN: dict[str, str | bytes] = {
     "deep": "[" * 100_000 + "]" * 100_000,
@@ -112,3 +114,64 @@ def test_an_odd_value_is_shown_short() -> None:
     assert found(deep) == "a list"
     assert len(found(10**5000)) < 60
     assert found(None) == "nothing"
+
+
+@pytest.mark.parametrize("content", [b"[" * 100_000, b"{a: " * 50_000, b"- " * 50_000, b"? " * 50_000], ids=repr)
+def test_deep_nesting_is_refused(content: bytes) -> None:
+    with pytest.raises(RecursionError, match="levels deep"):
+        require_shallow(content)
+
+
+def test_a_repeated_key_is_named_among_many() -> None:
+    keys = "".join(f"k{number}: 0\n" for number in range(5_000))
+    with pytest.raises(yaml.MarkedYAMLError, match="a repeated key: remove one of the entries") as caught:
+        strict_yaml(f"{keys}z: 0\nz: 1\n")
+    assert caught.value.problem_mark is not None and caught.value.problem_mark.line == 5_000
+
+
+def test_a_byte_order_mark_of_yaml_is_skipped() -> None:
+    assert strict_yaml(b"\xef\xbb\xbfa: 1") == {"a": 1}
+
+
+def test_a_page_of_lists_is_read() -> None:
+    page = yaml.safe_dump({"labels": {name: list(range(3000)) for name in "abc"}, "ranges": [[1, [2]]] * 2000})
+    require_shallow(page.encode())
+    assert strict_yaml(page)["labels"]["b"][-1] == 2999
+
+
+BROKEN = {
+    "points = " + "9" * 5000: "Exceeds the limit (4300 digits) for integer string conversion",
+    "points = 0x" + "f" * 100 + "g": "correct the TOML",
+    "a = " + "[" * 100_000: "nested too deep: flatten the TOML",
+    "a = 1\na = 2": "Cannot overwrite a value",
+    "a = 2026-13-45": "correct the TOML",
+    "= 1": "Invalid statement (at line 1, column 1): correct the TOML",
+    ".".join("a" * 50_000) + " = 1": "nested too deep: flatten the TOML",
+    ".".join("a" * 100) + " = 1": "nested too deep: flatten the TOML",
+    "# much\n" * 200_000: "more than 1 MB: give the path of a TOML file",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN, ids=lambda text: text[:12])
+def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_toml(tmp_path / "c.toml")
+    assert str(caught.value).startswith(f"{tmp_path / 'c.toml'}: ")
+    assert BROKEN[text] in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_byte_order_mark_of_toml_is_skipped(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1")
+    assert read_toml(tmp_path / "c.toml") == {"a": 1}
+
+
+def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_bytes(b'a = "\xe9"')
+    with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is not valid UTF-8: correct the TOML"):
+        read_toml(tmp_path / "c.toml")
+    with pytest.raises(ConfigError, match=r"no\.toml: no such file: give the path of a TOML file"):
+        read_toml(tmp_path / "no.toml")
+    with pytest.raises(ConfigError, match=r"cannot be read \(Is a directory\)"):
+        read_toml(tmp_path)

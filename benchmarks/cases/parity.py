@@ -23,9 +23,9 @@ from gcd_dataset.generator.garments import outfit
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
+from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import EdgeRef, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
-from gcd_dataset.tomlfile import read_toml
 
 OUTLINE, FRONT_OUTLINE, SLEEVE_OUTLINE = 0.2, 0.5, 1.0  # tolerances of outlines [cm]
 CAP_LENGTH = 0.1  # cm: tolerance between the lengths of a cap and its armhole

@@ -18,6 +18,7 @@ import numpy as np
 from benchmarks.arguments import jpeg_file
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drawing import design_sheet, jpeg_bytes
@@ -25,7 +26,6 @@ from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, attempted
 from gcd_dataset.generator.garments.kind import kind_of
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.validate import Rule, Severity, check_pattern
 
 MOST_ATTEMPTS = 30
 ON_SHEET = 64  # most designs on the sheet

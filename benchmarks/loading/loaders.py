@@ -60,7 +60,7 @@ def by_memmap(folder: Path, fields: Sequence[str], *, plain: bool = False) -> Ba
 
 def by_hdf5(folder: Path, fields: Sequence[str]) -> Batches:
     """``Hdf5Garments``: concatenated arrays in one file."""
-    from gcd_dataset.verbs import export
+    from gcd_dataset import export
 
     path = folder / "garments.h5"
     if not path.exists():

@@ -29,6 +29,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
 from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
 from gcd_dataset.generator.garments.outfit import BACKS
 from gcd_dataset.generator.garments.parameter import Choice
@@ -37,7 +38,6 @@ from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.garments.wearable import wearable
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.records import Pattern
-from gcd_dataset.validate import Severity, check_pattern
 
 FEW = 12  # a whole number of at most this many values is a choice among them
 VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square

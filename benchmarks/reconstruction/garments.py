@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader
 from benchmarks.reconstruction.derived import CENTRE, POINT_LABELS, derived_arrays, item_fields, picture_views
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports.published import garment_type
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments, Views
 from gcd_dataset.loaders.base import Garments, Item
@@ -28,7 +29,6 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.records import Outcome, Pattern
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, EdgeColumn, PanelColumn, PatternTensor, decode_pattern
-from gcd_dataset.verbs.statistics import garment_type
 
 Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``."""

@@ -19,11 +19,11 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, uploaded
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import PanelShape
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
-from gcd_dataset.validate import Severity, check_pattern
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
 BENDS = 5  # inner points of an edge, at equal shares of its length

@@ -32,6 +32,7 @@ from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, loa
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
 from benchmarks.reconstruction.picture_results import TESTS, Result, figures_of, log, read_result, rows_of, write_result
 from benchmarks.reconstruction.training import TrainConfig, learning_rate
+from gcd_dataset import Progress, generate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator import MakeConfig, read_overlay
@@ -43,7 +44,6 @@ from gcd_dataset.generator.render import render
 from gcd_dataset.metrics import mean_scores
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.verbs import Progress, generate
 from gcd_dataset.workers import parallel_map_chunks
 
 Curve: TypeAlias = Callable[[Mapping[str, Any]], None]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gcd_dataset.cli.verb import Stopped
+from gcd_dataset.cli.common import Stopped
 from gcd_dataset.making.progress import SETTLED, Progress
 
 if TYPE_CHECKING:

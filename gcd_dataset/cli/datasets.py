@@ -1,16 +1,28 @@
-"""The verbs of whole data sets: info, verify, index, download, publish."""
+"""The verbs of whole data sets: info, check, index, download, publish."""
 
 import argparse
+import json
 import sys
 from collections.abc import Iterator
-from itertools import chain
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb, open_source, require_folder
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.common import (
+    SOURCE_HELP,
+    add_quiet,
+    add_server,
+    add_verb,
+    names_a_file,
+    open_source,
+    require_folder,
+)
+from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 RECIPE = "recipe:"
+HDF5 = (".h5", ".hdf5")
 
 
 def add_verbs(verbs: Any) -> None:
@@ -21,10 +33,7 @@ def add_verbs(verbs: Any) -> None:
     )
     add_server(info)
 
-    verify = add_verb(verbs, "verify", _verify, "check whether a data set is complete and undamaged; exit 1 if not")
-    verify.add_argument("dataset", metavar="DATASET", help="folder of shards")
-    verify.add_argument("--full", action="store_true", help="check every byte, not only headers and lengths")
-    verify.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
+    _add_check(verbs)
 
     itself = (
         "gcd generate and gcd convert do so themselves when the last shard is made: this is for\n"
@@ -69,11 +78,37 @@ def add_verbs(verbs: Any) -> None:
     add_server(publish)
 
 
+def _add_check(verbs: Any) -> None:
+    text = "list what is wrong with a data set, or with patterns; exit 1 if it would harm a training or forbid sewing"
+    check = add_verb(verbs, "check", _check, text, aliases=("doctor", "validate", "verify"))
+    check.add_argument(
+        "what",
+        nargs="+",
+        metavar="DATASET|PUBLISHED|SPEC",
+        help=f"{SOURCE_HELP}; an HDF5 file; GarmentCodeData as published: the folder with garments_5000_0; or "
+        "specification JSON",
+    )
+    check.add_argument("--errors", action="store_true", help="list errors alone, no warnings")
+    check.add_argument("--strict", action="store_true", help="exit 1 for warnings too")
+    check.add_argument("--json", action="store_true", help="print the report as JSON")
+    check.add_argument("--quick", action="store_true", help="read 200 garments of each split, evenly spaced")
+    check.add_argument("--bytes", "--full", action="store_true", help="also check every byte against the hashes")
+    check.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
+    check.add_argument(
+        "--cache-dir",
+        type=Path,
+        metavar="DIR",
+        help="folder for data from a server, and for the indices of published archives",
+    )
+    add_quiet(check)
+    add_server(check)
+
+
 def _info(options: argparse.Namespace) -> int:
-    from gcd_dataset.cli.inspect import info_lines
+    from gcd_dataset.check.summary import info_lines
 
     if options.dataset.startswith(RECIPE):
-        from gcd_dataset.cli.recipes import recipe_lines
+        from gcd_dataset.check.recipes import recipe_lines
 
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
@@ -82,28 +117,71 @@ def _info(options: argparse.Namespace) -> int:
     return 0
 
 
-def _verify(options: argparse.Namespace) -> int:
-    from gcd_dataset.cli.inspect import faults
+def _check(options: argparse.Namespace) -> int:
+    is_pattern = [names_a_file(what) and Path(what).suffix not in HDF5 for what in options.what]
+    if not all(is_pattern):
+        if len(options.what) > 1:
+            raise ConfigError(f"{len(options.what)} inputs: give one data set, or specification files")
+        return _check_set(options)
+    for name in ("quick", "bytes", "recipe", "cache_dir", "endpoint"):
+        if getattr(options, name):
+            raise ConfigError(f"--{name.replace('_', '-')} is for data sets: leave it out")
+    return _check_patterns(options)
 
-    folder, count, named = require_folder(options.dataset), 0, ""
-    found = faults(folder, full=options.full)
-    if options.recipe is not None:
-        from gcd_dataset.cli.recipes import recipe_faults
-        from gcd_dataset.generator.recipes import find_recipe
 
-        recipe = find_recipe(options.recipe)
-        named, found = f": this is {recipe.name}", chain(found, recipe_faults(folder, recipe))
-    for fault in found:
-        print(fault)
-        count += 1
-    if not count:
-        print(f"{folder}: no fault found{named}{'' if options.full else '; --full reads every byte'}")
-    return 1 if count else 0
+def _check_set(options: argparse.Namespace) -> int:
+    from gcd_dataset.check import Harm, examine
+
+    [source] = options.what
+    with Bar("garment", options.quiet, verb="check", again="nothing was changed") as bar:
+        work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
+        report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
+    is_good = not report.harmful and not report.faults
+    if options.strict:
+        is_good = is_good and not any(finding.harm is Harm.WARNING for finding in report.findings)
+    if options.errors:
+        report = replace(report, findings=report.harmful)
+    if options.json:
+        print(json.dumps(report.to_json(), indent=1, ensure_ascii=False))
+    else:
+        print(*report.lines(), sep="\n")
+        if is_good and options.recipe is not None:
+            from gcd_dataset.generator.recipes import find_recipe
+
+            print(f"{source}: this is {find_recipe(options.recipe).name}")
+    return int(not is_good)
+
+
+def _check_patterns(options: argparse.Namespace) -> int:
+    from gcd_dataset.faults import Severity, check_pattern
+    from gcd_dataset.spec import read_pattern
+
+    found: list[Severity] = []
+    texts: dict[str, list[str]] = {}
+    for path in dict.fromkeys(options.what):
+        try:
+            faults = check_pattern(read_pattern(path))
+        except GcdError as error:
+            print(f"gcd {options.verb}: {error}", file=sys.stderr)
+            found.append(Severity.ERROR)
+            continue
+        listed = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
+        texts[path] = list(map(str, listed))
+        found += [fault.severity for fault in listed]
+    if options.json:
+        print(json.dumps(texts, indent=1, ensure_ascii=False))
+    else:
+        for path, lines in texts.items():
+            if lines:
+                print(f"{path}:", *lines, sep="\n  ")
+        if not found:
+            print(f"{len(texts)} pattern{'s' if len(texts) > 1 else ''}: no fault found")
+    return int(Severity.ERROR in found or bool(found and options.strict))
 
 
 def _index(options: argparse.Namespace) -> int:
+    from gcd_dataset import index
     from gcd_dataset.making.store import place_for
-    from gcd_dataset.verbs import index
 
     if "://" not in options.dataset:
         require_folder(options.dataset)
@@ -135,10 +213,10 @@ def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
 def _download(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
+    from gcd_dataset.files import safe_name
     from gcd_dataset.hub.download import download
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
-    from gcd_dataset.names import safe_name
     from gcd_dataset.shards.folder import downloaded_from
 
     source = parse_source(options.repo, options.revision)
@@ -162,9 +240,9 @@ def _download(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
+    from gcd_dataset import publish
     from gcd_dataset.hub.partition import parse_shares
     from gcd_dataset.hub.publish import Staged
-    from gcd_dataset.verbs import publish
 
     def list_files(staged: Staged) -> None:
         for name, split in staged.manifest.splits.items():

@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.datasets import summary_lines
-from gcd_dataset.cli.subject import names_a_file, sample_of
-from gcd_dataset.cli.verb import (
+from gcd_dataset.cli.common import (
     SOURCE_HELP,
     add_quiet,
     add_server,
     add_verb,
+    names_a_file,
     natural_number,
     require_folder,
+    sample_of,
 )
+from gcd_dataset.cli.datasets import summary_lines
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
 
@@ -76,7 +77,7 @@ def _add_export(verbs: Any) -> None:
 
 
 def _convert(options: argparse.Namespace) -> int:
-    from gcd_dataset.verbs import convert
+    from gcd_dataset import convert
 
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
     with Bar("garment", options.quiet, verb="convert") as bar:
@@ -159,10 +160,9 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
 def _export_patterns(sources: list[str], form: str, out: Path, write: Callable[[Any, Path], None]) -> int:
     """Export specification files, several of them to the folder ``out``; a bad one costs no other."""
     from gcd_dataset.exports.inputs import require_suffix
-    from gcd_dataset.files import make_folder
+    from gcd_dataset.files import make_folder, safe_name
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns
-    from gcd_dataset.names import safe_name
     from gcd_dataset.records import Outcome
 
     if len(sources) == 1:
@@ -194,7 +194,7 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
     """Export a split, or all splits in the published layout."""
     if options.layout is not None and options.layout[0] != "published":
         raise ConfigError(f"--layout {options.layout[0]}: unknown layout: give published")
-    from gcd_dataset.verbs import export
+    from gcd_dataset import export
 
     out = options.hdf5 or options.plain or Path(options.layout[1])
     resumes = form == "layout"

@@ -10,8 +10,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gcd_dataset.cli.subject import design_in, names_a_file, pattern_of, position_of, reader_of, sample_of
-from gcd_dataset.cli.verb import SOURCE_HELP, add_body, add_server, add_verb, natural_number, wearer_of
+from gcd_dataset.cli.common import (
+    SOURCE_HELP,
+    add_body,
+    add_server,
+    add_verb,
+    design_in,
+    names_a_file,
+    natural_number,
+    pattern_of,
+    position_of,
+    reader_of,
+    sample_of,
+    wearer_of,
+)
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 if TYPE_CHECKING:

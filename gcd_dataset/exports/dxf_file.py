@@ -25,8 +25,7 @@ from gcd_dataset import __version__
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.pdf_file import pack
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
-from gcd_dataset.files import write_whole
-from gcd_dataset.names import plain_names
+from gcd_dataset.files import plain_names, write_whole
 from gcd_dataset.records import Pattern, Sample
 
 MM = 10.0  # millimetres in a centimetre

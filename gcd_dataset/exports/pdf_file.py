@@ -23,8 +23,7 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, arc_ce
 from gcd_dataset.errors import ConfigError, did_you_mean, shown
 from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
-from gcd_dataset.files import write_whole
-from gcd_dataset.names import plain_names
+from gcd_dataset.files import plain_names, write_whole
 from gcd_dataset.records import Panel, Pattern, Sample
 
 ROUNDING = 1e-9  # cm

@@ -18,9 +18,9 @@ from shapely.geometry.polygon import orient
 
 from gcd_dataset.curves import LINE, Curve, Point, curve_tangents, mirrored, sample_curve
 from gcd_dataset.errors import ConfigError, PatternError
+from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern, Record, Seam
-from gcd_dataset.validate import require_valid
 
 FOLD = "fold"
 """Label of an edge at which the cloth is folded: it gets no allowance."""

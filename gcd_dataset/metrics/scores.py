@@ -8,11 +8,11 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from gcd_dataset.curves import signed_area
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics.matching import FAR, match_shapes
 from gcd_dataset.metrics.seams import seam_counts, seam_lengths_score, seam_mismatch
 from gcd_dataset.metrics.shapes import CONTOUR_POINTS, PanelShape, resample_loop, shape_or_none
 from gcd_dataset.records import Pattern
-from gcd_dataset.validate import Severity, check_pattern
 
 SHIFTS = 64  # starts of the predicted contour that are tried, besides its corners
 SMALLEST_AREA = 1.0  # cm²: a smaller panel cannot be sewn

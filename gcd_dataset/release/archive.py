@@ -23,8 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
 from gcd_dataset.errors import OutputError, ShardError, shown
-from gcd_dataset.files import make_folder, open_regular, write_whole
-from gcd_dataset.names import safe_name
+from gcd_dataset.files import make_folder, open_regular, safe_name, write_whole
 from gcd_dataset.records import Record
 from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading

@@ -58,7 +58,7 @@ class PublishedGarment:
 
     @functools.cached_property
     def pattern(self) -> Pattern:
-        """The sewing pattern; ``gcd_dataset.validate`` checks whether it can be sewn."""
+        """The sewing pattern; ``gcd_dataset.faults`` checks whether it can be sewn."""
         try:
             pattern = pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
         except (ValueError, RecursionError, SpecError) as error:

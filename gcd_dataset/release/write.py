@@ -21,8 +21,7 @@ from PIL import Image
 
 from gcd_dataset.bodyfiles import measurements_tree
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import make_folder, write_whole, writing_to
-from gcd_dataset.names import require_name
+from gcd_dataset.files import make_folder, require_name, write_whole, writing_to
 from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Record, Sample
 from gcd_dataset.release.meshes import Ply, weld, write_ply
 from gcd_dataset.release.published_names import ENDINGS

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.names import require_name
+from gcd_dataset.files import require_name
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.manifest import SplitRecord

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from gcd_dataset.errors import ConfigError, did_you_mean
-from gcd_dataset.names import require_name
+from gcd_dataset.files import require_name
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 

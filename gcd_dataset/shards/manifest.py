@@ -16,8 +16,8 @@ from typing import Any, Self, get_args, get_origin
 
 import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError, shown
+from gcd_dataset.files import require_name
 from gcd_dataset.jsonfile import found
-from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import read_file, reading
 from gcd_dataset.shards.layout import MEMBERS, SCHEMA, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_MANIFEST

@@ -15,8 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
-from gcd_dataset.files import make_folder
-from gcd_dataset.names import require_name
+from gcd_dataset.files import make_folder, require_name
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample

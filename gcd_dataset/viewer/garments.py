@@ -25,6 +25,7 @@ from gcd_dataset.errors import (
     ShardError,
     shown,
 )
+from gcd_dataset.faults import require_valid
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drawing import draw_pattern, picture_of
 from gcd_dataset.records import EdgeRef, Pattern, Sample
@@ -33,7 +34,6 @@ from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_name, read_pattern
-from gcd_dataset.validate import require_valid
 from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.page import page_of
 

@@ -14,7 +14,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Space, plain
 from gcd_dataset.generator.garments.space import DesignSpace, read_values, require_no_fault, to_dict, unknown_parameters
-from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.yamlfile import read_yaml
 
 log = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ the seam of a hood. This package meets length and tangents exactly, and otherwis
 
 from enum import Enum
 
-from gcd_dataset.validate import NARROWEST_DART
+from gcd_dataset.faults import NARROWEST_DART
 
 
 class Mend(Enum):

@@ -31,7 +31,7 @@ from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import choice_of, possible_kinds
 from gcd_dataset.generator.garments.parameter import NONE, Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_no_fault, unknown_parameters
-from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.jsonfile import read_toml
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from jaxtyping import Complex
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
@@ -34,7 +35,6 @@ from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
 from gcd_dataset.records import Measurements, Pattern
-from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
 LIGHT_LENGTH = 0.5  # largest length of a flared skirt without a firm band, GarmentCode
 LIGHT_SUNS = 0.75  # largest flare-skirt.suns of a flared skirt without a firm band, GarmentCode

@@ -12,6 +12,7 @@ from jaxtyping import Complex, Float
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import LARGEST, SHORTEST_EDGE
 from gcd_dataset.generator.garments.cuff import arm_girth_in_end
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
@@ -22,7 +23,6 @@ from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
-from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape

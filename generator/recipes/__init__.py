@@ -41,14 +41,13 @@ import numpy as np
 from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
-from gcd_dataset.files import user_path
+from gcd_dataset.files import require_name, user_path
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.names import require_name
+from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.options import require_options
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.tomlfile import read_toml
 
 __all__ = ["FREE", "Recipe", "find_recipe", "read_recipe", "recipe_names"]
 

@@ -13,9 +13,9 @@ from benchmarks.reconstruction.freesewing.__main__ import HERE, draw, requests
 from benchmarks.reconstruction.freesewing.designs import DESIGNS, Cut, Design, Piece, Side
 from benchmarks.reconstruction.freesewing.sewing import pattern_of_drawing
 from gcd_dataset.errors import ConfigError, PatternError
+from gcd_dataset.faults import require_valid
 from gcd_dataset.metrics import PanelShape
 from gcd_dataset.records import Pattern
-from gcd_dataset.validate import require_valid
 
 MEASUREMENTS = {"waistToFloor": 1000.0, "hpsToWaistBack": 420.0, "shoulderToShoulder": 400.0}
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from gcd_dataset import generate_recipe
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipes import read_recipe
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.tensors import encode_pattern
-from gcd_dataset.verbs import generate_recipe
 
 RECORDED = Path(__file__).resolve().parent / "recorded"
 PICTURES = {"picture": 32, "views": 1, "view_size": 32}

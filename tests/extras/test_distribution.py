@@ -169,4 +169,4 @@ def test_the_installed_package_draws_a_pattern(clean: Path, tmp_path: Path) -> N
 def test_the_installed_command_makes_and_examines_garments(clean: Path, tmp_path: Path) -> None:
     run(clean / "gcd", "generate", "shards", "--count", "3", "--stage", "mesh", "--resolution", "4", cwd=tmp_path)
     assert "3 samples" in run(clean / "gcd", "info", "shards", cwd=tmp_path)
-    assert "nothing harmful" in run(clean / "gcd", "doctor", "shards", cwd=tmp_path)
+    assert "nothing harmful" in run(clean / "gcd", "check", "shards", cwd=tmp_path)

@@ -66,7 +66,7 @@ GUIDES = [
     *("index", "pictures", "scans", "sketches", "evaluate", "exports"),
 ]
 NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/hub/test_objects.py runs them against an S3 API
-OWN_TESTS = {"training", "viewer", "doctor", "reconstruction"}  # the commands of these pages are tested elsewhere
+OWN_TESTS = {"training", "viewer", "check", "reconstruction"}  # the commands of these pages are tested elsewhere
 
 
 @pytest.mark.parametrize("name", GUIDES)

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from benchmarks.cases.figures import Measured
 from benchmarks.report import report_text
 from tests.fuzz.expensive import EXPENSIVE, expensive
-from tests.fuzz.readers import DOCUMENTS, READERS, damaged, edited_documents, reader_named
+from tests.fuzz.readers import DOCUMENTS, READERS, Reader, damaged, edited_documents
 from tests.fuzz.trial import Tally, Verdict, try_all
 
 EXPENSIVE_SHARE = 20  # an expensive input takes as long to read as this number of damaged ones
@@ -24,22 +24,19 @@ accepted input was read as the original; otherwise it counts as `silent`. Limits
 """
 
 
-def try_files(name: str, folder: Path, count: int) -> Tally:
+def try_files(name: str, reader: Reader, count: int) -> Tally:
     """The tally of a reader on ``count`` damaged files."""
-    reader = reader_named(name, folder)
     return try_all(reader.read, damaged(reader, name, count), expected=reader.expected())
 
 
-def try_expensive(name: str, folder: Path, count: int) -> Tally:
+def try_expensive(name: str, reader: Reader, count: int) -> Tally:
     """The tally of a reader on ``count`` expensive inputs."""
-    reader = reader_named(name, folder)
     inputs = (expensive(name, reader.content, random.Random(f"{name}:{number}")) for number in range(count))
     return try_all(reader.read, inputs, expected=None)
 
 
-def try_documents(name: str, folder: Path, count: int) -> Tally:
+def try_documents(name: str, reader: Reader, count: int) -> Tally:
     """The tally of a reader on ``count`` edited documents; fewer if Hypothesis finds no more distinct ones."""
-    reader = reader_named(name, folder)
     contents: list[bytes] = []
 
     @settings(
@@ -56,11 +53,6 @@ def try_documents(name: str, folder: Path, count: int) -> Tally:
 
     collect()
     return try_all(reader.read, contents, expected=reader.expected())
-
-
-def documents() -> tuple[str, ...]:
-    """Readers of documents."""
-    return tuple(DOCUMENTS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,16 +77,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _tallies(names: Sequence[str], count: int) -> Iterator[tuple[str, str, Tally]]:
     few = max(count // EXPENSIVE_SHARE, 1)
-    trials: dict[str, tuple[Callable[[str, Path, int], Tally], Container[str], int]] = {
+    trials: dict[str, tuple[Callable[[str, Reader, int], Tally], Container[str], int]] = {
         "bytes": (try_files, READERS, count),
         "documents": (try_documents, DOCUMENTS, count),
         "expensive": (try_expensive, EXPENSIVE, few),
     }
     for name in names:
-        for kind, (trial, readers, tried) in trials.items():
-            if name in readers:
-                with tempfile.TemporaryDirectory() as folder:
-                    yield kind, name, trial(name, Path(folder), tried)
+        with tempfile.TemporaryDirectory() as folder:
+            reader = READERS[name](Path(folder))
+            for kind, (trial, readers, tried) in trials.items():
+                if name in readers:
+                    yield kind, name, trial(name, reader, tried)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,11 @@ import os
 import random
 import shutil
 import tarfile
+import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -22,15 +23,18 @@ import zstandard
 from hypothesis.strategies import SearchStrategy
 from webdataset.tariterators import tar_file_iterator
 
+from gcd_dataset import generate_people
 from gcd_dataset.bodyfiles import measurements_text
 from gcd_dataset.errors import GcdError
+from gcd_dataset.exports.published import export_published, exported_splits
+from gcd_dataset.faults import check_pattern, require_valid
 from gcd_dataset.generator.body import named_body, read_body
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.jsonfile import JsonPath, parse_json
+from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -44,10 +48,6 @@ from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
-from gcd_dataset.tomlfile import read_toml
-from gcd_dataset.validate import check_pattern, require_valid
-from gcd_dataset.verbs import generate_people
-from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
 from gcd_dataset.viewer.server import Design, Gallery
@@ -76,11 +76,6 @@ class Reader:
 def damaged(reader: Reader, name: str, count: int) -> Iterator[bytes]:
     """``count`` damaged copies of the file, the same in every run."""
     return (mutated(reader.content, random.Random(f"{name}:{number}")) for number in range(count))
-
-
-def reader_named(name: str, folder: Path) -> Reader:
-    """The reader, with its files in ``folder``."""
-    return READERS[name](folder)
 
 
 def _plain(value: Any) -> Any:
@@ -237,9 +232,20 @@ def _archive(folder: Path) -> Reader:
 
 def _release(folder: Path) -> Path:
     root = folder / "release"
-    for _ in export_published(exported_splits(write_shards(folder / "shards", count=1)), root):
-        pass
+    for path, content in _release_files().items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_bytes(content)
     return root
+
+
+@cache
+def _release_files() -> Mapping[Path, bytes]:
+    """Path in the release to content, of one garment."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder, "release")
+        for _ in export_published(exported_splits(write_shards(Path(folder, "shards"), count=1)), root):
+            pass
+        return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def _read_release(root: Path, path: Path, data: bytes) -> Any:

@@ -40,10 +40,10 @@ def test_publish_and_download(
     assert f"train of hf://datasets/me/garments@{commit}: " in capsys.readouterr().out
     whole = [GarmentDataset("garments", path.name.removesuffix(".index")) for path in Path("garments").glob("*.index")]
     assert sum(map(len, whole)) == 10 and "front" in whole[0].fields
-    assert main(["verify", "garments", "--full"]) == 0
+    assert main(["check", "garments", "--bytes"]) == 0
     some = ["download", "me/garments", "--split", "train", "--no-views", "--quiet", "--out", "some", *here]
     assert main(some) == 0
-    assert main(["verify", "some", "--full"]) == 0
+    assert main(["check", "some", "--bytes"]) == 0
     assert not {"front", "back"} & set(GarmentDataset("some").fields)
     capsys.readouterr()
     assert main(["info", "me/garments", *here]) == 0
@@ -53,7 +53,7 @@ def test_publish_and_download(
 def test_splits_that_share_designs_are_a_fault(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with ShardWriter(data, split="test", seed=0, recipe={"stage": "drape"}, shard_size=4) as writer:
         writer.write(fake_sample(0, 3))
-    assert main(["verify", str(data)]) == 1
+    assert main(["check", str(data)]) == 1
     assert f"{data}: test and train share 1 design: scores on one are biased" in capsys.readouterr().out
 
 

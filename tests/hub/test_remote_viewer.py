@@ -1,12 +1,12 @@
-"""Viewer and doctor of a data set on a server: bounded requests, and tags that are requested in parts."""
+"""Viewer and check of a data set on a server: bounded requests, and tags that are requested in parts."""
 
 from pathlib import Path
 
 import pytest
 
+from gcd_dataset.check import examine
 from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.verbs import doctor
 from gcd_dataset.viewer import garments as albums
 from gcd_dataset.viewer.garments import ShardAlbum
 from gcd_dataset.viewer.server import Gallery
@@ -73,7 +73,7 @@ def test_a_damaged_garment_on_the_server_does_not_end_the_reading(hub: Hub, comm
 def test_the_report_of_a_server_is_that_of_its_folder(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, source: str
 ) -> None:
-    there = doctor(source.format(hub.endpoint), endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
-    here = doctor(folder)
+    there = examine(source.format(hub.endpoint), endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+    here = examine(folder)
     assert (there.splits, there.findings) == (here.splits, here.findings)
     assert not hub.asked("front.jpg")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
+from gcd_dataset import generate
 from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make
@@ -14,7 +15,6 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import Augmented, FreshGarments, GarmentDataset, GeneratedGarments, PickCaption
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.verbs import generate
 
 COUNT, SEED = 4, 5
 FLAT = MakeConfig(stage="pattern", captions=True)

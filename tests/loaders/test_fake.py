@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import check_pattern
 from gcd_dataset.loaders import FakeGarments
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.validate import check_pattern
 
 
 def test_the_pattern_can_be_sewn() -> None:

@@ -365,7 +365,7 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
 
 def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_path: Path) -> None:
     """Exporting a garment of the reference system reproduces its files."""
-    from gcd_dataset.verbs.release_folders import _drawing
+    from gcd_dataset.exports.published import _drawing
 
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
     published = PublishedGarmentCodeData(root, "all", cache_dir=tmp_path)

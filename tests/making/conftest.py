@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from gcd_dataset import generate_recipe
 from gcd_dataset.generator.recipes import Recipe, find_recipe
-from gcd_dataset.verbs import generate_recipe
 from tests.generator.test_recipes import written
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from gcd_dataset import generate, generate_recipe
+from gcd_dataset.check.recipes import recipe_faults
 from gcd_dataset.cli import main
-from gcd_dataset.cli.recipes import recipe_faults
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.shards.manifest import RecipeRecord
-from gcd_dataset.verbs import generate, generate_recipe
 from tests.generator.test_recipes import TINY, written
 
 
@@ -107,9 +107,9 @@ def test_the_command_line_makes_describes_and_verifies(
     assert "20 garments, 20 of them made now" in capsys.readouterr().out
     assert main(["info", folder]) == 0
     assert "  recipe tiny, sha256 " in capsys.readouterr().out
-    assert main(["verify", folder, "--recipe", str(toml)]) == 0
-    assert "no fault found: this is tiny" in capsys.readouterr().out
-    assert main(["verify", folder, "--recipe", "smoke-64-draft"]) == 1
+    assert main(["check", folder, "--recipe", str(toml)]) == 0
+    assert ": this is tiny\n" in capsys.readouterr().out
+    assert main(["check", folder, "--recipe", "smoke-64-draft"]) == 1
     assert "names recipe tiny" in capsys.readouterr().out
 
 

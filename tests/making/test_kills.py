@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from gcd_dataset import generate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders.fake import fake_sample
@@ -17,7 +18,6 @@ from gcd_dataset.making.tasks import Work
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.verbs import generate
 from tests.making.real import contents, killed
 
 RENAMES = ("replace", "unlink", "mkdir", "rmdir")

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from gcd_dataset import generate, generate_people
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.making import log
 from gcd_dataset.making.progress import Progress, ignore_progress
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.verbs import generate, generate_people
 
 FLAT = MakeConfig(stage="pattern")
 FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from gcd_dataset import Job, generate_people, index
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.place import FolderPlace
-from gcd_dataset.verbs import Job, generate_people, index
 from tests.making.real import contents, killed
 
 make = partial(generate_people, count=12, seed=3, bodies="female", workers=0)

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from gcd_dataset.cli.recipes import recipe_faults
+from gcd_dataset import Job, generate, generate_recipe
+from gcd_dataset.check.recipes import recipe_faults
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.hub.partition import leaks
@@ -21,7 +22,6 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.pattern_arrays import stored_patterns
-from gcd_dataset.verbs import Job, generate, generate_recipe
 from tests.generator.test_recipes import TINY, written
 from tests.making.real import contents, stopped
 

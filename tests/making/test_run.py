@@ -16,6 +16,7 @@ from typing import Any
 import fsspec
 import pytest
 
+from gcd_dataset import Job, generate, generate_people, index
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.generator.maker import produce
@@ -26,7 +27,6 @@ from gcd_dataset.making.tasks import parse_job
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards.place import FolderPlace
 from gcd_dataset.shards.writer import draft_name
-from gcd_dataset.verbs import Job, generate, generate_people, index
 from tests.making.real import COUNT, CUFFED, contents, killed, made_once, stopped
 from tests.shards.folders import forbidden, public_folder
 
@@ -127,9 +127,7 @@ def test_a_full_disk_is_reported_and_the_next_run_goes_on(tmp_path: Path, whole:
     def limited() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size - 2048, size - 2048))
-        with pytest.raises(
-            OutputError, match=r"\.train-000\d\d-of-\d+\.part: cannot .*samples in it are kept"
-        ):
+        with pytest.raises(OutputError, match=r"\.train-000\d\d-of-\d+\.part: cannot .*samples in it are kept"):
             make(tmp_path, COUNT)
 
     assert os.waitpid(forked(limited), 0)[1] == 0

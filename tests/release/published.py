@@ -13,11 +13,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import yaml
 
+from gcd_dataset.exports.published import export_published, exported_splits
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import MEASURES, Measurements, Sample
 from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.shards import ShardWriter
-from gcd_dataset.verbs.release_folders import export_published, exported_splits
 
 RELEASE = "GarmentCodeData_v2"
 BODIES = ("default_body", "random_body")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import webdataset as wds
 
+from gcd_dataset import export, exporting
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards import ShardReader, decode_fields
 from gcd_dataset.shards.codec import WIDTHS
-from gcd_dataset.verbs import export, exporting
 from tests.shards.folders import fill
 
 COUNT = 5

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcd_dataset.cli.inspect import info_lines
+from gcd_dataset.check.summary import info_lines
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample

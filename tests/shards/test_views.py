@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
+from gcd_dataset import generate
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.drawing import sample_sheet
@@ -22,7 +23,6 @@ from gcd_dataset.loaders.generated import SampleCache
 from gcd_dataset.records import Sample, View
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import garments_layout
-from gcd_dataset.verbs import generate
 
 RECIPE = {"fake": True}
 

@@ -23,9 +23,9 @@ import numpy as np
 from benchmarks.reconstruction.freesewing.designs import DESIGNS
 from benchmarks.reconstruction.freesewing.sewing import pattern_of_drawing
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
+from gcd_dataset.faults import require_valid
 from gcd_dataset.files import make_folder
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.validate import require_valid
 
 HERE = Path(__file__).parent
 WIDEST = 0.6  # share of the way from an option's default to its limit: beyond it, several designs cannot be sewn

@@ -7,11 +7,11 @@ from functools import partial
 from benchmarks.reconstruction.scoring.distances import WORST, Surface, distance
 from benchmarks.reconstruction.scoring.files import Case
 from gcd_dataset.errors import GcdError, PatternError, SpecError
+from gcd_dataset.faults import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.metrics import PanelShape, failed_score, score_pattern
 from gcd_dataset.records import BoxMesh, Pattern
 from gcd_dataset.spec import is_bodice, is_trouser_leg, read_pattern
-from gcd_dataset.validate import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.workers import parallel_map
 
 SPACING = 2.0  # cm: edge length of the box meshes that are compared

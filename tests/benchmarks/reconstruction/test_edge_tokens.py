@@ -25,8 +25,8 @@ from benchmarks.reconstruction.models.edge_tokens import EdgeTokens, build, deco
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.validate import Severity, check_pattern
 from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from benchmarks.reconstruction.evaluate import main
+from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
 from gcd_dataset.spec import spec_from_pattern, write_pattern
-from gcd_dataset.validate import MOST_EDGES, MOST_PANELS
 from tests.test_metrics import SAME, garment
 
 POINTS = np.random.default_rng(0).uniform(size=(100, 3))

@@ -22,9 +22,9 @@ from benchmarks.reconstruction.models.neural_tailor import (
 from benchmarks.reconstruction.tailor_net import EdgeConv, SlotEncodings, TailorConfig, nearest, sparsemax
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
-from gcd_dataset.validate import Severity, check_pattern
 
 CPU = torch.device("cpu")
 FINER = torch.from_numpy(_finer())

@@ -14,8 +14,8 @@ from benchmarks.reconstruction.panel_targets import PanelTargets
 from benchmarks.reconstruction.point_net import PointConfig, PointTokens, regions_of, some_of
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.validate import Severity, check_pattern
 from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")

@@ -10,9 +10,9 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.panel_targets import ToTargets, fitted_curve, patterns_from, simple_panel
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.faults import Rule, check_pattern
 from gcd_dataset.metrics import mean_scores, score_pattern
 from gcd_dataset.records import Edge, Panel, Pattern, Placement
-from gcd_dataset.validate import Rule, check_pattern
 
 TARGETS = ToTargets(queries=12, slots=24, edges=96, points=64)
 

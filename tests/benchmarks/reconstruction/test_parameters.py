@@ -18,13 +18,13 @@ from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict, outfit, sample_design
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Pattern
-from gcd_dataset.validate import Severity, check_pattern
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]

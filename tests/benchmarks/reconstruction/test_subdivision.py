@@ -14,8 +14,8 @@ from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.intervals import score_intervals
 from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew, sew_in_ways
+from gcd_dataset.faults import check_pattern
 from gcd_dataset.records import EdgeRef, Pattern, Seam
-from gcd_dataset.validate import check_pattern
 from tests.benchmarks.reconstruction.sewn_patterns import (
     ARMHOLE_L,
     ARMHOLE_R,

@@ -10,7 +10,7 @@ import trimesh
 
 from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
-from gcd_dataset.cli.measure import measured_text
+from gcd_dataset.cli.garment import measured_text
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.generator.body.measuring import find_body
 from gcd_dataset.records import ANGLES, MEASURES, Body

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.curves import curve_length
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements, Panel, Pattern
-from gcd_dataset.validate import Severity, check_pattern
 
 BOTH = ("skirt_front", "skirt_back")
 

@@ -8,6 +8,7 @@ import pytest
 from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
+from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.garments import (
     OutfitDesign,
     Reject,
@@ -21,7 +22,6 @@ from gcd_dataset.generator.garments.sleeve import SEWABLE
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
-from gcd_dataset.validate import require_valid
 from tests.generator.garments.conftest import OUTFITS
 
 FRONT_OR_BACK = re.compile(r"_(front|back|f|b|ftorso|btorso)(?:_|$)")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import check_pattern
 from gcd_dataset.generator.garments.cuff import (
     Cuff,
     PantsCuffDesign,
@@ -18,7 +19,6 @@ from gcd_dataset.generator.garments.cuff import (
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
 from gcd_dataset.records import Measurements, PanelRole
-from gcd_dataset.validate import check_pattern
 
 DESIGN = PantsCuffDesign(skirt_fraction=0.25, skirt_flare=1.5, skirt_ruffle=1.2)
 PANELS = {

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from gcd_dataset.curves import sample_curve
+from gcd_dataset.faults import Rule, check_pattern
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.style import hem_depth
 from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements, Panel, Pattern
-from gcd_dataset.validate import Rule, check_pattern
 from tests.generator.garments.skirts import length
 
 STRAIGHT: dict[str, Any] = {

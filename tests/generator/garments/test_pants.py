@@ -9,6 +9,7 @@ import shapely
 
 from gcd_dataset.curves import Line, sample_curve
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import check_pattern
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign
 from gcd_dataset.generator.garments.design_file import read_design
@@ -17,7 +18,6 @@ from gcd_dataset.generator.garments.pants import PANTS, PantsDesign, pants
 from gcd_dataset.generator.pattern import Piece, assemble
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.spec import read_pattern
-from gcd_dataset.validate import check_pattern
 
 OUTLINE = 0.2  # cm between this package's panels and the reference's
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gcd_dataset.curves import curve_length
+from gcd_dataset.faults import SHORTEST_EDGE
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.records import Measurements, Panel, Pattern
-from gcd_dataset.validate import SHORTEST_EDGE
 
 CAP = 0.1  # cm between a cap without its gathers and the armhole
 ARMS: dict[str, dict[str, Any]] = {

@@ -7,6 +7,7 @@ import pytest
 
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports.published import garment_type
 from gcd_dataset.generator.garments import (
     Kind,
     OutfitDesign,
@@ -23,7 +24,6 @@ from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Pattern
-from gcd_dataset.verbs.statistics import garment_type
 from tests.generator.garments.conftest import OUTFITS
 
 OWN = [upper for upper in Upper if not upper.garment.weight]

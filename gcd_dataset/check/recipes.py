@@ -1,4 +1,4 @@
-"""Recipes for ``gcd info`` and ``gcd verify``: listing them, and verifying a folder against one."""
+"""Recipes for ``gcd info`` and ``gcd check``: listing them, and comparing a folder with one."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -17,7 +17,7 @@ from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord
 from gcd_dataset.shards.pattern_arrays import stored_patterns
 from gcd_dataset.shards.reader import ShardReader
 
-SAMPLED = 32  # designs generated again to verify a recipe that has no hash of all its patterns
+SAMPLED = 32  # designs generated again to check a recipe that has no hash of all its patterns
 
 log = logging.getLogger(__name__)
 

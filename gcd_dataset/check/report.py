@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from gcd_dataset.doctor.checks import CHECKS, Check, Harm
+from gcd_dataset.check.checks import CHECKS, Check, Harm
 
 EXAMPLES = 5
 MOST_DETAILS = 1000  # different faults of one check that are kept
@@ -89,6 +89,8 @@ class Report:
     source: str
     splits: tuple[SplitSummary, ...]
     findings: tuple[Finding, ...]
+    faults: tuple[str, ...] = ()
+    """Damaged, missing and unlisted files of a folder of shards, one line each."""
     seconds: float = 0.0
 
     @property
@@ -105,22 +107,25 @@ class Report:
         """The whole report as JSON values."""
         splits = [asdict(split) for split in self.splits]
         findings = [finding.to_json() for finding in self.findings]
-        return {"source": self.source, "splits": splits, "findings": findings, "seconds": round(self.seconds, 2)}
+        figures = {"faults": list(self.faults), "seconds": round(self.seconds, 2)}
+        return {"source": self.source, "splits": splits, "findings": findings, **figures}
 
     def lines(self) -> Iterator[str]:
         """The report for a terminal."""
         yield self.source
         for split in self.splits:
             yield from split.lines()
+        yield from self.faults
         for finding in self.findings:
             yield ""
             yield from finding.lines()
         yield ""
         count = Counter(finding.harm for finding in self.findings)
-        if not count[Harm.HARMFUL]:
+        if not count[Harm.HARMFUL] and not self.faults:
             yield f"nothing harmful found{_others(count)}"
         else:
-            yield f"{count[Harm.HARMFUL]} harmful{_others(count)}"
+            faults = f", {len(self.faults)} in files and splits" if self.faults else ""
+            yield f"{count[Harm.HARMFUL]} harmful{_others(count)}{faults}"
 
 
 def _others(count: Counter[Harm]) -> str:

@@ -1,4 +1,4 @@
-"""The faults that the doctor looks for, in order of harm: what each does to a training, and its remedy."""
+"""The faults of a data set, in order of harm: what each does to a training, and its remedy."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -8,7 +8,7 @@ class Harm(StrEnum):
     """What a finding means for a training."""
 
     HARMFUL = "harmful"
-    """Stops the training, or spoils the model or its scores; ``gcd doctor`` exits 1."""
+    """Stops the training, or spoils the model or its scores; ``gcd check`` exits 1."""
     WARNING = "warning"
     """Wastes time or data, or biases the model, and may be intended."""
     NOTE = "note"
@@ -33,7 +33,7 @@ UNREADABLE = Check(
     "unreadable",
     "cannot be read",
     "an epoch ends with an error at the first of them",
-    "gcd verify --full names the damaged files: copy or download them again, or generate them again",
+    "gcd check --bytes names the damaged files: copy or download them again, or generate them again",
 )
 INCOMPLETE = Check(
     "incomplete",
@@ -100,7 +100,7 @@ UNSEWABLE = Check(
     "invalid-patterns",
     "have a pattern that cannot be sewn",
     "outlines and stitches of no garment are learned as truth",
-    "gcd validate lists the faults of each pattern: correct or remove them",
+    "gcd check SPEC lists the faults of a pattern: correct or remove them",
 )
 REFERENCES = Check(
     "references",
@@ -118,7 +118,7 @@ SEAM_LENGTHS = Check(
     "seam-lengths",
     "have seams whose edges differ in length by other than their gathers",
     "the pattern cannot be sewn into the mesh: seam lengths and stitches contradict each other",
-    "correct the pattern (gcd validate lists its seams), or the ratios in meta[gathers]",
+    "correct the pattern (gcd check lists its seams), or the ratios in meta[gathers]",
 )
 MISSING = Check(
     "missing-members",

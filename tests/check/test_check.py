@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gcd_dataset.check import examine
+from gcd_dataset.check.checks import CHECKS, Harm
+from gcd_dataset.check.report import Report
 from gcd_dataset.cli import main
-from gcd_dataset.doctor.checks import CHECKS, Harm
-from gcd_dataset.doctor.report import Report
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.loaders.fake import fake_sample
@@ -22,7 +23,6 @@ from gcd_dataset.release.bodies import FOLDER, KINDS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.tar import END, tar_entry
-from gcd_dataset.verbs import doctor
 from tests.release import published
 
 TRAIN, TEST = 30, 10
@@ -47,7 +47,7 @@ def written(folder: Path, train: Sequence[Sample], test: Sequence[Sample] = (), 
 def edited(folder: Path, edit: Callable[[Samples, Samples], None]) -> Report:
     train, test = list(good()[:TRAIN]), list(good()[TRAIN:])
     edit(train, test)
-    return doctor(written(folder, train, test))
+    return examine(written(folder, train, test))
 
 
 def names(report: Report, harm: Harm = Harm.HARMFUL) -> set[str]:
@@ -241,8 +241,8 @@ def test_a_fault_of_garments_is_found_and_no_other(
 
 def test_a_loop_that_runs_the_wrong_way_round_is_found(tmp_path: Path) -> None:
     flat = [replace(sample, box_mesh=None, drape=None, points=None) for sample in good()[:TRAIN]]
-    assert not names(doctor(written(tmp_path / "good", flat)))
-    report = doctor(written(tmp_path / "bad", [*map(reversed_loop, flat[:3]), *flat[3:]]))
+    assert not names(examine(written(tmp_path / "good", flat)))
+    report = examine(written(tmp_path / "bad", [*map(reversed_loop, flat[:3]), *flat[3:]]))
     assert names(report) == {"reversed-loops"}
 
 
@@ -304,7 +304,7 @@ def test_splits_that_share_garments_are_found(
 
 
 def test_a_small_share_of_known_patterns_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.verbs.examining.FEW_LEAKED", 0.1)
+    monkeypatch.setattr("gcd_dataset.check.examination.FEW_LEAKED", 0.1)
     report = edited(tmp_path, same_pattern)
     assert (names(report), names(report, Harm.WARNING)) == (set(), {"leaked-pattern"})
 
@@ -323,7 +323,7 @@ def test_a_ruffle_of_eight_metres_is_no_wrong_unit(tmp_path: Path) -> None:
     pattern = generated_ruffle()
     assert max(np.ptp(panel.vertices, axis=0).max() for panel in pattern.panels) > 400
     flat = replace(good()[0], pattern=pattern, box_mesh=None, drape=None, points=None, gathers=())
-    assert "units" not in names(doctor(written(tmp_path, [flat])))
+    assert "units" not in names(examine(written(tmp_path, [flat])))
 
 
 def generated_ruffle() -> Pattern:
@@ -379,7 +379,7 @@ def test_splits_with_other_shares_are_a_warning(tmp_path: Path) -> None:
     samples = [fake_sample(0, index) for index in range(120)]
     train = [dressed_in(sample, ("Shirt", "FittedShirt")[n % 2]) for n, sample in enumerate(samples[:60])]
     test = [dressed_in(sample, ("Shirt", "FittedShirt")[n % 8 > 0]) for n, sample in enumerate(samples[60:])]
-    report = doctor(written(tmp_path, train, test))
+    report = examine(written(tmp_path, train, test))
     assert names(report, Harm.WARNING) >= {"skewed"}
     assert "in train" in next(iter(report.finding("skewed").details))  # type: ignore[union-attr]
 
@@ -393,7 +393,7 @@ def test_failed_garments_belong_into_the_failed_split(tmp_path: Path) -> None:
     with ShardWriter(tmp_path, split="failed", seed=0, recipe={"fake": True}) as writer:
         for sample in failed:
             writer.write(sample)
-    assert not names(doctor(written(tmp_path, good()[4:TRAIN])))
+    assert not names(examine(written(tmp_path, good()[4:TRAIN])))
 
 
 # ---------------------------------------------------------------------------------------------------- faults of files
@@ -409,7 +409,7 @@ def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) ->
     content = bytearray(path.read_bytes())
     content[content.index(b"gcd_000000002.verts.z\0") + 600] ^= 1
     path.write_bytes(content)
-    report = doctor(shards)
+    report = examine(shards)
     assert names(report) == {"unreadable"}
     found = report.finding("unreadable")
     assert found is not None
@@ -421,7 +421,7 @@ def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) ->
 def test_a_split_that_cannot_be_opened_is_a_finding(shards: Path) -> None:
     path = shards / "train-00001.tar"
     path.write_bytes(path.read_bytes()[:5000])
-    assert "unreadable" in names(doctor(shards))
+    assert "unreadable" in names(examine(shards))
 
 
 def test_members_that_the_index_does_not_list_are_found(shards: Path) -> None:
@@ -429,7 +429,7 @@ def test_members_that_the_index_does_not_list_are_found(shards: Path) -> None:
     content = path.read_bytes()[:-END]
     at_end = tar_entry("gcd_000000099.notes.txt", b"added by hand")
     path.write_bytes(content + at_end + bytes(END))
-    found = doctor(shards).finding("orphans")
+    found = examine(shards).finding("orphans")
     assert found is not None
     assert found.examples == ("train-00003.tar/gcd_000000099.notes.txt",)
     assert found.details == {"members that the index does not list": 1}
@@ -438,7 +438,7 @@ def test_members_that_the_index_does_not_list_are_found(shards: Path) -> None:
 def test_tars_outside_the_manifest_are_found(shards: Path) -> None:
     shutil.copy(shards / "train-00000.tar", shards / "train-00009.tar")
     (shards / "old.tar").write_bytes(b"")
-    report = doctor(shards)
+    report = examine(shards)
     assert not names(report)
     found = [finding for finding in report.findings if finding.check.name == "orphans"]
     assert {text for finding in found for text in finding.details} == {
@@ -449,7 +449,7 @@ def test_tars_outside_the_manifest_are_found(shards: Path) -> None:
 
 def test_a_missing_shard_is_found(shards: Path) -> None:
     (shards / "train-00002.tar").unlink()
-    report = doctor(shards)
+    report = examine(shards)
     assert names(report) == {"unreadable", "incomplete"}
     assert report.finding("incomplete").examples == ("train-00002.tar",)  # type: ignore[union-attr]
 
@@ -458,7 +458,7 @@ def test_an_unfinished_set_is_found(tmp_path: Path) -> None:
     with ShardWriter(tmp_path, seed=0, recipe={}, count=40) as writer:
         for sample in good()[:30]:
             writer.write(sample)
-    report = doctor(tmp_path)
+    report = examine(tmp_path)
     assert names(report) == {"incomplete"}
     assert "30 of 40 samples are made" in next(iter(report.findings[0].details))
 
@@ -467,8 +467,8 @@ def test_an_unfinished_set_is_found(tmp_path: Path) -> None:
 
 
 def test_quick_reads_a_part_of_each_split(shards: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.verbs.examining.QUICK", 7)
-    report = doctor(shards, quick=True)
+    monkeypatch.setattr("gcd_dataset.check.examination.QUICK", 7)
+    report = examine(shards, quick=True)
     assert (report.splits[0].count, report.splits[0].examined) == (TRAIN, 7)
     assert report.findings == ()
 
@@ -478,14 +478,14 @@ def test_an_hdf5_file_is_examined_as_its_shards(tmp_path: Path) -> None:
     reader = ShardReader(written(tmp_path / "shards", samples))
     for _ in write_hdf5(reader, tmp_path / "train.h5"):
         pass
-    report = doctor(tmp_path / "train.h5")
+    report = examine(tmp_path / "train.h5")
     assert names(report) == {"nan"}
     assert report.finding("nan").examples == ("gcd_000000005",)  # type: ignore[union-attr]
 
 
 def test_patterns_alone_have_few_fields_and_no_fault(tmp_path: Path) -> None:
     flat = [replace(s, box_mesh=None, drape=None, points=None, front=None, back=None) for s in good()[:TRAIN]]
-    report = doctor(written(tmp_path, flat))
+    report = examine(written(tmp_path, flat))
     assert (names(report), names(report, Harm.NOTE)) == (set(), {"fields"})
 
 
@@ -506,7 +506,7 @@ def release(first_release: Path, tmp_path: Path) -> Path:
 def test_a_broken_file_of_a_release_is_named(release: Path) -> None:
     path = published.file_of(release, published.TRAIN[0], "segmentation")
     path.write_text("front\n")
-    found = doctor(release).finding("unreadable")
+    found = examine(release).finding("unreadable")
     assert found is not None
     assert found.examples == (f"{published.BATCH}/default_body/{published.TRAIN[0]}",)
     assert str(path) in next(iter(found.details))
@@ -518,7 +518,7 @@ def test_garments_in_no_split_and_missing_ones_are_found(release: Path) -> None:
     name = next(name for name in lists if name.startswith("test"))
     lists[name] = [entry.replace(published.TEST[0], "rand_AAAAAAAAA9") for entry in lists[name]]
     path.write_text(json.dumps(lists))
-    report = doctor(release)
+    report = examine(release)
     orphans, missing = report.finding("orphans"), report.finding("incomplete")
     assert orphans is not None and missing is not None
     assert orphans.details == {"garments in no split": 2}
@@ -533,16 +533,16 @@ def test_bodies_without_garment_and_without_mesh_are_found(release: Path) -> Non
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text("")
     (people / KINDS["straight"].format("00000")).unlink()
-    report = doctor(release)
+    report = examine(release)
     orphans, bodiless = report.finding("orphans"), report.finding("bodiless")
     assert orphans is not None and bodiless is not None
     assert (orphans.examples, orphans.details) == ((f"{FOLDER}/00077",), {"bodies without a garment": 1})
     assert bodiless.details["a body without mesh or metadata"] == 1
-    assert doctor(release, quick=True).finding("bodiless") is None  # not all wearers are known
+    assert examine(release, quick=True).finding("bodiless") is None  # not all wearers are known
 
 
 def test_the_release_of_the_reference_system_has_no_harmful_finding(examples: Path, tmp_path: Path) -> None:
-    report = doctor(examples / "published" / "GarmentCodeData_v2_unpacked", cache_dir=tmp_path)
+    report = examine(examples / "published" / "GarmentCodeData_v2_unpacked", cache_dir=tmp_path)
     assert [(split.name, split.examined) for split in report.splits] == [("train", 2), ("test", 2)]
     assert not report.harmful
 
@@ -559,19 +559,19 @@ def test_the_verb_prints_findings_in_order_of_harm_and_exits_1(
         train[20] = twin(train[7], train[20])
 
     edited(tmp_path, edit)
-    assert main(["doctor", str(tmp_path), "--quiet"]) == 1
+    assert main(["check", str(tmp_path), "--quiet"]) == 1
     text = capsys.readouterr().out
     places = [text.index(f"({name})") for name in ("leaked-design", "nan", "duplicates")]
     assert places == sorted(places)
-    assert "remedy: " in text and "effect: " in text and text.endswith("2 harmful, 1 warning\n")
-    assert main(["doctor", str(tmp_path), "--quiet", "--json"]) == 1
+    assert "remedy: " in text and "effect: " in text and text.endswith("2 harmful, 1 warning, 1 in files and splits\n")
+    assert main(["check", str(tmp_path), "--quiet", "--json"]) == 1
     report = json.loads(capsys.readouterr().out)
     assert [finding["check"] for finding in report["findings"]] == ["leaked-design", "nan", "duplicates"]
     assert report["findings"][1]["examples"] == ["gcd_000000003"]
 
 
 def test_the_verb_exits_0_for_a_good_data_set(shards: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", str(shards), "--quiet"]) == 0
+    assert main(["check", str(shards), "--quiet"]) == 0
     assert capsys.readouterr().out.endswith("nothing harmful found\n")
 
 
@@ -581,5 +581,5 @@ def test_every_check_says_what_it_does_to_a_training_and_the_remedy() -> None:
 
 
 def test_the_guide_names_every_check() -> None:
-    guide = (Path(__file__).resolve().parents[2] / "docs" / "doctor.md").read_text()
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "check.md").read_text()
     assert [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")] == [c.name for c in CHECKS]

@@ -1,20 +1,20 @@
 """Faults of one garment, from the fields of its item."""
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.doctor import checks
-from gcd_dataset.doctor.checks import Check
-from gcd_dataset.doctor.orientation import INWARD, loop_areas, loop_outwardness, orientation_faults
-from gcd_dataset.doctor.sewing import sewing_faults
+from gcd_dataset.check import checks
+from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.records import Grade, Outcome, Pattern
-from gcd_dataset.tensors import PatternTensor, StitchColumn, decode_pattern
-from gcd_dataset.validate import Rule, Severity, check_pattern
+from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
 
 Fault = tuple[Check, str]
 """A check, and the fault in words without figures of the garment: equal faults are counted together."""
@@ -216,3 +216,188 @@ def _axis_faults(garment: Garment) -> Iterator[str]:
     x, y, z = np.median(placed, axis=0).tolist()
     if not LOW < y < HIGH or abs(x) > ASIDE or abs(z) > ASIDE:
         yield "y is not up: the garment is not above the floor" if abs(z) > ASIDE else "the garment is off the body"
+
+
+# --------------------------------------------------------------------------------------------------- winding and facing
+
+MIXED = 0.02  # share of a panel's area whose triangles may wind against the rest: slivers of a bad mesh
+INWARD = -0.2  # outwardness of a garment that is inside out; garments reach 0.5 to 1
+SIDES: Mapping[str, tuple[str, str]] = {
+    "front and back": (r"front|ftorso|(^|_)f(_|$)", r"back|btorso|(^|_)b(_|$)"),
+    "left and right": (r"(^|_)(left|l)(_|$)", r"(^|_)(right|r)(_|$)"),
+}
+"""Patterns of the names of panels towards +z and -z, and towards +x and -x."""
+AXIS = {"front and back": 2, "left and right": 0}
+APART = 1.0  # cm: nearer centres tell no side
+START = slice(EdgeColumn.START_X, EdgeColumn.START_Y + 1)
+CONTROL0 = slice(EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL0_Y + 1)
+CONTROL1 = slice(EdgeColumn.CONTROL1_X, EdgeColumn.CONTROL1_Y + 1)
+
+
+def orientation_faults(
+    arrays: Mapping[str, np.ndarray], panel_names: Sequence[str], placed: Float[np.ndarray, "v 3"] | None
+) -> Iterator[tuple[Check, str]]:
+    """The faults of orientation of one garment; ``placed``: its vertices at rest, else before sewing [cm]."""
+    loops = loop_areas(arrays["edges"], len(panel_names)) if len(arrays.get("edges", ())) else None
+    needed = ("faces", "uv", "corners", "panel_id")
+    if placed is None or any(not len(arrays.get(name, ())) for name in needed):
+        return
+    faces, panel = arrays["faces"], arrays["panel_id"].astype(int)
+    flat = flat_areas(arrays["uv"][arrays["corners"]])
+    inside_out = outwardness(placed, faces) < INWARD
+    positive = np.bincount(panel, np.maximum(flat, 0.0), len(panel_names))
+    negative = np.bincount(panel, np.maximum(-flat, 0.0), len(panel_names))
+    if (np.minimum(positive, negative) > MIXED * (positive + negative)).any():
+        yield checks.WINDING, "both ways within a panel"
+    elif inside_out:
+        yield checks.WINDING, "normals point into the body"
+    elif loops is not None:
+        yield from _mirrored(positive - negative, loops, arrays.get("stitches"), arrays["edges"])
+    yield from ((checks.AXES, fault) for fault in _facing(placed, faces, panel, panel_names))
+
+
+def _mirrored(
+    flat: Float[np.ndarray, " p"],
+    loops: Float[np.ndarray, " p"],
+    stitches: Int[np.ndarray, "s 3"] | None,
+    edges: Float[np.ndarray, "e 13"],
+) -> Iterator[tuple[Check, str]]:
+    """Panels whose triangles wind against their loops, except those that a seam turns wrong side out, as lapels."""
+    against = flat * loops < 0
+    if against.any() and not _can_be_turned(stitches, edges, len(loops)).any():
+        yield checks.MIRRORED, "all panels" if against.all() else "some panels"
+    elif against.all():
+        yield checks.MIRRORED, "all panels"
+
+
+def _can_be_turned(
+    stitches: Int[np.ndarray, "s 3"] | None, edges: Float[np.ndarray, "e 13"], count: int
+) -> Bool[np.ndarray, " p"]:
+    """The panels with a seam that joins the wrong side of one to the right side of the other."""
+    turned = np.zeros(count, bool)
+    if stitches is not None and len(stitches):
+        ends = stitches[stitches[:, 2] != 0, :2].astype(int)
+        turned[edges[ends.ravel(), EdgeColumn.PANEL].astype(int)] = True
+    return turned
+
+
+def _facing(
+    placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], panel: Int[np.ndarray, " f"], names: Sequence[str]
+) -> Iterator[str]:
+    """Sides that are exchanged: panels named front behind those named back, or left on the right."""
+    count = np.maximum(np.bincount(panel, minlength=len(names)), 1)
+    centre = placed[faces].mean(axis=1)
+    for sides, (towards, away) in SIDES.items():
+        along = np.bincount(panel, centre[:, AXIS[sides]], len(names)) / count
+        first, second = ([row for row, name in enumerate(names) if re.search(side, name)] for side in (towards, away))
+        if first and second and along[first].mean() < along[second].mean() - APART:
+            yield f"{sides} are exchanged"
+
+
+def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
+    """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return np.asarray(0.5 * (ax * by - ay * bx))
+
+
+def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray, " p"]:
+    """Signed area of each panel's loop, with the midpoint of each curve as a corner [cm²].
+
+    A Bézier curve is at t = 1/2 at (start + 2 control + end) / 4, or (start + 3 controls + end) / 8.
+    """
+    panel = edges[:, EdgeColumn.PANEL].astype(int)
+    last = np.flatnonzero(np.diff(panel, append=-1))
+    following = np.arange(1, len(edges) + 1)
+    following[last] = np.concatenate([[0], last[:-1] + 1])
+    start, kind = edges[:, START], edges[:, EdgeColumn.KIND, None]
+    end, c0, c1 = start[following], edges[:, CONTROL0], edges[:, CONTROL1]
+    middle = np.where(kind == CurveKind.QUADRATIC, (start + 2 * c0 + end) / 4, (start + end) / 2)
+    middle = np.where(kind == CurveKind.CUBIC, (start + 3 * (c0 + c1) + end) / 8, middle)
+    middle = np.where(kind == CurveKind.ARC, c0, middle)
+    twice = _cross(start, middle) + _cross(middle, end)
+    return 0.5 * np.bincount(panel, twice, count)
+
+
+def _cross(a: Float[np.ndarray, "e 2"], b: Float[np.ndarray, "e 2"]) -> Float[np.ndarray, " e"]:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def loop_outwardness(
+    loops: Float[np.ndarray, " p"], centre: Float[np.ndarray, "p 3"], across: Float[np.ndarray, "p 3"]
+) -> float:
+    """As ``outwardness``, of the panels as they are placed: -1 if all loops run clockwise as seen from outside.
+
+    ``loops``: signed areas [cm²]; ``centre``: of each panel in space [cm]; ``across``: the panels' unit z axes.
+    """
+    weight = np.abs(loops)
+    away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
+    total = float(weight @ np.linalg.norm(away, axis=1))
+    return float(((loops[:, None] * across) * away).sum()) / total if total > 0 else 0.0
+
+
+def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
+    """Mean of the triangles' area vectors along the direction from the garment's centre, from -1 to 1.
+
+    1 for a sphere whose normals point outwards; by the divergence theorem the sum is 3 · volume for a closed surface.
+    """
+    corners = placed[faces].astype(float)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weight = np.linalg.norm(area, axis=1)
+    centre = corners.mean(axis=1)
+    away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
+    total = float(weight @ np.linalg.norm(away, axis=1))
+    return float((area * away).sum()) / total if total > 0 else 0.0
+
+
+# ---------------------------------------------------------------------------------------------------------------- seams
+
+OPEN = 0.2  # share of a seam's mesh edges on the border of the mesh, above which it is open
+RATIO = 0.01  # relative error of a stored gather ratio
+GATHERED = 6.0  # ratio of two lengths sewn together; ruffles of the design space reach 2, of the published data 3
+SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
+
+
+def sewing_faults(
+    arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any], pattern: Pattern | None
+) -> Iterator[tuple[Check, str]]:
+    """The faults of the seams of one garment."""
+    if all(len(arrays.get(name, ())) for name in ("faces", "stitches")) and "seams" in arrays:
+        seams, stitches = arrays["seams"].astype(np.int64), len(arrays["stitches"])
+        if len(np.unique(seams[:, 1])) < stitches:
+            yield checks.OPEN_SEAMS, "seams without vertices in the mesh"
+        on_seam = np.bincount(seams[:, 1], minlength=stitches)
+        border = open_edges(arrays["faces"].astype(np.int64), seams, stitches)
+        if (border > np.maximum(OPEN * on_seam, 1)).any():
+            yield checks.OPEN_SEAMS, "both edges are on the border of the mesh"
+    if pattern is not None:
+        yield from _length_faults(pattern, meta.get("gathers") or ())
+
+
+def open_edges(faces: Int[np.ndarray, "f 3"], seams: Int[np.ndarray, "n 2"], stitches: int) -> Int[np.ndarray, " s"]:
+    """Number of mesh edges of each seam that belong to one triangle only."""
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    count = int(faces.max()) + 1
+    codes, uses = np.unique(ends[:, 0] * count + ends[:, 1], return_counts=True)
+    border = codes[uses == 1]
+    first, second = border // count, border % count
+    # Vertex and seam as one sorted code: a border edge is on a seam if both of its ends are.
+    rows = np.unique(seams[:, 0] * stitches + seams[:, 1])
+    on = np.searchsorted(rows // stitches, [first, first + 1]) if len(rows) else np.zeros((2, len(first)), int)
+    found = np.zeros(stitches, np.int64)
+    for row in range(int((on[1] - on[0]).max(initial=0))):
+        has = on[0] + row < on[1]
+        seam = rows[on[0][has] + row] % stitches
+        other = np.isin(second[has] * stitches + seam, rows)
+        found += np.bincount(seam[other], minlength=stitches)
+    return found
+
+
+def _length_faults(pattern: Pattern, gathers: Any) -> Iterator[tuple[Check, str]]:
+    ratios = np.array(pattern.gather_ratios())
+    stored = np.array(gathers, float)
+    if len(stored) and len(stored) != len(ratios):
+        yield checks.SEAM_LENGTHS, "meta[gathers] has another number of seams than the pattern"
+    elif len(stored) and (np.abs(ratios / np.maximum(stored, 1e-6) - 1.0) > RATIO).any():
+        yield checks.SEAM_LENGTHS, "edges of other lengths than meta[gathers] says"
+    elif len(ratios) and np.maximum(ratios, 1 / np.maximum(ratios, 1e-6)).max() > GATHERED:
+        yield checks.SEAM_LENGTHS, f"one edge over {GATHERED:g} times as long as the other"

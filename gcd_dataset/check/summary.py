@@ -1,48 +1,36 @@
-"""Summary of a data set for ``gcd info``, and its faults for ``gcd verify``."""
+"""Counts, shares and plots of a data set, for ``gcd info``."""
 
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gcd_dataset.errors import GcdError, ShardError
-from gcd_dataset.files import open_regular
-from gcd_dataset.hub.partition import DESIGN, leaks
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.check.files import layout_of
+from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.index import GRADES, index_name
+from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import (
-    BODIES,
     GARMENTS,
     Bytes,
-    Layout,
     fields_of,
     is_picture,
     is_view_field,
     joint_fields,
-    key_of,
 )
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
+from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.notes import REJECTS, hashed, shards_named
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.notes import REJECTS
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.store import Store
-from gcd_dataset.shards.tar import BLOCK, tar_entries
 
 FIRST_CAPTIONS = 3
 DRAPE = "drape"  # the stage that drapes
 SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent
 WEIGHED = 20  # samples of a split whose members are weighed
 BAR = 30  # characters
-
-
-# --------------------------------------------------------------------------------------------------------------- info
 
 
 def info_lines(store: Store) -> Iterator[str]:
@@ -63,7 +51,7 @@ def info_lines(store: Store) -> Iterator[str]:
         if not record.count:
             yield f"{split}: no samples"
             continue
-        reader = ShardReader(store, split, layout=_layout_of(record))
+        reader = ShardReader(store, split, layout=layout_of(record))
         yield from _split_lines(reader)
         yield from _recipe_lines(record)
         yield from _reject_lines(store, record)
@@ -75,10 +63,6 @@ def info_lines(store: Store) -> Iterator[str]:
                 yield from _content_lines(reader, members)
     if lost is not None:
         raise lost
-
-
-def _layout_of(record: SplitRecord) -> Layout:
-    return BODIES if record.plan.kind == BODIES.kind else GARMENTS
 
 
 def _split_lines(reader: ShardReader) -> Iterator[str]:
@@ -191,91 +175,3 @@ def _bars(title: str, amounts: Mapping[str, int], *, of: int | None = None) -> I
     for name, amount in amounts.items():
         bar = "█" * round(BAR * amount / most)
         yield f"    {name:<{width}} {amount / total:6.1%} {bar}"
-
-
-# ------------------------------------------------------------------------------------------------------------- verify
-
-
-def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
-    """The faults of the data set in a folder, one line each.
-
-    Checks the headers, length and index of every shard, and with ``full`` every byte, by the hashes of shard and
-    members; whether the data set is finished; and whether two splits share designs.
-    """
-    store = FolderStore(folder)
-    manifest = store.manifest()
-    names = FolderPlace(folder).names()
-    if MANIFEST not in names:
-        yield f"{folder / MANIFEST}: no such file: run gcd index"
-    listed = {(split, shard.number) for split, record in manifest.splits.items() for shard in record.shards}
-    for split, number in shards_named(names):
-        if (split, number) not in listed:
-            yield f"{folder / ShardRecord(number, 0, 0, '').name(split)}: not listed in {MANIFEST}: run gcd index"
-    for split in manifest.splits:
-        if (fault := store.unfinished(split)) is not None:
-            yield f"{folder}: the data set is unfinished: {fault}"
-            break
-    readers = dict(_readers(store, manifest))
-    for split, reader in readers.items():
-        if isinstance(reader, str):
-            yield reader
-        else:
-            if MANIFEST in names and index_name(split) not in names:
-                yield f"{folder / index_name(split)}: no such file: run gcd index"
-            yield from _shard_faults(reader, folder, full=full)
-    garments = {
-        split: r for split, r in readers.items() if isinstance(r, ShardReader) and r.layout.kind == GARMENTS.kind
-    }
-    if len(garments) == len(readers) and all(DESIGN in reader.layout.members for reader in garments.values()):
-        yield from (
-            f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(garments)
-        )
-
-
-def _readers(store: FolderStore, manifest: Manifest) -> Iterator[tuple[str, ShardReader | str]]:
-    """Split to its reader, or to the fault for which there is none."""
-    for split, record in manifest.splits.items():
-        try:
-            if record.count:
-                yield split, ShardReader(store, split, layout=_layout_of(record))
-        except GcdError as error:
-            yield split, str(error)
-
-
-def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
-    first = reader.index.first.tolist()
-    for row, shard in enumerate(reader.record.shards):
-        rows = slice(first[row], first[row + 1])
-        keys = list(map(key_of, reader.index.number[rows].tolist()))
-        yield from _tar_faults(folder / shard.name(reader.split), keys, reader.index.start[rows].tolist(), shard.size)
-        if shard.views_size:
-            starts = reader.index.views_start[rows].tolist()
-            yield from _tar_faults(folder / shard.views_name(reader.split), keys, starts, shard.views_size)
-        for views in (False, True) if full else ():
-            path = folder / shard.name(reader.split, views=views)
-            expected = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
-            if expected[0] and path.exists() and hashed(path) != expected:
-                yield f"{path}: its hash differs from {MANIFEST}: {REMEDY}"
-    for position in range(len(reader)) if full else ():
-        try:
-            reader.check(position)
-        except ShardError as error:
-            yield str(error)
-
-
-def _tar_faults(path: Path, keys: list[str], starts: list[int], size: int) -> Iterator[str]:
-    """The faults of the headers of a tar: its samples are ``keys``, which begin at ``starts``."""
-    try:
-        with reading(path), open_regular(path) as file:
-            entries = list(tar_entries(file.fileno()))
-            found = file.seek(0, 2)
-    except ShardError as error:
-        yield str(error) if str(error).startswith(str(path)) else f"{path}: {error}: {REMEDY}"
-        return
-    groups = {
-        key: next(group).offset - BLOCK for key, group in groupby(entries, lambda entry: entry.name.split(".")[0])
-    }
-    if found != size:
-        yield f"{path}: {found} bytes, but {MANIFEST} lists {size}: {REMEDY}"
-    elif list(groups.items()) != list(zip(keys, starts, strict=True)):
-        yield f"{path}: its samples differ from the index: run gcd index"

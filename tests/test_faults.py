@@ -10,11 +10,11 @@ import pytest
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, to_frame
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Rule, Severity, check_pattern, require_valid
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
-from gcd_dataset.validate import Rule, Severity, check_pattern, require_valid
 
 HERE = Placement(np.zeros(3), np.zeros(3))
 

@@ -1,4 +1,4 @@
-"""``doctor``: examines a data set for faults that harm a training."""
+"""Reads a data set as a training would, and reports what would stop or spoil it."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from gcd_dataset.doctor import checks
-from gcd_dataset.doctor.census import Census, SplitCensus
-from gcd_dataset.doctor.checks import Check, Harm
-from gcd_dataset.doctor.duplicates import DIMENSIONS, NEAR, difference, near_pairs
-from gcd_dataset.doctor.files import published_faults, shard_file_faults, split_file_faults
-from gcd_dataset.doctor.garment import FIELDS_READ, Fault, Garment, garment_faults
-from gcd_dataset.doctor.report import Report, SplitSummary, Tally
+from gcd_dataset.check import checks
+from gcd_dataset.check.checks import Check, Harm
+from gcd_dataset.check.files import published_faults, set_faults, shard_file_faults, split_file_faults
+from gcd_dataset.check.garments import FIELDS_READ, Fault, Garment, garment_faults
+from gcd_dataset.check.report import Report, SplitSummary, Tally
+from gcd_dataset.check.sets import DIMENSIONS, NEAR, Census, SplitCensus, difference, near_pairs
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
@@ -36,10 +35,12 @@ FILES = "files"
 SPLITS = ("train", "validation", "test")
 
 
-def doctor(
+def examine(
     source: str | Path,
     *,
     quick: bool = False,
+    every_byte: bool = False,
+    recipe: str | Path | None = None,
     endpoint: str | None = None,
     cache_dir: str | Path | None = None,
     on_progress: ProgressCallback = ignore_progress,
@@ -48,19 +49,34 @@ def doctor(
 
     Garments are read one after another; 130 bytes of each are kept, to find designs, bodies and patterns that occur
     twice. ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are
-    examined in full. ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default
-    ``~/.cache/gcd_dataset``, and for the indices of published archives, by default beside them.
+    examined in full. Of a set of bodies the files alone are examined. ``every_byte`` compares the hashes of all shards
+    and members, and ``recipe``, a name or a file, the samples with that recipe: both of a folder of shards.
+    ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default ``~/.cache/gcd_dataset``,
+    and for the indices of published archives, by default beside them.
 
-    >>> from gcd_dataset.verbs import doctor
-    >>> [finding.check.name for finding in doctor("shards").harmful]  # doctest: +SKIP
+    >>> from gcd_dataset.check import examine
+    >>> [finding.check.name for finding in examine("shards").harmful]  # doctest: +SKIP
     ['leaked-design', 'nan']
 
     Raises ``ShardError`` for a source without garments or that cannot be opened, ``ConfigError`` for a data set of
-    bodies or of another program.
+    another program, an unknown recipe, and options that the source does not take.
     """
     begun = time.perf_counter()
-    examination = _Examination(_opened(source, endpoint, cache_dir), quick, on_progress)
-    return replace(examination.report(), seconds=time.perf_counter() - begun)
+    of_folder = every_byte or recipe is not None
+    opened = None if of_folder and not user_path(source).is_dir() else _opened(source, endpoint, cache_dir)
+    if opened is None or (of_folder and opened.folder is None):
+        raise ConfigError(
+            f"{source}: bytes and recipe are checked in a folder of shards: run gcd download {source} first, then give "
+            "the folder"
+        )
+    faults = [] if opened.folder is None else [*set_faults(opened.folder, every_byte=every_byte)]
+    if opened.folder is not None and recipe is not None:
+        from gcd_dataset.check.recipes import recipe_faults
+        from gcd_dataset.generator.recipes import find_recipe
+
+        faults += recipe_faults(opened.folder, find_recipe(recipe))
+    report = _Examination(opened, quick, on_progress).report()
+    return replace(report, faults=tuple(faults), seconds=time.perf_counter() - begun)
 
 
 # ------------------------------------------------------------------------------------------------------------- sources
@@ -116,7 +132,10 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
     from gcd_dataset.hub.remote import Remote, open_store
     from gcd_dataset.hub.source import Folder, Repo, parse_source
 
-    parsed = parse_source(source)
+    try:
+        parsed = parse_source(source)
+    except ConfigError as error:  # a missing folder is bad input, not wrong usage
+        raise ShardError(str(error)) from error
     options: dict[str, Any] = {} if isinstance(parsed, Folder) else {"cache_dir": cache_dir}
     if isinstance(parsed, Repo):
         options["endpoint"] = endpoint
@@ -125,7 +144,9 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
     folder = store.folder if isinstance(store, FolderStore) else None
     manifest = store.manifest()
     if any(record.plan.kind == BODIES.kind for record in manifest.splits.values()):
-        raise ConfigError(f"{source}: a data set of bodies: gcd doctor examines garments; gcd verify checks bodies")
+        if folder is None:
+            raise ConfigError(f"{source}: a data set of bodies: run gcd download {source} first, then give the folder")
+        return _Source(store.location(), (), folder)
     names = sorted((name for name, record in manifest.splits.items() if record.count), key=_split_order)
     splits = tuple(_shard_split(source, name, options) for name in names)
     return _Source(store.location(), splits, folder)

@@ -1,4 +1,4 @@
-"""Shared by the verbs of ``gcd``: parser, option types, signals that end a verb, and opening data sets."""
+"""Shared by the commands of ``gcd``: parser, examples, option types, signals that end a command, opening data sets."""
 
 import argparse
 import contextlib
@@ -12,11 +12,12 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from gcd_dataset import files
-from gcd_dataset.cli.examples import EXAMPLES
-from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
+from gcd_dataset.errors import ConfigError, ShardError, SpecError, did_you_mean, shown
 
 if TYPE_CHECKING:
-    from gcd_dataset.records import Body, Measurements
+    from gcd_dataset.generator.garments import OutfitDesign
+    from gcd_dataset.records import Body, Measurements, Pattern, Sample
+    from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.store import Store
 
 SIGNALLED = 128  # added by shells to the number of the signal that ended a program
@@ -90,10 +91,19 @@ def body_name(text: str) -> str:
     raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {BODY_NAMES}, or a mesh file{nearest}")
 
 
-def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, more: str = "") -> Parser:
+def add_verb(
+    verbs: Any,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
+    more: str = "",
+    *,
+    aliases: Sequence[str] = (),
+) -> Parser:
     """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code, ``more`` is for its own help."""
     parser: Parser = verbs.add_parser(
         name,
+        aliases=aliases,
         help=text,
         description=f"{text[0].upper()}{text[1:]}.\n{more}".rstrip(),
         epilog="\n  ".join(["examples:", *EXAMPLES[name]]),
@@ -238,3 +248,89 @@ def open_source(source: str, endpoint: str | None) -> "Store":
     except ConfigError as error:  # every verb treats a bad path as bad input, not as wrong usage
         raise ShardError(str(error)) from error
     return open_store(source, Remote(endpoint=endpoint if isinstance(parsed, Repo) else None))
+
+
+EXAMPLES: Mapping[str, tuple[str, str]] = {
+    "generate": (
+        "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
+        "gcd generate smoke --recipe smoke-64",
+    ),
+    "drape": (
+        "gcd drape shirt_specification.json --out draped",
+        "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2",
+    ),
+    "fit": (
+        "gcd fit design_params.yaml --body scan.obj --out fitted",
+        "gcd fit design_params.yaml --body female:7 --out fitted --resolution 2 --fabric denim",
+    ),
+    "measure": ("gcd measure scan.obj --out measures.yaml", "gcd measure --shape random:7"),
+    "show": ("gcd show shards --index 3 --html garment.html", "gcd show shirt_specification.json --svg pattern.svg"),
+    "info": ("gcd info shards", "gcd info org/garments"),
+    "check": ("gcd check shards --bytes", "gcd check *_specification.json --errors"),
+    "index": ("gcd index shards", "gcd index s3://bucket/shards"),
+    "download": ("gcd download org/garments --split test", "gcd download org/garments --no-views --out garments"),
+    "publish": (
+        "gcd publish shards org/garments --dry-run",
+        "gcd publish shards org/garments --shares 90,5,5 --license cc-by-4.0",
+    ),
+    "convert": (
+        "gcd convert GarmentCodeData_v2 shards",
+        "gcd convert GarmentCodeData_v2 shards --bodies default --workers 8",
+    ),
+    "export": (
+        "gcd export shards --hdf5 train.h5",
+        "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
+    ),
+}
+"""Verb to two commands."""
+
+
+def names_a_file(source: str) -> bool:
+    """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
+    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).exists())
+
+
+def design_in(path: Path | str) -> "OutfitDesign":
+    """The design in a file. Raises ``SpecError``: a bad file is bad input, not wrong usage."""
+    from gcd_dataset.generator.garments import read_design
+
+    try:
+        return read_design(path)
+    except ConfigError as error:
+        raise SpecError(str(error)) from error
+
+
+def pattern_of(options: argparse.Namespace) -> "Pattern":
+    """The pattern in the specification file ``what``."""
+    from gcd_dataset.faults import require_valid
+    from gcd_dataset.spec import read_pattern
+
+    return require_valid(read_pattern(Path(options.what)), source=options.what)
+
+
+def sample_of(options: argparse.Namespace) -> "Sample":
+    """The sample at ``index`` of the data set ``what``, local or remote; of the split ``train`` without ``split``."""
+    reader = reader_of(options.what, options)
+    return reader.sample(position_of(options, len(reader)))
+
+
+def reader_of(source: str, options: argparse.Namespace) -> "ShardReader":
+    """The reader of a data set, local or remote; of the split ``train`` without ``split``."""
+    from gcd_dataset.shards import ShardReader
+
+    return ShardReader(open_source(source, options.endpoint), options.split or "train")
+
+
+def position_of(options: argparse.Namespace, count: int) -> int:
+    """``--index``. Raises ``ShardError`` beyond the last garment."""
+    if options.index >= count:
+        known = f"give one from 0 to {count - 1}" if count > 1 else "leave --index out"
+        raise ShardError(f"{options.what}: garment {options.index} of {count}: {known}")
+    return int(options.index)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error

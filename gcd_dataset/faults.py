@@ -168,7 +168,7 @@ def require_valid(pattern: Pattern, source: str = "") -> Pattern:
     """
     errors = [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
     if errors:
-        more = f" (and {len(errors) - 1} more: gcd validate lists them)" if len(errors) > 1 else ""
+        more = f" (and {len(errors) - 1} more: gcd check lists them)" if len(errors) > 1 else ""
         raise PatternError(f"{source or pattern.name}: {errors[0]}{more}")
     return pattern
 

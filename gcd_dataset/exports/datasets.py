@@ -67,7 +67,7 @@ def _split(form: Form, folder: Path, out: Path, split: str | None, on_progress: 
 
 
 def _to_published(folder: Path, out: Path, split: str | None, on_progress: ProgressCallback) -> Progress:
-    from gcd_dataset.verbs.release_folders import export_published, exported_splits
+    from gcd_dataset.exports.published import export_published, exported_splits
 
     if split is not None:
         raise ConfigError(

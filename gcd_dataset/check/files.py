@@ -1,0 +1,206 @@
+"""Faults of the files of a data set: damage, members without index, shards without manifest, garments without split."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+
+from gcd_dataset.check import checks
+from gcd_dataset.check.checks import Check
+from gcd_dataset.errors import GcdError, ShardError
+from gcd_dataset.files import open_regular
+from gcd_dataset.hub.partition import DESIGN, leaks
+from gcd_dataset.release.batches import PublishedBatches
+from gcd_dataset.release.bodies import FOLDER
+from gcd_dataset.release.garment_list import PublishedGarments
+from gcd_dataset.release.published_names import DEFAULT_BODY
+from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import index_name
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Layout, key_of
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
+from gcd_dataset.shards.notes import hashed, shards_named
+from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.tar import BLOCK, tar_entries
+
+FileFault = tuple[Check, str, str]
+"""A check, the file or key, and the fault in words."""
+PEOPLE_FILES = ("measurements/{}.yaml", "meta/{}_meta.json", "meshes/{}_straight.obj", "meshes/{}_apart.obj")
+
+
+def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
+    """Faults of the shards of a split in a local folder, from tar headers. Raises ``ShardError`` for a broken index."""
+    store, names = FolderStore(folder), FolderPlace(folder).names()
+    record = store.manifest().splits[split]
+    if MANIFEST not in names or index_name(split) not in names:
+        yield checks.ORPHANS, index_name(split), "no manifest or index: run gcd index"
+    listed = {shard.number for shard in record.shards}
+    for name, number in shards_named(names):
+        if name == split and number not in listed:
+            path = ShardRecord(number, 0, 0, "").name(split)
+            yield checks.ORPHANS, path, f"shards that {MANIFEST} does not list"
+    missing = [shard.name(split) for shard in record.shards if shard.name(split) not in names]
+    yield from ((checks.INCOMPLETE, name, f"shards of {MANIFEST} that are missing") for name in missing)
+    if record.count and not missing:
+        keys = set(map(key_of, store.index(split).number.tolist()))
+        for shard in record.shards:
+            yield from _member_faults(folder / shard.name(split), keys)
+    if (problem := store.unfinished(split)) is not None:
+        yield checks.INCOMPLETE, split, f"unfinished: {problem}"
+
+
+def _member_faults(path: Path, keys: set[str]) -> Iterator[FileFault]:
+    """Members of a shard whose samples the index does not list."""
+    try:
+        with reading(path), open_regular(path) as file:
+            for entry in tar_entries(file.fileno()):
+                if entry.name.partition(".")[0] not in keys:
+                    yield checks.ORPHANS, f"{path.name}/{entry.name}", "members that the index does not list"
+    except ShardError as error:
+        yield checks.UNREADABLE, path.name, f"{error}"
+
+
+def split_file_faults(folder: Path, splits: Sequence[str]) -> Iterator[FileFault]:
+    """Tars of a local folder that belong to no split."""
+    names = FolderPlace(folder).names()
+    own = {ShardRecord(number, 0, 0, "").name(split) for split, number in shards_named(names) if split in splits}
+    for name in sorted(names - own):
+        if name.endswith(".tar") and "/" not in name:
+            yield checks.ORPHANS, name, "tars of no split"
+
+
+# -------------------------------------------------------------------------------------------------------------- in full
+
+
+def set_faults(folder: Path, *, every_byte: bool = False) -> Iterator[str]:
+    """The faults of the data set in a folder, one line each.
+
+    Checks the headers, length and index of every shard, and with ``every_byte`` every byte, by the hashes of shard and
+    members; whether the data set is finished; and whether two splits share designs.
+    """
+    store = FolderStore(folder)
+    manifest = store.manifest()
+    names = FolderPlace(folder).names()
+    if MANIFEST not in names:
+        yield f"{folder / MANIFEST}: no such file: run gcd index"
+    listed = {(split, shard.number) for split, record in manifest.splits.items() for shard in record.shards}
+    for split, number in shards_named(names):
+        if (split, number) not in listed:
+            yield f"{folder / ShardRecord(number, 0, 0, '').name(split)}: not listed in {MANIFEST}: run gcd index"
+    for split in manifest.splits:
+        if (fault := store.unfinished(split)) is not None:
+            yield f"{folder}: the data set is unfinished: {fault}"
+            break
+    readers = dict(_readers(store, manifest))
+    for split, reader in readers.items():
+        if isinstance(reader, str):
+            yield reader
+        else:
+            if MANIFEST in names and index_name(split) not in names:
+                yield f"{folder / index_name(split)}: no such file: run gcd index"
+            yield from _shard_faults(reader, folder, every_byte=every_byte)
+    garments = {
+        split: r for split, r in readers.items() if isinstance(r, ShardReader) and r.layout.kind == GARMENTS.kind
+    }
+    if len(garments) == len(readers) and all(DESIGN in reader.layout.members for reader in garments.values()):
+        yield from (
+            f"{folder}: {leak}: scores on one are biased for a model trained on the other" for leak in leaks(garments)
+        )
+
+
+def _readers(store: FolderStore, manifest: Manifest) -> Iterator[tuple[str, ShardReader | str]]:
+    """Split to its reader, or to the fault for which there is none."""
+    for split, record in manifest.splits.items():
+        try:
+            if record.count:
+                yield split, ShardReader(store, split, layout=layout_of(record))
+        except GcdError as error:
+            yield split, str(error)
+
+
+def _shard_faults(reader: ShardReader, folder: Path, *, every_byte: bool) -> Iterator[str]:
+    first = reader.index.first.tolist()
+    for row, shard in enumerate(reader.record.shards):
+        rows = slice(first[row], first[row + 1])
+        keys = list(map(key_of, reader.index.number[rows].tolist()))
+        yield from _tar_faults(folder / shard.name(reader.split), keys, reader.index.start[rows].tolist(), shard.size)
+        if shard.views_size:
+            starts = reader.index.views_start[rows].tolist()
+            yield from _tar_faults(folder / shard.views_name(reader.split), keys, starts, shard.views_size)
+        for views in (False, True) if every_byte else ():
+            path = folder / shard.name(reader.split, views=views)
+            expected = (shard.views_size, shard.views_sha256) if views else (shard.size, shard.sha256)
+            if expected[0] and path.exists() and hashed(path) != expected:
+                yield f"{path}: its hash differs from {MANIFEST}: {REMEDY}"
+    for position in range(len(reader)) if every_byte else ():
+        try:
+            reader.check(position)
+        except ShardError as error:
+            yield str(error)
+
+
+def _tar_faults(path: Path, keys: list[str], starts: list[int], size: int) -> Iterator[str]:
+    """The faults of the headers of a tar: its samples are ``keys``, which begin at ``starts``."""
+    try:
+        with reading(path), open_regular(path) as file:
+            entries = list(tar_entries(file.fileno()))
+            found = file.seek(0, 2)
+    except ShardError as error:
+        yield str(error) if str(error).startswith(str(path)) else f"{path}: {error}: {REMEDY}"
+        return
+    groups = {
+        key: next(group).offset - BLOCK for key, group in groupby(entries, lambda entry: entry.name.split(".")[0])
+    }
+    if found != size:
+        yield f"{path}: {found} bytes, but {MANIFEST} lists {size}: {REMEDY}"
+    elif list(groups.items()) != list(zip(keys, starts, strict=True)):
+        yield f"{path}: its samples differ from the index: run gcd index"
+
+
+def layout_of(record: SplitRecord) -> Layout:
+    """The layout of a split's samples."""
+    return BODIES if record.plan.kind == BODIES.kind else GARMENTS
+
+
+# ----------------------------------------------------------------------------------------------------------- published
+
+
+def published_faults(
+    batches: PublishedBatches, splits: Sequence[PublishedGarments], wearers: set[str] | None
+) -> Iterator[FileFault]:
+    """Faults of the files of a published data set.
+
+    ``splits``: the splits that are examined; ``wearers``: names of the bodies of their garments; ``None``
+    where not all garments were read: people are not examined.
+    """
+    listed = {str(entry) for split in splits for entry in split.entries}
+    for (batch, folder), files in batches.files.items():
+        fails = batches.properties[batch, folder].fails
+        for name in files.names:
+            place = f"{batch}/{folder}/{name}"
+            if name in fails:
+                yield checks.ORPHANS, place, "folders of failed garments, which are left out"
+            elif place not in listed:
+                yield checks.ORPHANS, place, "garments in no split"
+    for split in splits:
+        yield from (
+            (checks.INCOMPLETE, place, "listed in the split, but neither on disk nor failed") for place in split.missing
+        )
+    if wearers is not None:
+        yield from _people_faults(batches.root, wearers)
+
+
+def _people_faults(root: Path, wearers: set[str]) -> Iterator[FileFault]:
+    """People without a garment, and wearers without files, where the release's bodies are on disk."""
+    folder = root / FOLDER
+    with reading(root):
+        if not folder.is_dir():
+            return
+        people = {path.stem for path in (folder / "measurements").glob("*.yaml")}
+        files = {str(path.relative_to(folder)) for sub in ("meta", "meshes") for path in (folder / sub).glob("*")}
+    worn = {name.removesuffix("_straight").removesuffix("_apart") for name in wearers} - {DEFAULT_BODY}
+    yield from ((checks.ORPHANS, f"{FOLDER}/{name}", "bodies without a garment") for name in sorted(people - worn))
+    for name in sorted(people & worn):
+        if any(kind.format(name) not in files for kind in PEOPLE_FILES[1:]):
+            yield checks.BODILESS, name, "a body without mesh or metadata"
+    yield from ((checks.BODILESS, name, "a body that is not on disk") for name in sorted(worn - people))

@@ -1,0 +1,200 @@
+"""``gcd drape``, ``fit`` and ``measure``: single garments and bodies."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gcd_dataset.cli.common import (
+    BODY_NAMES,
+    Parser,
+    add_body,
+    add_height,
+    add_quiet,
+    add_verb,
+    body_name,
+    design_in,
+    wearer_of,
+)
+from gcd_dataset.errors import ConfigError, shown
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.body.tailor import MeasureResult
+
+FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
+
+
+def add_verbs(verbs: Any) -> None:
+    """Add ``drape``, ``fit`` and ``measure``."""
+    drape = add_verb(
+        verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
+    )
+    drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+    _add_draping(drape)
+
+    fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
+    fit.add_argument("design", type=Path, metavar="DESIGN", help="GarmentCode's design_params.yaml, or ours")
+    _add_draping(fit)
+
+    _add_measure(verbs)
+
+
+def _add_draping(drape: Parser) -> None:
+    """Add the options of ``_drape``."""
+    add_body(drape)
+    drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
+    drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
+    drape.add_argument(
+        "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
+    )
+    drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    drape.add_argument(
+        "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
+    )
+    drape.add_argument(
+        "--allow-unsettled",
+        action="store_true",
+        help="exit 0 even if a garment did not settle: fell, slid off, still moves, crosses itself or the body "
+        "(default: exit 1; the report is written either way)",
+    )
+    add_quiet(drape)
+
+
+def _add_measure(verbs: Any) -> None:
+    measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
+    measure.add_argument(
+        "mesh",
+        nargs="?",
+        metavar="MESH",
+        help="OBJ, PLY, STL or GLB of one body in m, cm or mm (or see --height), closed or with small holes",
+    )
+    measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES}, instead of a mesh")
+    measure.add_argument(
+        "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
+    )
+    measure.add_argument(
+        "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
+    )
+    add_height(measure)
+    measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
+
+
+def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = None) -> int:
+    from tqdm.auto import tqdm
+
+    from gcd_dataset.files import make_folder
+    from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
+    from gcd_dataset.generator.fitting import (
+        Fitting,
+        Refusal,
+        drape_patterns,
+        read_patterns,
+        write_fitting,
+        write_report,
+    )
+    from gcd_dataset.generator.recipe import check_resolution
+    from gcd_dataset.records import Outcome
+
+    patterns, device = read_patterns(options.spec), resolve_device(options.device)
+    resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
+    wearer = wearer or wearer_of(options)
+    wearer(False)  # raises before anything is written
+    folder = make_folder(options.out)
+    fittings: list[Fitting | Refusal] = []
+    log_drape_time(len(options.spec), device, resolution)
+    try:
+        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
+        for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
+            if isinstance(fitting, Fitting):
+                write_fitting(fitting, folder, glb=options.glb, device=device)
+            fittings.append(fitting)
+    finally:
+        made_by = {"body": options.body, "fabric": options.fabric, "device": device}
+        if fittings:
+            of_files = zip(options.spec, fittings, strict=False)
+            write_report(of_files, folder / "report.json", resolution=resolution, **made_by)
+    failed = False
+    for fitting in fittings:
+        if isinstance(fitting, Refusal):
+            print(f"gcd {options.verb}: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
+            failed = True
+            continue
+        drape = fitting.drape
+        print(
+            f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
+            f"{drape.self_crossings} self crossings, {drape.body_crossings} edges through the body, "
+            f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
+        )
+        if drape.outcome is not Outcome.SETTLED:
+            print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
+            failed = failed or not options.allow_unsettled
+    print(f"{folder}: meshes, pictures and report.json")
+    return int(failed)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    """Write the pattern of a design for a body, then drape it as ``gcd drape`` does."""
+    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.fitting import write_drawn
+    from gcd_dataset.generator.recipe import check_resolution
+
+    resolve_device(options.device), check_resolution(options.resolution), fabric_named(options.fabric)
+    design, wearer = design_in(options.design), wearer_of(options)
+    spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=options.design)
+    for reject in rejects:
+        print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
+    options.spec = [spec]
+    return _drape(options, wearer)
+
+
+def _measure(options: argparse.Namespace) -> int:
+    from gcd_dataset.files import write_whole
+
+    if (options.mesh is None) == (options.shape is None):
+        raise ConfigError(f"give a mesh file or --shape {BODY_NAMES}, one of them")
+    if options.mesh is None and (options.landmarks or options.segmentation or options.height) is not None:
+        raise ConfigError("--landmarks, --segmentation and --height are for a mesh file: leave them out with --shape")
+    body = options.mesh if options.shape is None else options.shape
+    text = measured_text(body, options.landmarks, options.segmentation, options.height)
+    if options.out is None:
+        print(text, end="")
+    else:
+        write_whole(options.out, text.encode())
+        print(*(line for line in text.splitlines() if line.startswith("#")), sep="\n", file=sys.stderr)
+        print(options.out)
+    return 0
+
+
+def measured_text(
+    body: str, landmarks: Path | None = None, segmentation: Path | None = None, height: float | None = None
+) -> str:
+    """The measures of a mesh file, or of a generated body given by name, as commented YAML; errors: see ``named_body``.
+
+    Generated bodies are measured in the A-pose with the legs straight. ``height`` [cm] gives the scale of a mesh file.
+    """
+    from gcd_dataset.bodyfiles import measurements_text
+    from gcd_dataset.generator.body import build_body
+    from gcd_dataset.generator.body.by_name import shape_by_name
+    from gcd_dataset.generator.body.measuring import measure_closely
+    from gcd_dataset.generator.body.mesh_bodies import measure_file
+
+    shape = shape_by_name(body, legs_apart=False)
+    if shape is None:
+        taken, remarks = measure_file(body, landmarks, segmentation, height=height)
+    else:
+        taken, remarks = (
+            measure_closely(build_body(shape, name=body)),
+            ["mesh of the body model: landmarks known by vertex"],
+        )
+    comments = [f"measures of {shown(body)} [cm, degrees]", *remarks, *_border_remarks(taken)]
+    return "".join(f"# {comment}\n" for comment in comments) + measurements_text(taken.measurements)
+
+
+def _border_remarks(taken: "MeasureResult") -> list[str]:
+    """One line for each girth that was measured at the end of its search range."""
+    return [
+        f"{girth}: measured at height {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} "
+        f"its landmark, {'where the legs part' if girth == 'leg_circ' else 'the end of the search range'}"
+        for girth, by in taken.at_border.items()
+    ]
