@@ -15,8 +15,6 @@ CASES: Mapping[str, str] = {
     "drape": "benchmarks.cases.drape",
     "fabrics": "benchmarks.cases.fabrics",
     "generated": "benchmarks.cases.generated",
-    "imports": "benchmarks.cases.imports",
-    "libraries": "benchmarks.cases.libraries",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
@@ -26,7 +24,6 @@ CASES: Mapping[str, str] = {
     "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
-    "viewer": "benchmarks.cases.viewer",
 }
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 

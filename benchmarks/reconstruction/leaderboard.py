@@ -32,7 +32,7 @@ PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
     "answers with similar ones that they draw. Where no remark says otherwise, its answers are means over all points "
     "of a garment; `panel_set` and `edge_tokens` answer from 4,096 points, `neural_tailor` from 4,096 or `points`, and "
-    "`nearest` compares 512. `neural_tailor` follows the paper, with extensions that its docstring lists. `ceiling` is "
+    "`nearest` compares 512. `neural_tailor` (removed on 2026-11-27) follows the paper. `ceiling` is "
     "no model: the truth in the output format of `panel_set`."
 )
 NOTES: Mapping[str, str] = {

@@ -39,8 +39,7 @@ from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.pools import FreshPool
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
-from benchmarks.reconstruction.scoring.table import DRAPED, TIMES
+from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
@@ -103,8 +102,6 @@ class Options:
     """Time of this call; 0: no limit."""
     drape: bool = False
     """Whether answers are draped and scored."""
-    turns: Path | None = None
-    """File that runs on one GPU share, which train in turn; ``None``: there are no others."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,7 +126,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--checks", 0, "scores and pictures on the way; 0: the model's own, mostly 4")
     option("--seed", 0, "seed of weights and order")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
-    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--resolution", 0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
@@ -185,7 +181,6 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         make_only=args.make_only,
         limit_minutes=args.limit_minutes,
         drape=args.drape,
-        turns=Path(args.turns) if args.turns else None,
     )
 
 
@@ -344,8 +339,7 @@ def _trained(
         examples = _pool(learner, split.train, options, device)
     limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
-    arguments |= {"turns": options.turns, "of": _identity(options, split.train)}
-    trained = train(learner, examples, options.config, **arguments)
+    trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 
@@ -449,20 +443,14 @@ def _answers(
 def _report(
     options: Options, split: Split, scores: Sequence[Any], trained: Trained | None, times: Mapping[str, float]
 ) -> dict[str, Any]:
-    """The report; without ``TIMES`` of a run that shares its GPU (``turns``)."""
     kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
-    hidden = () if options.turns is None else TIMES
-
-    def told(figures: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in figures.items() if name not in hidden}
-
     return {
         "model": options.model,
         "task": options.task.name,
         "headline": options.task.headline,
         "identity": _identity_of_answers(options, split),
-        "scores": told(intervals(scores)),
-        "scores_of_kinds": {kind: told(means_of(of_kind)) for kind, of_kind in sorted(kinds.items())},
+        "scores": intervals(scores),
+        "scores_of_kinds": {kind: means_of(of_kind) for kind, of_kind in sorted(kinds.items())},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))

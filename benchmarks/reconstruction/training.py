@@ -6,7 +6,6 @@ the same steps as one that was never stopped. ``torchrun`` starts several ranks;
 
 import copy
 import csv
-import fcntl
 import importlib.util
 import math
 import os
@@ -138,7 +137,6 @@ def train(
     stop_after: int | None = None,
     limit: float = math.inf,
     of: Mapping[str, str | int] | None = None,
-    turns: Path | None = None,
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
@@ -146,9 +144,9 @@ def train(
     it is, and draws no number from torch's own generators.
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
-    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. ``turns``:
-    file of ``turn``; the steps are taken in one turn. Raises
-    ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
+    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s].
+
+    Raises ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
     ``TrainingError`` for a loss that is not finite; ``ConfigError`` for a checkpoint of another training.
     """
     called = time.perf_counter()
@@ -168,7 +166,7 @@ def train(
     if config.compile and run.progress < 1:
         examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
-    with turn(turns), _signals() as is_signalled:
+    with _signals() as is_signalled:
         saved, mark = time.perf_counter(), time.perf_counter()
         while run.progress < 1 and (stop_after is None or run.step < stop_after):
             run.take_step(examples)
@@ -193,16 +191,6 @@ def train(
                 raise StoppedError(f"stopped by {cause} at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
-
-
-def step_of(
-    learner: Learner[Batch, Any], examples: Examples[Batch], config: TrainConfig, *, device: torch.device
-) -> Callable[[], None]:
-    """A function that takes a training step, to measure it."""
-    run = _Run(learner.to(device), config, device)
-    if config.compile:
-        examples = run.compile(examples)
-    return lambda: run.take_step(examples)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
@@ -247,27 +235,6 @@ def _signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def turn(path: Path | None) -> Iterator[None]:
-    """Wait until no other process is in a turn of the file; ``None``: do not wait. Other ranks follow the first.
-
-    Raises ``ConfigError`` for a file that cannot be written.
-    """
-    if path is None or _rank():
-        yield
-        return
-    try:
-        file = path.open("a")
-    except OSError as error:
-        raise ConfigError(f"--turns {path}: {error.strerror}: give a file in a folder that exists") from error
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)  # a worker that was forked meanwhile does not keep it
 
 
 @contextmanager

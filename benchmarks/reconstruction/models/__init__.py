@@ -17,7 +17,6 @@ MODELS = {
     for name in (
         "panel_set",
         "edge_tokens",
-        "neural_tailor",
         "parameters",
         "picture_set",
         "picture_parameters",

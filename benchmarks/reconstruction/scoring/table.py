@@ -11,6 +11,12 @@ from gcd_dataset.metrics import bootstrap_means
 if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.garments import Scored
 
+REPORT = "report.json"
+"""In the folder of ``train --out``: mean scores, options, and hashes of the data."""
+SCORES = "scores.csv"
+"""There: a row of scores for each test garment."""
+EVALUATION = "evaluation.json"
+"""There: scores of the evaluator, those of drapes among them."""
 UNITS = {
     "boxmesh_cd": "cm",
     "panel_l2": "cm",

@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> None:
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
     limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
-    trained = train(learner, prepared, config, turns=Path(args.turns) if args.turns else None, **arguments)
+    trained = train(learner, prepared, config, **arguments)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
@@ -156,7 +156,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
     option("--device", "auto", "auto, cpu or cuda:0")
-    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--data", "", "folder of the patterns; by default in the output folder")
     option("--examples", "", "folder whose specifications are scored, too")
 

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, Scores, differences, main, read_scores
 from benchmarks.reconstruction.evaluate import main as evaluate
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
+from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.sewn_patterns import t_shirt, tube

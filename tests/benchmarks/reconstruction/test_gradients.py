@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import edge_tokens, neural_tailor, panel_set, parameters
+from benchmarks.reconstruction.models import edge_tokens, panel_set, parameters
 
 
-@pytest.mark.parametrize("module", [edge_tokens, neural_tailor, panel_set, parameters])
+@pytest.mark.parametrize("module", [edge_tokens, panel_set, parameters])
 def test_every_trained_parameter_has_a_gradient(module: ModuleType, six: GarmentSet) -> None:
     torch.manual_seed(0)
     learner = module.build(smoke=True, options={"points": 128, "stored_points": 512})

@@ -15,7 +15,6 @@ NETWORKS = [name for name in MODELS if hasattr(load_model(name), "build")]
 NEEDED = {
     "panel_set": "width heads layers queries slots edges edge_width edge_heads seam_layers tokens points stored_points",
     "edge_tokens": "width heads layers decoder_layers queries slots edges tokens points stored_points",
-    "neural_tailor": "panels loop edges neighbours width loop_width loop_layers pair_width points stored_points",
     "parameters": "width heads layers tokens points stored_points",
     "picture_set": "width heads layers queries slots edges edge_width edge_heads seam_layers views",
     "picture_parameters": "width heads layers views",

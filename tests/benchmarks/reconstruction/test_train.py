@@ -1,7 +1,6 @@
 """The command: what it writes can be read and scored again, and a repeated call continues."""
 
 import csv
-import fcntl
 import json
 import signal
 import subprocess
@@ -86,26 +85,6 @@ def test_a_report_of_other_test_garments_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out" / "report.json").write_text("{")
     assert main(call) == 0
     assert json.loads((tmp_path / "out" / "report.json").read_text())["data"]["test"]["count"] == 3
-
-
-def test_answers_wait_for_no_turn(tmp_path: Path) -> None:
-    """Nothing but steps is taken in turn."""
-    given = ["typical", *SMALL, "--out", str(tmp_path / "out"), "--turns", str(tmp_path / "turns")]
-    with (tmp_path / "turns").open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        called = subprocess.run([sys.executable, "-m", "benchmarks.reconstruction.train", *given], timeout=120)
-    assert called.returncode == 0
-
-
-@pytest.mark.parametrize("is_shared", [False, True])
-def test_times_are_reported_unless_the_device_is_shared(tmp_path: Path, is_shared: bool) -> None:
-    """Other programs on it would lengthen them."""
-    shared = ["--turns", str(tmp_path / "turns")] if is_shared else []
-    few = ["--task", "T6", *SMALL, "--train", "1", "--test", "1"]
-    assert main(["box_mesh", *few, "--out", str(tmp_path / "out"), *shared]) == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    for figures in (report["scores"], *report["scores_of_kinds"].values()):
-        assert ("ms" in figures, "error_cm" in figures) == (not is_shared, True)
 
 
 def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:

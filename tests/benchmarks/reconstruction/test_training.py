@@ -2,7 +2,6 @@
 
 import csv
 import itertools
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,6 @@ from benchmarks.reconstruction.training import (
     TrainingError,
     learning_rate,
     train,
-    turn,
 )
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
@@ -185,20 +183,3 @@ def test_a_loss_that_is_not_finite_stops_the_training() -> None:
 def test_invalid_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="give"):
         TrainConfig(**options)
-
-
-def test_one_process_at_a_time_has_its_turn(tmp_path: Path) -> None:
-    entered = threading.Event()
-
-    def follow() -> None:
-        with turn(tmp_path / "turns"):
-            entered.set()
-
-    with turn(tmp_path / "turns"):
-        follower = threading.Thread(target=follow)
-        follower.start()
-        assert not entered.wait(0.3)
-    follower.join(10)
-    assert entered.is_set()
-    with pytest.raises(ConfigError, match=r"--turns .*: give a file in a folder"), turn(tmp_path / "a" / "b"):
-        pass
