@@ -1,11 +1,76 @@
-"""What takes the benchmarks' own tests too long."""
+"""Whole runs of the reconstruction benchmark: minutes."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from benchmarks.reconstruction import train
 from benchmarks.reconstruction.plan import read_plan
+from benchmarks.reconstruction.train import UNFINISHED, main
 from tests.benchmarks.reconstruction.test_plan import PLANS
+from tests.benchmarks.reconstruction.test_train import SMALL
 
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: str(path.stem))
-def test_the_networks_of_the_plans_are_built(path: object) -> None:
-    assert read_plan(path)  # type: ignore[arg-type]
+def test_the_networks_of_the_plans_are_built(path: Path) -> None:
+    assert read_plan(path)
+
+
+def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The truth, draped again, is the drape that the points are of; a later call drapes, and drapes once."""
+    out = tmp_path / "out"
+    call = ["ceiling", "--task", "T1", *SMALL, "--out", str(out)]
+    assert main(call) == 0
+    plain = json.loads((out / "report.json").read_text())
+    assert not train.is_draped(plain)
+    monkeypatch.setattr(train, "_answers", Mock(side_effect=AssertionError))
+    assert main([*call, "--drape"]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["scores"].items() >= plain["scores"].items()
+    assert train.is_draped(report)
+    monkeypatch.setattr(train, "evaluate", Mock(side_effect=AssertionError))
+    for flags in ([], ["--drape"]):
+        assert main([*call, *flags]) == 0
+    assert json.loads((out / "report.json").read_text()) == report
+    evaluation = json.loads((out / "evaluation.json").read_text())
+    assert [garment["name"] for garment in evaluation["garments"]] == [f"1_{k:09d}" for k in range(3)]
+    assert report["scores"]["within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
+    assert 0 < report["scores"]["redrape_cd_cm"][0] < 0.7
+    assert report["scores_of_kinds"]["skirt"]["redrape_cd_cm"] == pytest.approx(report["scores"]["redrape_cd_cm"][0])
+
+
+def test_curves_have_the_losses_of_unseen_garments(tmp_path: Path) -> None:
+    """Their terms add up, and a network that learns four garments by heart is worse on others."""
+    flags = ["--smoke", "--train", "4", "--test", "2", "--resolution", "6", "--device", "cpu"]
+    assert main(["parameters", *flags, "--steps", "120", "--checks", "1", "--out", str(tmp_path)]) == 0
+    with (tmp_path / "curves.csv").open() as file:
+        last = {name: float(value) for name, value in list(csv.DictReader(file))[-1].items()}
+    terms = ("choices", "numbers", "defaults", "measures")
+    assert last["check_loss"] == pytest.approx(sum(last[f"check_loss_{name}"] for name in terms), rel=1e-5)
+    assert last["check_loss"] > 2 * last["loss"]
+
+
+def test_a_signal_ends_the_training_with_a_checkpoint(tmp_path: Path) -> None:
+    flags = ["panel_set", *SMALL, "--minutes", "5", "--batch", "2", "--workers", "0", "--out", str(tmp_path)]
+    given = [sys.executable, "-m", "benchmarks.reconstruction.train", *flags]
+    with subprocess.Popen(given, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert any(line.startswith("step ") for line in process.stderr)
+        process.send_signal(signal.SIGINT)
+        error = process.stderr.read()
+    assert (process.returncode, "Traceback" in error) == (UNFINISHED, False)
+    assert "stopped by a signal" in error.splitlines()[-1]
+    assert (tmp_path / "checkpoint.pt").exists()
+
+
+def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
+    flags = ["--smoke", "--train", "4", "--test", "2", "--steps", "16", "--batch", "2", "--fresh", "32"]
+    flags += ["--resolution", "8", "--device", "cpu"]
+    assert main(["panel_set", *flags, "--out", str(tmp_path / "out")]) == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0

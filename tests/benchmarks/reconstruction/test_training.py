@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import signal
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +43,7 @@ def weight_of(found: Trained) -> Tensor:
 
 
 def test_the_line_is_found() -> None:
-    found = trained(config=TrainConfig(steps=300, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
+    found = trained(config=TrainConfig(steps=150, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
     assert weight_of(found).tolist()[0] == pytest.approx([2.0, -1.0], abs=0.02)
     assert found.curve[-1]["loss"] < 1e-3 * found.curve[0]["loss"]
 
@@ -64,6 +65,17 @@ def test_a_training_that_its_limit_ends_continues_in_the_next_call(tmp_path: Pat
     assert (tmp_path / "checkpoint.pt").exists()
     assert same(trained(tmp_path, dropout=0.2), whole)
     assert same(trained(tmp_path, dropout=0.2, limit=0.0), whole)  # finished before its limit counts
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tmp_path: Path) -> None:
+    def interrupt(step: int, learner: object) -> Mapping[str, float]:
+        signal.raise_signal(number)
+        return {}
+
+    with pytest.raises(StoppedError, match="stopped by a signal at 28%: repeat the command"):
+        trained(tmp_path, check=interrupt)
+    assert same(trained(tmp_path), trained())
 
 
 def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None:
