@@ -220,7 +220,7 @@ def test_the_network_tells_the_pictures_apart() -> None:
 
 
 def test_the_loss_falls_and_the_same_seed_trains_the_same_network(folder: Path) -> None:
-    args = options(folder, steps=40)
+    args = options(folder, steps=20, size=16)
     data = load(folder, args)
     assert sorted([*data.known, *data.unseen]) == [0, 1, 2, 3, 4]
     runs = []
@@ -228,7 +228,7 @@ def test_the_loss_falls_and_the_same_seed_trains_the_same_network(folder: Path) 
         with pool_of(Input.PLAIN, data, args) as pool:
             runs.append(train(pool, data.targets, Input.PLAIN, args.steps, args)[1])
     assert runs[0] == runs[1]
-    assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
+    assert np.mean(runs[0][-5:]) < 0.9 * np.mean(runs[0][:5])
 
 
 def test_targets_of_stored_garments_decode_to_their_patterns(folder: Path) -> None:
@@ -255,20 +255,7 @@ def test_the_case_reports_and_a_repeated_call_continues(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = tmp_path / "out", tmp_path / "report.md"
-    flags = [
-        "--garments",
-        str(folder),
-        "--out",
-        str(out),
-        "--count",
-        "5",
-        "--steps",
-        "20",
-        "--lr",
-        "5e-3",
-        "--size",
-        "16",
-    ]
+    flags = ["--garments", str(folder), "--out", str(out), "--count", "4", "--steps", "2", "--size", "16"]
     flags += ["--device", "cpu", "--width", "32", "--layers", "1", "--report", str(report)]
     assert main(["pictures_matter", "--inputs", "drawn", *flags]) == 0
     assert main(["pictures_matter", *flags]) == 0
@@ -284,7 +271,7 @@ def test_the_case_reports_and_a_repeated_call_continues(
     assert (out / "inputs.jpg").stat().st_size > 1000
     assert "| held_out | drawn |" in report.read_text()
     with pytest.raises(ConfigError, match="results of other options: give another --out"):
-        run(options(folder, out=str(out), steps=21, size=16))
+        run(options(folder, out=str(out), count=4, steps=3, size=16))
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,11 @@ from unittest.mock import Mock
 
 import pytest
 
+from benchmarks.drapemeter import drape_coefficient
 from benchmarks.reconstruction import train
 from benchmarks.reconstruction.plan import read_plan
 from benchmarks.reconstruction.train import UNFINISHED, main
+from gcd_dataset.generator.drape import FABRICS
 from tests.benchmarks.reconstruction.test_plan import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
 
@@ -74,3 +76,11 @@ def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
     flags += ["--resolution", "8", "--device", "cpu"]
     assert main(["panel_set", *flags, "--out", str(tmp_path / "out")]) == 0
     assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0
+
+
+def test_the_drape_coefficient_of_cotton() -> None:
+    """68.4 %: Gan, Ly and Steven, J. Textile Inst. 82(1), 1991. It hardly depends on the spacing: on uniform meshes it
+    was 63.6 % on 2 cm and 67.9 % on 1 cm, since neither resolves the edge of the support."""
+    coarse, fine = (drape_coefficient(FABRICS["cotton"], spacing=spacing) for spacing in (2.0, 1.0))
+    assert fine == pytest.approx(68.4, abs=0.5)
+    assert coarse == pytest.approx(fine, abs=2.0)
