@@ -33,16 +33,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import jpeg_file
-from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.ablation import measure_ablation
+from benchmarks.cases.figures import Figure, Measured, jpeg_file
 from benchmarks.draping.failures import write_failures
-from benchmarks.draping.floor import compare_devices
-from benchmarks.draping.memory import gpu_peak_mb, measure_memory
+from benchmarks.draping.modes import compare_devices, gpu_peak_mb, measure_ablation, measure_memory, measure_sewn
 from benchmarks.draping.ordering import measure_ordering
-from benchmarks.draping.quality import quality
-from benchmarks.draping.sewn import measure_sewn
-from benchmarks.draping.workload import Worn, reference_sampled, sampled
+from benchmarks.draping.workload import Worn, quality, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
 from gcd_dataset.errors import ConfigError, MeshError

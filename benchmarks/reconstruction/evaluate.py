@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.files import match_folders
-from benchmarks.reconstruction.scoring.garments import SPACING, Scored, score_cases
+from benchmarks.reconstruction.scoring.garments import SPACING, Scored, match_folders, score_cases
 from benchmarks.reconstruction.scoring.table import (
     garment_table,
     line_of,

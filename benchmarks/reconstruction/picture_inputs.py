@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
+from benchmarks.reconstruction.derived import MAPS, pixel_labels
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.render import (

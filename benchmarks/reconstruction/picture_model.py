@@ -17,11 +17,10 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import PICTURES
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURES, SHOWN_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import uploaded
 from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
-from benchmarks.reconstruction.picture_labels import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS

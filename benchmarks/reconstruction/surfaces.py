@@ -6,7 +6,6 @@ first, then panel after panel. A mesh with shuffled vertices gets the same neigh
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -19,7 +18,6 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.workers import parallel_map
 
 METRE = 100.0  # cm: unit of positions in networks
 NEIGHBOURS = 10  # of a vertex, the nearest along edges; in a mesh of ours 6 on average
@@ -93,17 +91,6 @@ def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
         shape=np.zeros((len(points), SHAPE), np.float32),
         clusters=_clusters(points, pairs, distances[:, 1:].ravel() + 1e-6, clusters),
     )
-
-
-def surfaces_of(
-    vertices: Sequence[np.ndarray], faces: Sequence[np.ndarray], *, clusters: int, workers: int = 0
-) -> list[Surface]:
-    """The meshes, prepared by ``workers`` processes."""
-    return list(parallel_map(partial(_prepared, clusters), zip(vertices, faces, strict=True), workers))
-
-
-def _prepared(clusters: int, mesh: tuple[np.ndarray, np.ndarray]) -> Surface:
-    return surface_of(*mesh, clusters=clusters)
 
 
 def vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:

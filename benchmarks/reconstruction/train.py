@@ -27,8 +27,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 import torch
 import torch.distributed as dist
@@ -38,12 +37,12 @@ from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
 from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
-from benchmarks.reconstruction.pools import FreshPool
 from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
     CURVES,
+    FreshPool,
     StoppedError,
     TrainConfig,
     Trained,
@@ -425,13 +424,10 @@ class _Check:
         return {"check_loss": sum(told.values()), **told, **{f"check_{name}": value for name, value in means.items()}}
 
 
-def _answers(
-    module: ModuleType, trained: Trained | None, split: Split, options: Options, device: torch.device
-) -> list[Any]:
+def _answers(module: Any, trained: Trained | None, split: Split, options: Options, device: torch.device) -> list[Any]:
     """The answers for the test garments."""
     if trained is None:
-        answer = cast(Callable[..., list[Any]], module.answers)
-        return answer(split.train, split.test, device=device, workers=options.workers)
+        return list(module.answers(split.train, split.test, device=device, workers=options.workers))
     examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
     count, batch = len(split.test), options.config.batch
     return list(trained.learner.answers(examples, count, batch=batch, workers=options.workers))

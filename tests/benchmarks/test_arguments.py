@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.arguments import jpeg_file
+from benchmarks.cases.figures import jpeg_file
 
 
 def test_a_jpeg_has_no_other_ending() -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fabric_tests
+from benchmarks.cases import fabrics
+from benchmarks.cases.fabrics import TARGETS, read_targets, results
 from benchmarks.drapemeter import EDGE, SPECIMEN, SUPPORT, disc, drape_coefficient, drape_disc, folds, shadow
-from benchmarks.fabric_tests import TARGETS, read_targets, results
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY
@@ -103,7 +103,7 @@ def test_results_are_judged_against_the_band(monkeypatch: pytest.MonkeyPatch) ->
     targets = [t for t in read_targets() if (t.fabric, t.test, t.direction) == ("gcd_stiff", "bending_length", "weft")]
     [inside] = results(targets, [1.0], "cpu")
     assert inside["in_band 1_cm"] is True
-    monkeypatch.setattr(fabric_tests, "_run", lambda *_: inside["1_cm"])
+    monkeypatch.setattr(fabrics, "_run", lambda *_: inside["1_cm"])
     [outside] = results([replace(targets[0], low=8.0, high=9.0)], [1.0], "cpu")
     assert (outside["in_band 1_cm"], outside["1_cm"]) == (False, inside["1_cm"])
     [unknown] = results([replace(targets[0], low=np.nan, high=np.nan)], [1.0], "cpu")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
@@ -25,10 +26,8 @@ from benchmarks.reconstruction.picture_inputs import (
     rendering,
     views_of,
 )
-from benchmarks.reconstruction.picture_labels import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.picture_model import PictureNet
-from benchmarks.reconstruction.picture_results import gaps
-from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, load, pool_of, run, train
+from benchmarks.reconstruction.picture_training import Pool, add_arguments, completed, gaps, load, pool_of, run, train
 from benchmarks.run import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make

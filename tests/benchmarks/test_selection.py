@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.selection import UNUSED, shift
+from benchmarks.cases.design_space import UNUSED, shift
 from gcd_dataset.generator.garments.parameter import Choice, Real
 from gcd_dataset.generator.garments.space import Leaf
 

@@ -42,13 +42,12 @@ from benchmarks.reconstruction.edge_sequence import (
     sequence_of,
     tokens_of,
 )
-from benchmarks.reconstruction.learners import mean_of
+from benchmarks.reconstruction.learners import mean_of, sizes_from
 from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY, best_pairs, common_labels
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
 from benchmarks.reconstruction.panel_net import NEVER, axes_of, rotation_of
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets
 from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, waves
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 

@@ -17,11 +17,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
-from benchmarks.reconstruction.learners import mean_of, squared_distances
+from benchmarks.reconstruction.learners import mean_of, sizes_from, squared_distances
 from benchmarks.reconstruction.panel_net import Edges, NetConfig, PanelDecoder, Predicted, Sewn, axes_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
 from benchmarks.reconstruction.point_net import PointLearner
-from benchmarks.reconstruction.sizes import sizes_from
 
 TASKS = ("T0", "T1", "T1-scan")
 WEIGHTS = {

@@ -19,13 +19,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, PANEL_CLASSES, POINT_LABELS
-from benchmarks.reconstruction.design_augmentation import DesignAugmentation
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS

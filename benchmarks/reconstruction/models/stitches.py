@@ -29,13 +29,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
-from benchmarks.reconstruction.learners import Examples, Learner, uploaded
-from benchmarks.reconstruction.sizes import sizes_from
+from benchmarks.reconstruction.learners import Examples, Learner, sizes_from, uploaded
 from benchmarks.reconstruction.stitching.edge_shapes import EdgeInputs, edges_before, feature_counts, rows_at
-from benchmarks.reconstruction.stitching.gluing import glued
-from benchmarks.reconstruction.stitching.graphs import CUT_BINS, EdgeBatch, EdgeGraph, PackedGraphs, graph_of
-from benchmarks.reconstruction.stitching.merging import merged, split, subdivided
-from benchmarks.reconstruction.stitching.parts import Part, fixed_parts, ordered, parts_of, shares_above
+from benchmarks.reconstruction.stitching.graphs import (
+    CUT_BINS,
+    EdgeBatch,
+    EdgeGraph,
+    PackedGraphs,
+    Part,
+    fixed_parts,
+    graph_of,
+    ordered,
+    parts_of,
+    shares_above,
+)
+from benchmarks.reconstruction.stitching.merging import glued, merged, split, subdivided
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern

@@ -24,13 +24,18 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from benchmarks.reconstruction.learners import sizes_from
 from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchExamples, StitchLearner
-from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
-from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
+from benchmarks.reconstruction.stitching.scores import (
+    IntervalScore,
+    StitchScore,
+    random_symmetry,
+    score_intervals,
+    score_stitches,
+)
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
 from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.body_measures import score_measures
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import mean_measures, nearest_measures
+from benchmarks.reconstruction.judging import score_measures
+from benchmarks.reconstruction.models.baselines import mean_measures, nearest_measures
 from benchmarks.reconstruction.models.measures import build, scans_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.measurements import ANGLES, MEASURES
@@ -24,9 +24,9 @@ def test_lengths_and_angles_have_errors_of_their_own() -> None:
 
 
 def test_the_references_answer_from_known_bodies(draped: GarmentSet) -> None:
-    mean = mean_measures.answers(draped, draped, device=CPU)
+    mean = mean_measures(draped, draped, device=CPU)
     assert np.allclose(mean[0], draped.measures.mean(axis=0), atol=1e-3)
-    for k, answer in enumerate(nearest_measures.answers(draped, draped, device=CPU)):
+    for k, answer in enumerate(nearest_measures(draped, draped, device=CPU)):
         assert np.allclose(answer, draped.measures[k])
 
 

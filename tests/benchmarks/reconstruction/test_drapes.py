@@ -13,7 +13,7 @@ from benchmarks.reconstruction.drapes import (
     transferred,
 )
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import box_mesh, solver
+from benchmarks.reconstruction.models.baselines import box_mesh, solver
 from benchmarks.reconstruction.models.drape_surrogate import build, depth, nearest_rows, nearest_skin
 from benchmarks.reconstruction.wearers import body_points, box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import ConfigError
@@ -64,8 +64,8 @@ def test_a_finer_mesh_carries_a_linear_map_exactly(draped: GarmentSet) -> None:
 
 def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
     one = draped.select([0])
-    (score,) = score_drapes(solver.answers(one, one, device=CPU), one, crossings=False)
-    (unmoved,) = score_drapes(box_mesh.answers(one, one, device=CPU), one, crossings=False)
+    (score,) = score_drapes(solver(one, one, device=CPU), one, crossings=False)
+    (unmoved,) = score_drapes(box_mesh(one, one, device=CPU), one, crossings=False)
     assert score.error_cm < 2 < unmoved.error_cm
     assert score.ms > 0
 

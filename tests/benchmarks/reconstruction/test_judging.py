@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.judging import Patterns, draw_mesh, intervals, judge_of, means_of
-from benchmarks.reconstruction.models import box_mesh, mean_measures, nearest_labels
+from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels
 from benchmarks.reconstruction.scoring.bodies import wearers_of
 from benchmarks.reconstruction.scoring.distances import read_shape
 from benchmarks.reconstruction.tasks import task_named
@@ -43,7 +43,7 @@ def files_in(folder: Path) -> list[str]:
 
 
 def test_labels_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
-    answers, judge = nearest_labels.answers(draped, draped, device=CPU), judge_of(task_named("T4"))
+    answers, judge = nearest_labels(draped, draped, device=CPU), judge_of(task_named("T4"))
     right, wrong = (
         judge.picture(answers, draped),
         judge.picture(
@@ -59,7 +59,7 @@ def test_labels_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> Non
 
 
 def test_measures_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
-    answers, judge = mean_measures.answers(draped, draped, device=CPU), judge_of(task_named("T5"))
+    answers, judge = mean_measures(draped, draped, device=CPU), judge_of(task_named("T5"))
     assert judge.picture(answers, draped).ndim == 3
     judge.write(answers, draped, tmp_path)
     assert sorted(judge.files(draped)) == files_in(tmp_path)
@@ -71,7 +71,7 @@ def test_measures_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> N
 
 
 def test_drapes_are_drawn_and_written(draped: GarmentSet, tmp_path: Path) -> None:
-    answers, judge = box_mesh.answers(draped, draped, device=CPU), judge_of(task_named("T6"), watching=True)
+    answers, judge = box_mesh(draped, draped, device=CPU), judge_of(task_named("T6"), watching=True)
     assert judge.picture(answers, draped).ndim == 3
     judge.write(answers, draped, tmp_path)
     assert sorted(judge.files(draped)) == files_in(tmp_path)

@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.derived import CENTRE
-from benchmarks.reconstruction.design_augmentation import DesignAugmentation
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect
-from benchmarks.reconstruction.design_net import Answer, DesignTargets, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models.parameters import MOST_GROWTH, Designs, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT

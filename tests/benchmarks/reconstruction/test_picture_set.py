@@ -9,11 +9,10 @@ import pytest
 import torch
 
 from benchmarks.reconstruction import garments, picture_model
-from benchmarks.reconstruction.derived import DERIVED, PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction.derived import DERIVED, FIRST_PANEL, PICTURE_SIZE, PICTURES, picture_views
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, fresh_garments, generated
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.picture_labels import FIRST_PANEL
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.training import TrainConfig, train

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from benchmarks.reconstruction.pools import FreshPool
+from benchmarks.reconstruction.training import FreshPool
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner
 

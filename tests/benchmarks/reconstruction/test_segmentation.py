@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models.nearest_labels import answers
+from benchmarks.reconstruction.models.baselines import nearest_labels
 from benchmarks.reconstruction.models.segmentation import any_of_loss, build, set_loss
 from benchmarks.reconstruction.vertex_labels import score_labels, true_labels
 from gcd_dataset.errors import ConfigError
@@ -90,7 +90,7 @@ def test_a_mirror_image_has_the_classes_of_the_other_side(draped: GarmentSet) ->
 
 
 def test_the_nearest_garment_of_a_known_one_has_its_labels(draped: GarmentSet) -> None:
-    found = answers(draped, draped, device=CPU)
+    found = nearest_labels(draped, draped, device=CPU)
     for k, answer in enumerate(found):
         score = score_labels(answer, true_labels(draped, k))
         assert (score.panel_label, score.panel_count_acc, score.seam_f1) == (1, 1, 1)

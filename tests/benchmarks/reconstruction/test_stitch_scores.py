@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.reconstruction.stitching.graphs import graph_of
 from benchmarks.reconstruction.stitching.run import _by_kind, write
-from benchmarks.reconstruction.stitching.symmetry import StitchScore, congruences, random_symmetry, score_stitches
+from benchmarks.reconstruction.stitching.scores import StitchScore, congruences, random_symmetry, score_stitches
 from gcd_dataset.records import EdgeRef, Pattern, Seam
 from tests.benchmarks.reconstruction.sewn_patterns import (
     ARMHOLE_L,

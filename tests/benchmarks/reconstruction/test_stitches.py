@@ -20,11 +20,11 @@ from benchmarks.reconstruction.models.stitches import (
     revealed,
     scaled,
 )
-from benchmarks.reconstruction.recorded import replace_tensors, tensors_of
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.merging import subdivided
 from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew
+from benchmarks.reconstruction.training import replace_tensors, tensors_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import EdgeRef, Pattern, Placement
 from tests.benchmarks.reconstruction.sewn_patterns import (

@@ -9,10 +9,9 @@ import torch
 from benchmarks.reconstruction.models.stitches import (
     StitchNet,
 )
-from benchmarks.reconstruction.stitching.gluing import glued
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
-from benchmarks.reconstruction.stitching.intervals import score_intervals
-from benchmarks.reconstruction.stitching.merging import aligned, merged, needed, split, subdivided
+from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, needed, split, subdivided
+from benchmarks.reconstruction.stitching.scores import score_intervals
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew, sew_in_ways
 from gcd_dataset.records import EdgeRef, Pattern, Seam
 from gcd_dataset.validate import check_pattern

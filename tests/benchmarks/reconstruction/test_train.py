@@ -273,7 +273,7 @@ def test_a_reference_does_not_answer_into_the_folder_of_a_training(
 def test_the_case_trains_and_asks_the_references(
     tmp_path: Path, small: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flags = [*small, *"--models panel_set,typical --steps 1 --batch 4 --out".split(), str(tmp_path / "out")]
+    flags = [*small, *["--models", "panel_set,typical", "--steps", "1", "--batch", "4", "--out"], str(tmp_path / "out")]
     flags += ["--report", str(tmp_path / "report.md")]
     assert run_case(["reconstruction", *flags]) == 0
     printed = capsys.readouterr().out
