@@ -22,7 +22,7 @@ QUEUED = 256  # requests in the queue: more than a GPU drapes at a time
 
 
 def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pictured: bool = False) -> float:
-    """Garments per second of one draping process whose queue never runs empty.
+    """Garments per second of one draping process with a queue that never runs empty.
 
     ``prepared`` designs are repeated, on bodies that the draper has not seen; the first ``warm`` garments are not
     counted.

@@ -190,7 +190,7 @@ LOADERS: Mapping[str, tuple[str, Callable[[Path, Sequence[str]], Batches]]] = {
 
 
 def installed_loaders(folder: Path, fields: Sequence[str]) -> dict[str, Batches]:
-    """The loaders whose library is installed; makes their copies of the garments."""
+    """The loaders that are installed, each with its own copy of the garments."""
     return {name: load(folder, fields) for name, (module, load) in LOADERS.items() if find_spec(module) is not None}
 
 

@@ -142,7 +142,7 @@ def measure_sewn(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
 
 
 def _sewn(jobs: Sequence[DrapeJob], device: str) -> Solver:
-    """A solver whose garments have just been sewn."""
+    """A solver after ``DrapeConfig.sewing_time``: its garments are sewn."""
     config = DrapeConfig(coarse_start=False)
     coarse = {k for k, job in enumerate(jobs) if job.coarse is not None}
     starts = [job if job.coarse is None else replace(job, box_mesh=job.coarse.mesh, coarse=None) for job in jobs]

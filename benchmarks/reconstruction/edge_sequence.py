@@ -150,7 +150,7 @@ class Tokens:
     end: Float[Tensor, "b t 2"]
     """End of an edge; the first corner of a panel."""
     centres: Float[Tensor, "b t 3"]
-    """Of the token's panel."""
+    """Centre of the token's panel."""
     axes: Float[Tensor, "b t 6"]
     """First two columns of the rotation of the token's panel."""
 

@@ -289,7 +289,7 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
 
 
 def _apart(numbers: Sequence[int]) -> list[int]:
-    """Increasing numbers without those whose labels a greater one would cover on a logarithmic axis.
+    """Tick positions whose labels do not overlap on a logarithmic axis: of two near ones, the greater stays.
 
     >>> _apart([1000, 4000, 13_956, 16_000])
     [1000, 4000, 16000]

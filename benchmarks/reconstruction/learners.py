@@ -66,7 +66,7 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         return None
 
     def drawn_from(self, encoded: "TensorExamples") -> Examples[Batch]:
-        """Examples whose batches are drawn from what ``encoder`` returned; by default its rows."""
+        """Examples that draw batches from the result of ``encoder``; by default its rows."""
         return cast(Examples[Batch], encoded)
 
     @abstractmethod

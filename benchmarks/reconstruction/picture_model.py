@@ -28,7 +28,7 @@ from gcd_dataset.tensors import PANEL_LABELS
 STRIDE = 8  # pixels along each side of a token's cell
 NUMBERS = 6  # of a distortion
 MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3
-"""Of ``distorted``: radians; logarithm of the scale; half sides of the picture; logarithm of a channel's weight."""
+"""Limits of ``distorted``: turn [rad], log scale, shift [half sides of the picture], log weight of a channel."""
 GROUPS = 8  # of channels that are normalised together
 PARTS = 2  # parts of a cell along each side, about which its token says something
 SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
@@ -120,7 +120,7 @@ def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) ->
 
 
 def _borders(panels: Int[Tensor, "b n h w"]) -> Int[Tensor, "b n h w"]:
-    """1 for pixels of a panel (others are -1) whose right or lower neighbour shows another panel."""
+    """1 where the right or lower neighbour shows another panel, 0 elsewhere on panels, -1 off them."""
     right = functional.pad(panels, (0, 1), value=-1)[..., 1:]
     lower = functional.pad(panels, (0, 0, 0, 1), value=-1)[..., 1:, :]
     borders = [(panels >= 0) & (other >= 0) & (panels != other) for other in (right, lower)]
@@ -144,7 +144,7 @@ class ShownGarments(Protocol):
 
     @property
     def shown(self) -> UInt8[Tensor, "b n h w"]:
-        """What pixels show, as ``pixel_labels``."""
+        """``pixel_labels`` of the pictures."""
 
     @property
     def device(self) -> torch.device: ...
@@ -159,7 +159,7 @@ Shown = TypeVar("Shown", bound=ShownGarments)
 
 @dataclass(frozen=True)
 class DrawnPictures(Generic[Shown]):
-    """Examples whose batches have some of the pictures, others, in another order and distorted in each step."""
+    """Examples with a new choice, order and distortion of their pictures in each step."""
 
     whole: Shown
     views: int

@@ -80,7 +80,7 @@ SCORING = 0.1  # CPU-s for each prediction
 SHEET = 8  # garments of the sheet
 TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
 METRICS = ("panel_count_acc", "edge_count_acc", "iou")
-"""The metrics whose gaps are stated in points."""
+"""Metrics with gaps in points."""
 
 
 @dataclass
@@ -90,7 +90,7 @@ class Result:
     what: Input
     figures: dict[str, float]
     scores: dict[Input, list[PatternScore]]
-    """By the input that it was tested on, in the order of the test garments."""
+    """Scores by test input, in the order of the test garments."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

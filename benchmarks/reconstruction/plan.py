@@ -34,7 +34,7 @@ from typing import Any, NoReturn
 
 import torch
 
-from benchmarks.reconstruction import leaderboard
+from benchmarks.reconstruction import leaderboard, results
 from benchmarks.reconstruction.scoring.table import REPORT
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
@@ -266,7 +266,7 @@ def _report(runs: Sequence[PlannedRun], args: argparse.Namespace) -> int:
         examples = ["--examples", "FREESEWING"] if run.program == "stitching.run" and args.examples else []
         command = shlex.join([*run.command, *examples, "--out", f"runs/{run.name}"])
         told = {"command": command, "commit": commit, "date": date}
-        leaderboard.add(path, args.reports / leaderboard.RESULTS, **told, remark=remark)
+        results.add(path, args.reports / leaderboard.RESULTS, **told, remark=remark)
     for path in leaderboard.write_pages(args.reports):
         print(path)
     print(f"{len(trained)} of {len(runs)} runs reported")

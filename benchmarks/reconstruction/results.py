@@ -61,7 +61,7 @@ class Entry:
     fresh: int = 0
     """Garments made during the training, besides ``train``."""
     remark: str = ""
-    """What the scores do not tell."""
+    """A sentence of the report on this result."""
     tested: int = 0
     """Garments of the test set."""
     tests: str = ""

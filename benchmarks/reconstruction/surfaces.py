@@ -40,7 +40,7 @@ class Surface:
     reverse: Int[np.ndarray, "v k"]
     """Row of the reverse edge in the flattened ``neighbours``; an entry without a neighbour is its own."""
     lengths: Float[np.ndarray, "v k"]
-    """Of the edges to the neighbours [m]; 0 to the vertex itself."""
+    """Lengths of the edges to the neighbours [m]; 0 where a neighbour is missing."""
     shape: Float[np.ndarray, "v 6"]
     """Number of neighbours over 6; shortest, mean and longest edge over the median edge of the mesh; angle defect
     [rad], 0 on the border; whether on the border."""
@@ -305,7 +305,7 @@ class Turn:
     """Orthogonal, times the growth."""
     mirrored: Bool[Tensor, " b"]
     jitter: Float[Tensor, "n 3"]
-    """Of vertex k: row k modulo n."""
+    """Jitter of vertex k: row k modulo n [m]."""
 
     def of(self, batch: SurfaceBatch) -> SurfaceBatch:
         """The batch, moved."""

@@ -93,7 +93,7 @@ class Options:
     workers: int = 0
     device: str = "cpu"
     make_device: str = "auto"
-    """Of the drapes of generated garments."""
+    """Device that drapes generated garments."""
     smoke: bool = False
     make_only: bool = False
     """Make the garments, nothing else."""
@@ -343,7 +343,7 @@ def _trained(
 
 
 def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
-    """What is trained on what: a checkpoint of another training is not continued."""
+    """Model, options and data of a training; a checkpoint with another identity is refused."""
     recipe = {name: value for name, value in garments.recipe.items() if name != "made"}
     return {
         "task": options.task.name,

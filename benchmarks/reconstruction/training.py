@@ -67,7 +67,7 @@ class TrainConfig:
     warm_up: float = 0.05
     """Share of the training in which the learning rate rises."""
     weight_decay: float = 0.05
-    """Of matrices; vectors, such as biases, do not decay."""
+    """Weight decay, applied to matrices only."""
     largest_gradient: float = 1.0
     """Norm to which larger gradients are scaled."""
     ema: float = 0.999
@@ -345,7 +345,7 @@ class _Run:
         return examples
 
     def _with_gradients(self, examples: Examples[Any]) -> Tensor:
-        """The loss terms of the step's batch, whose gradients the learner holds then."""
+        """Loss terms of the step's batch; fills the gradients of the learner."""
         batch = self._batch(examples)
         if self._recorded is not None:
             return self._recorded(batch)

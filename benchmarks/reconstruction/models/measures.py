@@ -72,7 +72,7 @@ class Scans(TensorExamples):
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Scans whose batches have some of the points, turned about the vertical and grown."""
+    """Scans; each batch draws some of the points, turned about the vertical and scaled."""
 
     whole: Scans
     points: int

@@ -149,7 +149,7 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
 
 
 def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"], exists: Bool[Tensor, "b p"]) -> Tensor:
-    """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
+    """Loss of the panels' existence, over the garments that fit into the network's sizes; the others have no panels."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
     return mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
@@ -234,7 +234,7 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
 
 
 def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
-    """The predictions in the form of the targets, with the panels whose probability exceeds 1/2, at least one."""
+    """The predictions in the form of the targets; panels are those with a probability above 1/2, at least one."""
     layers, panels = decoder(tokens)
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))

@@ -38,7 +38,7 @@ class PictureDesigns(DesignTargets):
     pictures: UInt8[Tensor, "b n h w 3"]
     """sRGB"""
     shown: UInt8[Tensor, "b n h w"]
-    """What their pixels show, as ``pixel_labels``."""
+    """``pixel_labels`` of the pictures."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class PictureTargets(PanelTargets):
     pictures: UInt8[Tensor, "b n h w 3"]
     """sRGB"""
     shown: UInt8[Tensor, "b n h w"]
-    """What their pixels show, as ``pixel_labels``."""
+    """``pixel_labels`` of the pictures."""
 
 
 class PictureSet(Learner[PictureTargets, Pattern]):

@@ -83,7 +83,7 @@ class StitchConfig:
     sinkhorn: int = 0
     """Iterations; 0 for a softmax over each edge's choices."""
     temperature: float = 1.0
-    """Of the Sinkhorn iterations."""
+    """Temperature of the Sinkhorn iterations."""
     relations: bool = True
     """Whether pairs are scored by their relations, too."""
     rounds: int = 24
@@ -129,7 +129,7 @@ class Scores:
     """Position within the bin, in [0, 1]."""
 
     def log_probabilities(self, config: StitchConfig) -> Float[Tensor, "b e e+1"]:
-        """Of each choice of each edge; the last is to stay free."""
+        """Log-probability of each partner of each edge; the last column: no partner."""
         pairs, free = self.pairs.float(), self.free.float()
         if not config.sinkhorn:
             return torch.cat([pairs, free[..., None]], dim=-1).log_softmax(dim=-1)
@@ -174,7 +174,7 @@ class StitchNet(nn.Module):
         return self.scores(self.inputs(batch), known)
 
     def inputs(self, batch: EdgeBatch) -> EdgeInputs:
-        """What the network sees of a batch, whichever seams are known."""
+        """The network's inputs that do not depend on the known seams."""
         return EdgeInputs.of(batch, placed=self.config.placed, with_pairs=self.config.encoder == "attention")
 
     def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> Scores:
@@ -219,7 +219,7 @@ class StitchNet(nn.Module):
 
 
 class _Block(nn.Module):
-    """A transformer layer whose attention has a bias for each pair."""
+    """A transformer layer with an attention bias for each pair."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -354,7 +354,7 @@ class StitchBatch:
     shares: Float[Tensor, " b"]
     """Share of the seams that are given; 0 or less for none."""
     seeds: Int[Tensor, " b"]
-    """Of the random numbers that vary which."""
+    """Seeds of the random choice of the given seams."""
 
     def edges(self, rows: slice, part: Part) -> EdgeBatch:
         """The edges of a part, whose garments are these rows."""
@@ -425,7 +425,7 @@ class StitchExamples:
 
     @property
     def _chances(self) -> list[float]:
-        """Of each variant."""
+        """Probability of each variant."""
         limits = [0.0, *VARIANTS, *([1 - self.config.foreign] if self.config.foreign else []), 1.0]
         return [high - low for low, high in pairwise(limits)]
 
@@ -510,7 +510,7 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
 
 
 def _variants(job: tuple[int, Arrays, bool]) -> list[EdgeGraph]:
-    """Graphs of a pattern: as drawn, with joined edges, subdivided elsewhere, and as of another source."""
+    """Variants of a pattern's graph: as drawn, edges joined, subdivided elsewhere, subdivided like another source."""
     number, arrays, with_foreign = job
     pattern, rng = pattern_of(arrays), np.random.default_rng(number)
     joined, again = merged(pattern, rng), pattern

@@ -127,7 +127,7 @@ class Scored:
     failure: str = ""
     """Why there is no prediction; empty if there is one."""
     remarks: tuple[str, ...] = field(default=())
-    """What could not be measured, and why."""
+    """Parts that could not be measured, with the reason."""
 
 
 def score_cases(cases: Iterable[Case], *, workers: int = 1, spacing: float = SPACING) -> Iterator[Scored]:

@@ -23,7 +23,7 @@ SEAMS_AT_CORNER = 4  # most seams that end in a corner of the partly sewn garmen
 
 @dataclass(frozen=True)
 class EdgeInputs:
-    """What a network sees of the edges of a batch and of their pairs, whichever seams are known."""
+    """Features of the edges of a batch, and of their pairs, that do not depend on the known seams."""
 
     valid: Bool[Tensor, "b e"]
     """Rows that are edges."""
@@ -53,7 +53,7 @@ class EdgeInputs:
 
     @torch.no_grad()
     def relations(self, known: Int[Tensor, "b e"]) -> Float[Tensor, "b e e r"]:
-        """What a network sees of each pair; ``known``: partners of the edges that are sewn, -1 for the others."""
+        """Features of each pair; ``known``: partners of the sewn edges, -1 for the others."""
         assert self.pairs is not None
         found = _is_row(torch.stack([next_on_boundary(self.following, known), known], dim=-1))
         meeting, sewn = found[..., :1], found[..., 1:]
@@ -72,7 +72,7 @@ class _EdgeShapes:
     forward: Float[Tensor, "b e k"]
     """Points along the edge, in the frame of its chord, by length."""
     backward: Float[Tensor, "b e k"]
-    """The same of the reversed edge."""
+    """The same points for the reversed edge."""
     bend: Float[Tensor, "b e"]
     """Total turn between the ends [rad]."""
     corners: Float[Tensor, "b e 2"]
@@ -97,7 +97,7 @@ class _EdgeShapes:
         )
 
     def features(self, *, placed: bool) -> Float[Tensor, "b e f"]:
-        """What a network sees of each edge; ``placed``: of its place in space, too."""
+        """Features of each edge; ``placed``: with its place in space."""
         batch = self.batch
         x, y = batch.points.unbind(-1)
         areas = 0.5 * (x[..., :-1] * y[..., 1:] - x[..., 1:] * y[..., :-1]).sum(-1)

@@ -73,7 +73,7 @@ def best_symmetry(graph: EdgeGraph, predicted: Int[np.ndarray, " e"]) -> Int[np.
 def _f1(
     graph: EdgeGraph, predicted: Int[np.ndarray, " e"], moved: Int[np.ndarray, " e"], others: int
 ) -> tuple[float, float, float]:
-    """Precision, recall and F1 of stitches whose edges are moved by a symmetry."""
+    """Precision, recall and F1 of stitches after a symmetry moved their edges."""
     sewn = predicted >= 0
     right = int((graph.partners[moved[sewn]] == moved[predicted[sewn]]).sum())
     found, wanted = int(sewn.sum()) + 2 * others, int((graph.partners >= 0).sum())
@@ -225,7 +225,7 @@ class _Search:
                 yield {one: (b, s), other: (a, t)}
 
     def _right(self, images: dict[int, tuple[int, int]]) -> int:
-        """The number of edges whose partner is right."""
+        """Number of edges with the right partner."""
         moved, sewn = self._moved(images), self.predicted >= 0
         return int((self.true[moved[sewn]] == moved[self.predicted[sewn]]).sum())
 
@@ -251,12 +251,12 @@ class IntervalScore:
     """Scores of the stitches of one garment, in [0, 1]."""
 
     f1: float
-    """Of all seams."""
+    """F1 of all seams."""
     f1_symmetric: float
-    """Up to the symmetries of the subdivided panels."""
+    """F1 of all seams, up to the symmetries of the subdivided panels."""
     perfect_symmetric: float
     f1_several: float
-    """Of the seams with a side that is a part of an edge."""
+    """F1 of the seams n to m: a side is a part of an edge."""
     f1_several_symmetric: float
     cut_recall: float
     """Share of the parts of edges whose two ends are found."""

@@ -87,7 +87,7 @@ class _Parts:
     parts: Sequence[Pattern]
     """The patterns subdivided at ``cuts``, with seams."""
     options: Mapping[str, int]
-    """Of ``_sewn``."""
+    """Keyword arguments of ``_sewn``."""
 
     @classmethod
     @torch.no_grad()
