@@ -24,9 +24,11 @@ from benchmarks.reconstruction.plan import read_plan
 from benchmarks.reconstruction.train import UNFINISHED, main
 from gcd_dataset.generator.drape import FABRICS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.test_evaluate import save
 from tests.benchmarks.reconstruction.test_plan import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
 from tests.benchmarks.test_pictures_matter import options, stored_garments
+from tests.test_metrics import garment
 
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: str(path.stem))
@@ -119,3 +121,12 @@ def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
     with pool_of(Input.PLAIN, data, args) as pool:
         losses = train_on_pictures(pool, data.targets, Input.PLAIN, args.steps, args)[1]
     assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+
+
+def test_a_reader_of_the_evaluator_exits_early(tmp_path: Path) -> None:
+    truth, ours = (save(tmp_path / name, {"a": garment()}) for name in ("truth", "ours"))
+    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()

@@ -27,7 +27,7 @@ from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.validate import Severity, check_pattern
-from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
+from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")
 
