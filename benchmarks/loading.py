@@ -318,7 +318,7 @@ def write_shards(folder: Path, count: int) -> Path:
 
 
 def write_large_index(folder: Path, count: int) -> int:
-    """Write manifest and index of ``count`` samples, of which the first alone exists; bytes of the index."""
+    """Write manifest and index of ``count`` samples, only the first of which exists. Returns the bytes of the index."""
     folder.mkdir(parents=True, exist_ok=True)
     shards = tuple(
         ShardRecord(number, min(LARGE_SHARD, count - first), SAMPLE * LARGE_SHARD + END, f"{number:064x}")

@@ -186,7 +186,7 @@ def variants() -> list[Variant]:
 
 
 def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
-    """Drape the garments in every variant. Rows: one per variant; figures: those of the full system."""
+    """Drape the garments in every variant. A row per variant; figures of the full system."""
     rows: list[dict[str, Any]] = []
     figures: list[Figure] = []
     for variant in variants():

@@ -177,7 +177,7 @@ def sizes_from(
     least: Mapping[str, int] = NONE,
     heads: Mapping[str, str] = NONE,
 ) -> tuple[Config, dict[str, Any]]:
-    """The configuration of a network, and the options ``own``, which are no fields of it.
+    """The configuration of a network, and the options ``own``, which it has no fields for.
 
     ``without``: fields that the network does not use. ``least``: least values of sizes, 1 for others. ``heads``: names
     of widths, each with the name of the number of heads that share it. Raises ``ConfigError`` for an unusable option.

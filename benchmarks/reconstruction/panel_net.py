@@ -192,7 +192,7 @@ class EdgeMover(nn.Module):
     def forward(
         self, edges: Edges, panels: Float[Tensor, "b q w"], said: Predicted, tokens: Float[Tensor, "b t w"]
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
-        """``said`` with moved corners and bends, and the features of the edges."""
+        """The predictions ``said`` with moved corners and bends, and the features of the edges."""
         features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
         tokens, hidden = self.tokens(tokens), hiding(edges.hidden)
         for layer in self.layers:

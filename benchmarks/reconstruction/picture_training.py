@@ -184,7 +184,7 @@ class Data:
 
 
 def garments_folder(args: argparse.Namespace, out: Path) -> Path:
-    """The folder of the garments; those of ``--out`` are made, or completed, and so are those of an empty folder."""
+    """The folder of the garments. The set in ``--out``, or in an empty folder, is made or completed."""
     folder = Path(args.garments) if args.garments else out / "garments"
     if not args.garments or not (folder / "manifest.json").exists():
         design = read_overlay(args.design) if args.design else NO_OVERLAY

@@ -28,7 +28,7 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
 LOWER = ("error_cm", "error_degrees", "ms")
-"""Scores of which the lower is the better."""
+"""Scores where lower is better."""
 TABLES: Mapping[str, str] = {
     "one_to_one": "Test patterns, edges subdivided as drawn",
     "one_round": "The same, all seams predicted at once",

@@ -45,7 +45,7 @@ class Surface:
     """Number of neighbours over 6; shortest, mean and longest edge over the median edge of the mesh; angle defect
     [rad], 0 on the border; whether on the border."""
     clusters: Int[np.ndarray, " v"]
-    """Cluster of each vertex: that of the centre at the least distance along edges."""
+    """Cluster of each vertex: the centre nearest along edges."""
 
 
 def surface_of(

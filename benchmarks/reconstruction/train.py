@@ -77,7 +77,7 @@ class Options:
     out: Path
     train: int
     test: int
-    """Test garments; 0: those of the task."""
+    """Number of test garments; 0: the task's own."""
     config: TrainConfig
     sizes: Mapping[str, Any]
     """Options of the network."""
@@ -487,7 +487,7 @@ def _write(
 
 
 def _remove_answers(out: Path) -> None:
-    """Remove the files of an earlier run, which ``SCORES`` lists: nobody shall score them as answers of this one."""
+    """Remove the files of an earlier run, listed in ``SCORES``: they would be scored as answers of this one."""
     for name in (REPORT, EVALUATION):
         (out / name).unlink(missing_ok=True)
     if not (out / SCORES).exists():

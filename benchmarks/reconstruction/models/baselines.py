@@ -29,7 +29,7 @@ PATTERNS = ("T0", "T1", "T1-scan")
 
 @dataclass(frozen=True)
 class Baseline:
-    """A reference; the names of its fields are those of the modules of networks."""
+    """A reference, with the attributes that ``train`` reads of a network's module."""
 
     answers: Callable[..., list[Any]]
     """Answers for unseen garments: ``answers(known, unseen, device=…, workers=…)``."""

@@ -156,7 +156,7 @@ def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"],
 
 
 def _shifts(corners: Float[Tensor, "l b p n 2"], true: PanelTargets) -> Int[Tensor, "l b p"]:
-    """The corner of each true loop at which the predicted loop starts: that of the least mean square distance."""
+    """The corner of each true loop that, as its start, has the least mean square distance to the predicted loop."""
     with torch.no_grad():
         counts = true.edge_counts.clamp(min=1)[..., None]
         slot = torch.arange(true.corners.shape[2], device=counts.device)

@@ -101,7 +101,7 @@ def name_of(path: Path) -> str:
 
 
 def _in_capitals(names: Iterable[str], garments: Iterable[str]) -> str:
-    """A remark if a name and that of a garment differ in capital letters only; else empty."""
+    """A remark if a name differs from a garment's in capital letters only; else empty."""
     known = {garment.casefold(): garment for garment in garments}
     alike = [name for name in names if name.casefold() in known]
     return f" ({shown(alike[0])} and {shown(known[alike[0].casefold()])} differ in capital letters)" if alike else ""
@@ -189,7 +189,7 @@ def mesh_of(pattern: Pattern, spacing: float) -> BoxMesh:
 
 
 def kind_of(pattern: Pattern) -> str:
-    """The kind of a garment: ``properties.kind`` of its file, or told by the names of its panels."""
+    """The kind of a garment: ``properties.kind`` of its file, else inferred from the names of its panels."""
     given = pattern.extra.get("properties", {}).get("kind")
     if isinstance(given, str) and given:
         return given

@@ -16,7 +16,7 @@ REPORT = "report.json"
 SCORES = "scores.csv"
 """There: a row of scores for each test garment."""
 EVALUATION = "evaluation.json"
-"""There: scores of the evaluator, those of drapes among them."""
+"""There: the evaluator's scores, with drapes."""
 UNITS = {
     "boxmesh_cd": "cm",
     "panel_l2": "cm",
@@ -104,7 +104,7 @@ def tree_of(
     presets: Mapping[str, Mapping[str, float]],
     settings: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """All of it as a JSON tree."""
+    """Figures, garments and settings as a JSON tree."""
 
     def entries(rows: Sequence[Summary]) -> dict[str, Any]:
         return {

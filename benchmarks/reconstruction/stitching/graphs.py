@@ -214,7 +214,7 @@ class Part:
 
     rows: int
     given: int
-    """Most garments, the first ones, of which seams are given."""
+    """Number of garments, the first ones, that may be given seams."""
     width: int
     """Edges to which they are padded."""
 
@@ -228,7 +228,7 @@ def parts_of(counts: Int[Tensor, " b"], shares: Float[Tensor, " b"]) -> tuple[Pa
 
 
 def ordered(parts: Sequence[Part], counts: Int[Tensor, " b"], shares: Float[Tensor, " b"]) -> Int[Tensor, " b"]:
-    """The garments of a batch in the order of its parts, in each part those of the largest shares first."""
+    """The garments of a batch in the order of its parts, within a part by decreasing share."""
     chunks = torch.split(counts.argsort(), [part.rows for part in parts])
     return torch.cat([chunk[shares[chunk].argsort(descending=True)] for chunk in chunks])
 

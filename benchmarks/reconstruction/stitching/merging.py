@@ -34,14 +34,14 @@ class Merged:
     """A pattern with joined edges, without the seams of these edges, and how to restore them."""
 
     pattern: Pattern
-    """Its seams join edges of which neither is to be subdivided."""
+    """The pattern with joined edges; its seams join whole edges only."""
     cuts: dict[EdgeRef, tuple[float, ...]]
     parts: Pattern
     """The pattern subdivided at ``cuts``, with all seams: the truth."""
 
     @property
     def seams_of_several(self) -> frozenset[int]:
-        """Seams of ``parts`` of which a side is a part of an edge."""
+        """Seams of ``parts`` with a side that is a part of an edge."""
         refs = dict(zip(edge_refs(self.parts), _origins(self.pattern, self.cuts), strict=True))
         return frozenset(
             number

@@ -164,7 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The options, those of ``SMOKE`` where they are not given with ``--smoke``."""
+    """The options; with ``--smoke``, ``SMOKE`` holds the defaults."""
     given = parser.parse_args(arguments)
     if given.smoke:
         parser.set_defaults(**SMOKE)
@@ -280,7 +280,7 @@ def foreign(learner: StitchLearner, folder: Path) -> dict[str, Any]:
 
 
 def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """The specifications of patterns, by name, for the evaluator; those of an earlier run are removed."""
+    """Write the specifications of patterns for the evaluator; files of an earlier run are removed."""
     for old in make_folder(folder).glob(f"{TEST_SEED}_*_specification.json"):
         old.unlink()
     for pattern in patterns:

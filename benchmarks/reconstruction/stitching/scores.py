@@ -263,7 +263,7 @@ class IntervalScore:
 
 
 def score_intervals(true: Merged, predicted: Pattern) -> IntervalScore:
-    """The score of ``predicted``: the panels of ``true.pattern`` with seams, of which edges may be subdivided."""
+    """The score of ``predicted``: the panels of ``true.pattern`` with seams; its edges may be subdivided."""
     graph, row_of = graph_of(true.parts), _rows_of_truth(true.parts, predicted)
     stitches = [(row_of.get(seam.left, -1), row_of.get(seam.right, -1)) for seam in predicted.seams]
     known = [pair for pair in stitches if min(pair) >= 0]

@@ -294,7 +294,6 @@ def test_workers_can_be_sent_the_encoder(six: GarmentSet, targets: PanelTargets)
 @pytest.mark.parametrize(
     ("sizes", "expected"),
     [
-        ({"depth": 3}, "no size depth of edge_tokens: choose of tokens, seen"),
         ({"slots": 2}, "slots 2, edges 96: give room for one panel of 3 edges"),
         ({"tokens": 24}, "24 tokens of 128 points: give a power of 2"),
     ],

@@ -16,7 +16,6 @@ from benchmarks.reconstruction.scoring.bodies import wearers_of
 from benchmarks.reconstruction.scoring.distances import read_shape
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.vertex_labels import VertexLabels
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import ANGLES, MEASURES
@@ -161,8 +160,3 @@ def test_answers_start_at_the_mean_of_the_training_set(draped: GarmentSet) -> No
 
 def test_a_scan_depends_on_its_garment_alone(draped: GarmentSet) -> None:
     assert torch.equal(scans_of(draped.select([1]))[0], scans_of(draped)[1])
-
-
-def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of measures"):
-        build(smoke=True, options={"depth": 3})

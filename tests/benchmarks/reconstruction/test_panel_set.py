@@ -203,11 +203,6 @@ def test_regions_are_a_power_of_two() -> None:
         learner(tokens=24)
 
 
-def test_an_unknown_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of panel_set: choose of tokens, seen"):
-        learner(depth=3)
-
-
 def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
     # As a product of matrices, which needs more than 25 rows, distances this far from the origin would be rounded.
     torch.manual_seed(0)

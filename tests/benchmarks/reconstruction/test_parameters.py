@@ -253,5 +253,3 @@ def test_the_loss_falls(six: GarmentSet) -> None:
 def test_wrong_sizes_are_refused() -> None:
     with pytest.raises(ConfigError, match="24 tokens of 128 points: give a power of 2"):
         learner(tokens=24)
-    with pytest.raises(ConfigError, match="no size depth of parameters: choose of tokens"):
-        learner(depth=3)

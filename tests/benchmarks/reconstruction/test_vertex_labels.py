@@ -11,7 +11,6 @@ from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models.baselines import nearest_labels
 from benchmarks.reconstruction.models.segmentation import any_of_loss, build, set_loss
 from benchmarks.reconstruction.vertex_labels import TrueLabels, VertexLabels, score_labels, true_labels
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS
 
 PANELS = np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 1])
@@ -176,10 +175,3 @@ def test_the_nearest_garment_of_a_known_one_has_its_labels(draped: GarmentSet) -
     for k, answer in enumerate(found):
         score = score_labels(answer, true_labels(draped, k))
         assert (score.panel_label, score.panel_count_acc, score.seam_f1) == (1, 1, 1)
-
-
-def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of segmentation"):
-        build(smoke=True, options={"depth": 3})
-    with pytest.raises(ConfigError, match="token_width 10 is no multiple of heads 8"):
-        build(smoke=False, options={"token_width": 10})
