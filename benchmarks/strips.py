@@ -157,7 +157,7 @@ def _hanging(direction: Direction, spacing: float) -> BoxMesh:
 
 
 def _row(mesh: BoxMesh, level: float) -> Bool[np.ndarray, " v"]:
-    """The vertices of the row nearest to a height [cm]; those of both half rows where rows are shifted."""
+    """The vertices of the row nearest to a height [cm]; where rows are shifted, of both half rows."""
     height = mesh.vertices[:, 1]
     nearest = height[np.abs(height - level).argmin()]
     return np.abs(height - nearest) < 1e-6

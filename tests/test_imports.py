@@ -31,7 +31,7 @@ def test_the_front_door_brings_numpy_alone() -> None:
 
     The libraries of exports are imported when a file is written.
     """
-    exports = [f"gcd_dataset.exports.{name}" for name in ("dxf_file", "pdf_file", "usd_file", "mesh_files")]
+    exports = [f"gcd_dataset.exports.{name}" for name in ("dxf_file", "pdf_file", "meshes")]
     modules = ("gcd_dataset", "gcd_dataset.__main__", "gcd_dataset.cli", "gcd_dataset.spec", "gcd_dataset.exports")
     loaded = loaded_by(*modules, *exports)
     assert not loaded[1] & {"numpy", "jaxtyping", "gcd_dataset.records", "tqdm", "yaml"}

@@ -15,18 +15,15 @@ CASES: Mapping[str, str] = {
     "drape": "benchmarks.cases.drape",
     "fabrics": "benchmarks.cases.fabrics",
     "generated": "benchmarks.cases.generated",
-    "imports": "benchmarks.cases.imports",
-    "libraries": "benchmarks.cases.libraries",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
-    "pictures_matter": "benchmarks.cases.pictures_matter",
+    "pictures_matter": "benchmarks.reconstruction.picture_training",
     "reconstruction": "benchmarks.cases.reconstruction",
     "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
-    "viewer": "benchmarks.cases.viewer",
 }
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 

@@ -28,8 +28,7 @@ import numpy as np
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.failures import write_failures
 from benchmarks.draping.other_bodies import OTHER_BODIES, OtherBody, dressed, other_body
-from benchmarks.draping.quality import is_clean
-from benchmarks.draping.workload import Worn
+from benchmarks.draping.workload import Worn, is_clean
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, write_whole

@@ -16,8 +16,7 @@ table lists the garments that did not settle. ``clean``: the share that settled 
 ``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
 them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
 after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
-``benchmarks.reference_sampler``. ``--ordering`` measures what the same bytes in any batch cost, see
-``benchmarks.draping.ordering``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
+``benchmarks.reference_sampler``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
 distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton`` also drapes
 the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
@@ -33,16 +32,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import jpeg_file
-from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.ablation import measure_ablation
+from benchmarks.cases.figures import Figure, Measured, jpeg_file
 from benchmarks.draping.failures import write_failures
-from benchmarks.draping.floor import compare_devices
-from benchmarks.draping.memory import gpu_peak_mb, measure_memory
-from benchmarks.draping.ordering import measure_ordering
-from benchmarks.draping.quality import quality
-from benchmarks.draping.sewn import measure_sewn
-from benchmarks.draping.workload import Worn, reference_sampled, sampled
+from benchmarks.draping.modes import compare_devices, gpu_peak_mb, measure_ablation, measure_memory, measure_sewn
+from benchmarks.draping.workload import Worn, quality, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
 from gcd_dataset.errors import ConfigError, MeshError
@@ -76,7 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
     mode.add_argument("--beside", metavar="DEVICE", help="drape the sampled garments on this device too")
     mode.add_argument("--sewn", action="store_true", help="count crossings at the end of sewing, before gravity")
-    mode.add_argument("--ordering", action="store_true", help="time fixed-point and floating-point contact sums")
     mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")
     parser.add_argument("--body", default="neutral", help="as for gcd drape")
@@ -98,10 +90,8 @@ def run(options: argparse.Namespace) -> Measured:
         require_newton()
     if options.count:
         return _run_sampled(options)
-    if options.ablation or options.memory or options.ordering or options.beside or options.sewn:
-        raise ConfigError(
-            "--ablation, --memory, --ordering, --beside and --sewn need sampled garments: give --count N alone"
-        )
+    if options.ablation or options.memory or options.beside or options.sewn:
+        raise ConfigError("--ablation, --memory, --beside and --sewn need sampled garments: give --count N alone")
     bodies = {apart: _body(options, apart) for apart in (False, True)}
     read = list(read_patterns(options.spec))
     if options.peer:
@@ -181,8 +171,6 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
         return compare_devices(worn, device, resolve_device(options.beside), batch=options.batch)
     if options.sewn:
         return measure_sewn(worn, device=device, batch=options.batch)
-    if options.ordering:
-        return measure_ordering([one.job for one in worn], device=device)
     if options.peer:
         return compare_solvers([one.job for one in worn], options.batches, device=device)
     start = time.perf_counter()

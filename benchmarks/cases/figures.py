@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 
@@ -35,3 +36,11 @@ class Case(Protocol):
 
     def run(self, options: argparse.Namespace) -> Measured:
         """Run the benchmark."""
+
+
+def jpeg_file(text: str) -> Path:
+    """The path of a JPEG file. Raises ``ArgumentTypeError`` for the name of another format."""
+    path = Path(text)
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        raise argparse.ArgumentTypeError(f"{text}: the picture is a JPEG, so end the name in .jpg")
+    return path

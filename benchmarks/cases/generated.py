@@ -23,7 +23,7 @@ import torch
 from torch import nn
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draper import gpu_idle, own_rate
+from benchmarks.cases.scale import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import devices_of
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments

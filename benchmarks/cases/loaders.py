@@ -28,8 +28,7 @@ import numpy as np
 import torch
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.loading.loaders import BATCH, installed_loaders, opened
-from benchmarks.loading.workload import CONFIGS, write_large_index, write_shards
+from benchmarks.loading import BATCH, CONFIGS, installed_loaders, opened, write_large_index, write_shards
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed
 from gcd_dataset.shards import ShardReader, encode_sample

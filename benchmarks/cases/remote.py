@@ -7,7 +7,12 @@ server counts requests and bytes. A library that is not installed is left out.
 """
 
 import argparse
+import contextlib
+import json
+import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -15,11 +20,18 @@ from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.loading.loaders import BATCH, arrays_of, packed_items, write_litdata, write_streaming
-from benchmarks.loading.store import counted, put_folder, store
-from benchmarks.loading.workload import CONFIGS, write_shards
+from benchmarks.loading import (
+    BATCH,
+    CONFIGS,
+    arrays_of,
+    packed_items,
+    write_litdata,
+    write_shards,
+    write_streaming,
+)
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader
 from gcd_dataset.shards import ShardReader
 
@@ -114,3 +126,79 @@ READERS: Mapping[str, Reader] = {
     ),
 }
 """Name to the module that must be installed, the URL of its copy, and its epochs of packed batches."""
+
+
+PORT = 5017
+URL = f"http://127.0.0.1:{PORT}"
+SETTINGS = {
+    "AWS_ACCESS_KEY_ID": "key",
+    "AWS_SECRET_ACCESS_KEY": "secret",
+    "AWS_DEFAULT_REGION": "us-east-1",
+    "AWS_ENDPOINT_URL": URL,
+    "AWS_EC2_METADATA_DISABLED": "true",
+    "S3_ENDPOINT_URL": URL,  # of mosaicml-streaming
+}
+
+
+@contextlib.contextmanager
+def store() -> Iterator[Any]:
+    """A file system of ``fsspec`` with the bucket ``bucket``."""
+    import fsspec
+
+    os.environ |= SETTINGS
+    command = [sys.executable, "-m", "benchmarks.cases.remote", str(PORT)]
+    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        files = fsspec.filesystem("s3")
+        for _ in range(100):
+            with contextlib.suppress(OSError):
+                files.mkdir("bucket")
+                break
+            time.sleep(0.3)
+        yield files
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def put_folder(files: Any, folder: Path, name: str) -> str:
+    """Copy the files of a folder into the bucket. Returns their URL."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            files.put_file(str(path), f"bucket/{name}/{path.relative_to(folder).as_posix()}")
+    return f"s3://bucket/{name}"
+
+
+def counted() -> tuple[int, int]:
+    """Requests, and bytes of their answers, since the last call."""
+    with urlopen(f"{URL}/counted") as answer:
+        requests, size = json.load(answer)
+    return requests, size
+
+
+class _Counting:
+    """The server's WSGI application, counting."""
+
+    def __init__(self, answer: Callable[..., Iterable[bytes]]) -> None:
+        self._answer, self._requests, self._bytes = answer, 0, 0
+
+    def __call__(self, request: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+        if request["PATH_INFO"] == "/counted":
+            counts, self._requests, self._bytes = [self._requests, self._bytes], 0, 0
+            start("200 OK", [("Content-Type", "application/json")])
+            return [json.dumps(counts).encode()]
+
+        def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
+            if request["REQUEST_METHOD"] == "GET":
+                self._bytes += int(dict(headers).get("Content-Length", 0))
+            return start(status, headers, *error)
+
+        self._requests += 1
+        return self._answer(request, begin)
+
+
+if __name__ == "__main__":
+    from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
+    from werkzeug.serving import run_simple
+
+    run_simple("127.0.0.1", int(sys.argv[1]), _Counting(DomainDispatcherApplication(create_backend_app)), threaded=True)

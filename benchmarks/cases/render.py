@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from benchmarks.arguments import jpeg_file
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import Figure, Measured, jpeg_file
 from benchmarks.peers.pyrender_egl import compare_with_pyrender, require_pyrender
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.quality import quality
+from benchmarks.draping.workload import quality
 from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.drape.holds import fell, off_body

@@ -28,8 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
-from benchmarks.reconstruction.scoring.table import TIMES, UNITS
+from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES, TIMES, UNITS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json
@@ -44,7 +43,7 @@ LOWER = frozenset({
     *UNITS, *MEASURES, "error_cm", "error_p95_cm", "error_degrees", "stretch_error", "self_crossings", "body_crossings",
     "body_through",
 })  # fmt: skip
-"""Scores of which the lower is the better."""
+"""Scores where lower is better."""
 NEITHER = frozenset({"seam_mismatch"})
 """Scores without a better side: the true patterns have a mismatch, too, since gathers count."""
 FOLDER, FILE = "folder of train --out", "JSON file of evaluate --json"
@@ -58,7 +57,7 @@ class Scores:
     garments: Mapping[str, Mapping[str, float]]
     """Garment to its scores by name; all garments have the same scores."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Test set and settings of drapes, which must be those of the other model where it has them, too."""
+    """Test set and settings of drapes; those that both models have must be equal."""
     kind: str = FOLDER
 
     @property

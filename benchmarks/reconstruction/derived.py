@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point
 
 from benchmarks.reconstruction.design_codes import encode_design
+from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, MapName
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
-from gcd_dataset.records import EdgeRole
+from gcd_dataset.records import BodyPart, EdgeRole
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
 SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
@@ -150,7 +152,7 @@ def _scan(item: Item) -> np.ndarray:
 
 def picture_views(device: str) -> Views:
     """Renders the pictures of items on a device; ``auto`` is a GPU where there is one."""
-    from benchmarks.reconstruction.picture_labels import MAPS
+    from benchmarks.reconstruction.derived import MAPS
 
     return Views(n=PICTURES, size=PICTURE_SIZE, maps=MAPS, device=device)
 
@@ -160,7 +162,7 @@ def _pictures(item: Item) -> np.ndarray:
 
 
 def _shown(item: Item) -> np.ndarray:
-    from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
+    from benchmarks.reconstruction.derived import MAPS, pixel_labels
 
     labels = item["panels"][:, PanelColumn.LABEL].int().numpy()
     known = np.where(labels < len(PANEL_LABELS), labels, 0)
@@ -186,3 +188,32 @@ row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefo
 ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):
 what their pixels show, u8 as ``pixel_labels``;
 ``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""
+
+
+MAPS: tuple[MapName, ...] = ("part", "panel_id")
+"""The maps of a picture that tell it."""
+_HAIR, _BACKGROUND = len(BodyPart), len(BodyPart) + 1
+FIRST_PANEL = len(BodyPart) + 2
+"""Label of a pixel of the first panel with ``PANEL_LABELS[0]``; below: body parts, hair, background."""
+SHOWN_CLASSES = FIRST_PANEL + len(PANEL_LABELS)
+"""What a pixel may show: parts of the body, hair, background, and panels by their label."""
+MOST_PANELS = (256 - FIRST_PANEL) // len(PANEL_LABELS)
+_SIDES = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+MIRRORED_PIXELS = (
+    *(BodyPart[re.sub("LEFT|RIGHT", lambda found: _SIDES[found[0]], part.name)].value for part in BodyPart),
+    *range(len(BodyPart), 256),
+)
+"""The label of a pixel in the mirror image of a picture."""
+
+
+def pixel_labels(maps: Mapping[str, np.ndarray], labels: ArrayLike) -> UInt8[np.ndarray, "*n h w"]:
+    """``FIRST_PANEL`` + number of labels × panel + row of ``PANEL_LABELS``, or less for what is no garment.
+
+    ``maps``: those of ``MAPS``, (…, h, w); ``labels`` (p): row of ``PANEL_LABELS`` of each panel. Panels beyond
+    ``MOST_PANELS`` share their labels.
+    """
+    rows = np.asarray(labels)
+    part, panel = maps["part"], np.maximum(maps["panel_id"], 0)
+    of_panels = FIRST_PANEL + len(PANEL_LABELS) * (panel % MOST_PANELS) + rows[panel]
+    others = np.where(part == HAIR, _HAIR, np.where(part == BACKGROUND, _BACKGROUND, part))
+    return np.where(part == GARMENT, of_panels, others).astype(np.uint8)

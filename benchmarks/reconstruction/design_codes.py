@@ -15,7 +15,7 @@ UNDER_COLLAR = {"Turtle": (False, False), "Hood2Panels": (False, False), "Simple
 """Whether a collar leaves the neckline's shape in front and behind to the design; otherwise it is a circle."""
 CUT = ("cut.add", "cut.depth", "cut.width", "cut.place")
 SLITS = ("front_slit", "back_slit", "left_slit", "right_slit", "bottom_cut")
-"""Of a skirt that has no skirt below it, and no godets."""
+"""Parameters of a skirt without a second skirt below it and without godets."""
 BENT = ("CurvyNeckHalf", "CircleArcNeckHalf", "Bezier2NeckHalf")
 """Necklines that may bulge either way."""
 OWN = {

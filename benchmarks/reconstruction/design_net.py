@@ -1,12 +1,12 @@
-"""What tokens say about a garment: design parameters and body measures, from which our own programs draw the answer.
+"""Decode tokens into design parameters and body measures, from which the generator's programs draw the answer.
 
 Each of the parameters of ``OutfitDesign``, and each of the 26 measures, has a query that attends to the tokens. A
 choice has a logit for each option; a number has a value, and, where random designs often keep the default, a logit that
-it is the default. Parameters that have no effect on the garment are left out of the loss: only meta.bottom of a dress
-says that it has trousers, and nothing says how wide their legs would be.
+it is the default. Parameters without effect on the garment, such as the width of trouser legs of a skirt, are left out
+of the loss.
 
-Choices come first. Further layers are told the choices, the true ones in a training, before numbers and measures are
-read from the queries: a skirt has another length with a waistband than without, and their mean would fit neither.
+Choices come first. Numbers and measures are predicted conditioned on the choices (teacher forcing in training): a skirt
+has another length with a waistband than without, and their mean would fit neither.
 
 Every answer can be sewn. Upper, waistband and bottom are chosen together, as the likeliest of the outfits that exist.
 Numbers are moved into their ranges. A design that cannot be drawn for the predicted measures is repaired as random
@@ -15,7 +15,7 @@ designs are (``wearable``), and if that fails its numbers become defaults.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -36,7 +36,7 @@ from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.garments.wearable import wearable
-from gcd_dataset.measurements import MEASURES, Measurements
+from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 from gcd_dataset.records import Pattern
 
 FEW = 12  # a whole number of at most this many values is a choice among them
@@ -56,7 +56,7 @@ class DesignTargets(TensorExamples):
     effective: Bool[Tensor, "b d"]
     """Known parameters that have an effect."""
     measures: Float[Tensor, "b m"]
-    """In the order of ``MEASURES`` [cm, degrees]; NaN for an unknown one."""
+    """Body measures in the order of ``MEASURES`` [cm, degrees]; NaN if unknown."""
 
     @staticmethod
     def of(garments: GarmentSet) -> "DesignTargets":
@@ -75,12 +75,12 @@ class DesignTargets(TensorExamples):
 
 @dataclass(frozen=True)
 class Words:
-    """What is said about a garment."""
+    """Predictions of the decoder."""
 
     outputs: Float[Tensor, "b d o"]
-    """Of a choice: logits of its options. Of a number: its value as a share of the range, and the default's logit."""
+    """For a choice, logits of its options; for a number, its value as a share of the range and the default's logit."""
     measures: Float[Tensor, "b m"]
-    """In deviations from the mean."""
+    """Body measures, in standard deviations from the mean."""
 
 
 class DesignDecoder(nn.Module):
@@ -128,7 +128,7 @@ class DesignDecoder(nn.Module):
         self.most.copy_(torch.from_numpy(known.max(axis=0)))
 
     def forward(self, tokens: Float[Tensor, "b t w"], true: DesignTargets) -> Words:
-        """What the queries say, told the true choices that have an effect."""
+        """Predictions conditioned on the true choices that have an effect."""
         table = self._table()
         queries, said = self._chosen(tokens)
         rows = (true.codes.nan_to_num() - table.low).round().long()
@@ -136,7 +136,7 @@ class DesignDecoder(nn.Module):
         return replace(words, outputs=torch.where((table.options > 0)[:, None], said, words.outputs))
 
     def _chosen(self, tokens: Float[Tensor, "b t w"]) -> tuple[Float[Tensor, "b q w"], Float[Tensor, "b d o"]]:
-        """The queries after the first layers, and what they say about the choices."""
+        """The queries after the first layers, and their logits of the choices."""
         queries = self.queries.expand(len(tokens), -1, -1)
         for layer in self.layers:
             queries = layer(queries, tokens)
@@ -149,7 +149,7 @@ class DesignDecoder(nn.Module):
         rows: Int[Tensor, "b d"],
         effective: Bool[Tensor, "b d"],
     ) -> Words:
-        """What the queries say about numbers and measures; ``rows``: options that are chosen, where effective."""
+        """Numbers and measures conditioned on the options ``rows``, where these are effective."""
         is_told = effective & (self._table().options > 0)
         option = torch.arange(self.options.shape[1], device=rows.device)
         chosen = (is_told[..., None] & (rows[..., None] == option)).to(queries.dtype)
@@ -329,3 +329,58 @@ def _size(measures: Float[np.ndarray, " m"]) -> Measurements:
     for back, girth in BACKS:
         values[back] = min(values[back], LARGEST_BACK * values[girth])
     return Measurements.from_file_values(values)
+
+
+Targets = TypeVar("Targets", bound=DesignTargets)
+
+PATHS = [leaf.path for leaf in PARAMETERS]
+SLITS = ("pencil-skirt.left_slit", "pencil-skirt.right_slit")
+TILT, PLACE = PATHS.index("pencil-skirt.low_angle"), PATHS.index("flare-skirt.cut.place")
+HALVES, PANELS = PATHS.index("left.enable_asym"), PATHS.index("flare-skirt.skirt-many-panels.n_panels")
+"""The programs draw no mirror image of different halves, nor of a skirt of many panels, which begins at one side."""
+EQUAL = float(encode_design({"left": {"enable_asym": False}})[HALVES])
+CENTIMETRES = (
+    "godet-skirt.insert_w", "godet-skirt.insert_depth", "sleeve.standing_shoulder_len",
+    "left.sleeve.standing_shoulder_len",
+)  # fmt: skip
+"""Numbers that are lengths; all others are proportions or angles. Lengths among the choices, such as the depth of a
+collar, are whole centimetres up to 10: they are left as they are, off by one at most."""
+
+
+class DesignAugmentation:
+    """Changes the targets of a batch as their garments are changed; its constants lie on one device."""
+
+    def __init__(self, device: torch.device) -> None:
+        rows = list(range(len(PATHS)))
+        left, right = (PATHS.index(path) for path in SLITS)
+        rows[left], rows[right] = right, left
+        self._rows = torch.tensor(rows, device=device)
+        self._is_length = torch.tensor([name not in ANGLES for name in MEASURES], device=device)
+        self._is_centimetres = torch.tensor([path in CENTIMETRES for path in PATHS], device=device)
+
+    def can_mirror(self, targets: DesignTargets) -> Bool[Tensor, " b"]:
+        """Whether the mirror image of a garment is one of the same programs."""
+        has_equal_halves = ~targets.effective[:, HALVES] | (targets.codes[:, HALVES] == EQUAL)
+        return has_equal_halves & ~targets.effective[:, PANELS]
+
+    def mirrored(self, targets: Targets, chosen: Bool[Tensor, " b"]) -> Targets:
+        """The targets, of mirror images where ``chosen``."""
+        codes = targets.codes[:, self._rows]
+        codes[:, TILT] = -codes[:, TILT]
+        place = codes[:, PLACE]  # above 0 in front, from the wearer's right: 0 to 1; else behind: -1 to 0
+        codes[:, PLACE] = torch.where(place > 0, 1 - place, -1 - place)
+        rows = chosen[:, None]
+        return replace(
+            targets,
+            codes=torch.where(rows, codes, targets.codes),
+            effective=torch.where(rows, targets.effective[:, self._rows], targets.effective),
+        )
+
+    def scaled(self, targets: Targets, scales: Float[Tensor, " b"]) -> Targets:
+        """The targets of garments that are scaled with their bodies."""
+        by = scales[:, None]
+        return replace(
+            targets,
+            codes=torch.where(self._is_centimetres, targets.codes * by, targets.codes),
+            measures=torch.where(self._is_length, targets.measures * by, targets.measures),
+        )

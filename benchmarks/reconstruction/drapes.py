@@ -148,7 +148,7 @@ def _meshed(garments: GarmentSet, k: int, spacing: float) -> BoxMesh:
 def transferred(
     values: Float[np.ndarray, "m 3"], mesh: BoxMesh, garments: GarmentSet, k: int
 ) -> Float[np.ndarray, "v 3"]:
-    """Positions at the vertices of another mesh of a pattern, at the vertices of garment ``k``'s own.
+    """Positions of another mesh of the same pattern, interpolated to the vertices of garment ``k``'s mesh.
 
     In each panel's plane the mesh is interpolated linearly; a vertex on a seam takes the mean over its panels.
     """

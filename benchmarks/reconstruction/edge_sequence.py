@@ -99,7 +99,7 @@ class Sequence:
     slots: Int[Tensor, "b t"]
     """0 for a panel, 1 + its number in the loop for an edge."""
     known: Bool[Tensor, "b t"]
-    """Tokens up to the first ``END``; none of a garment without panels, which teaches nothing."""
+    """Mask of the tokens up to the first ``END``; False for all tokens of a garment without panels."""
     at_panels: Int[Tensor, "b q"]
     """Position of each panel; 1 where there is none."""
     at_edges: Int[Tensor, "b e"]
@@ -150,7 +150,7 @@ class Tokens:
     end: Float[Tensor, "b t 2"]
     """End of an edge; the first corner of a panel."""
     centres: Float[Tensor, "b t 3"]
-    """Of the token's panel."""
+    """Centre of the token's panel."""
     axes: Float[Tensor, "b t 6"]
     """First two columns of the rotation of the token's panel."""
 

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.files import match_folders
-from benchmarks.reconstruction.scoring.garments import SPACING, Scored, score_cases
+from benchmarks.reconstruction.scoring.garments import SPACING, Scored, match_folders, score_cases
 from benchmarks.reconstruction.scoring.table import (
     garment_table,
     line_of,
@@ -252,7 +251,7 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _hashes(options: argparse.Namespace, truth: Mapping[str, Path]) -> dict[str, str]:
-    """What the predictions are scored against: hashes of the true patterns, and of the bodies and inputs of drapes."""
+    """Hashes of the true patterns, and of the bodies and inputs of drapes."""
     found = {"truth": _hash_of(truth)}
     if not options.drape:
         return found

@@ -245,7 +245,7 @@ def generated(
 
 
 def _kept(folder: Path, count: int) -> Iterator[GarmentSet]:
-    """The portions of a set that a folder keeps without a gap, up to that of garment ``count`` - 1."""
+    """The leading portions of a set that a folder keeps without a gap, at most up to garment ``count`` - 1."""
     made = 0
     while made < count and (path := _file_of(folder, made)).exists():
         portion = GarmentSet.load(path)
@@ -410,7 +410,7 @@ def _is_settled(item: Item) -> bool:
 
 
 def _settled_arrays(items: Sequence[Item]) -> list[Item]:
-    """``collate_fn``: settled items with arrays for tensors, each of which would take a file descriptor."""
+    """``collate_fn``: settled items, as arrays: sending a tensor to another process takes a file descriptor each."""
     return [
         {name: value.numpy() if isinstance(value, Tensor) else value for name, value in item.items()}
         for item in items

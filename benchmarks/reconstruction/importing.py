@@ -49,7 +49,7 @@ class Garment:
 
     pattern: Pattern
     remarks: tuple[str, ...] = ()
-    """What had to be repaired."""
+    """Repairs, a sentence each."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -118,7 +118,7 @@ class ArrayReader:
     main: str
     """The array that tells the number of garments; a file with one array need not name it."""
     axes: int
-    """Of that array, for one garment."""
+    """Number of axes of the array ``main`` for one garment."""
     needed: tuple[str, ...]
     optional: tuple[str, ...]
     decode: Callable[[Mapping[str, np.ndarray], str, bool, Sequence[str]], Pattern]

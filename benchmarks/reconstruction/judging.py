@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from dataclasses import asdict, astuple, dataclass, fields, make_dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.evaluate import scores_of
@@ -16,7 +16,7 @@ from benchmarks.reconstruction.tasks import Task
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
-from gcd_dataset.measurements import MEASURES
+from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.spec import write_pattern
 
@@ -176,7 +176,7 @@ class Measures:
     """Answers are rows of ``MEASURES`` [cm, degrees], written as ``predictions/KEY.json``."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
-        from benchmarks.reconstruction.body_measures import score_measures
+        from benchmarks.reconstruction.judging import score_measures
 
         return [score_measures(answer, garments.measures[k]) for k, answer in enumerate(answers)]
 
@@ -274,3 +274,27 @@ def draw_mesh(
     for face in np.argsort(corner[:, :, 2].mean(axis=1)).tolist():
         canvas.polygon([tuple(point) for point in flat[faces[face]].tolist()], fill=tuple(fills[face].tolist()))
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
+
+
+MeasureScore: Any = make_dataclass(
+    "MeasureScore",
+    [("error_cm", float), ("error_degrees", float), *((name, float) for name in MEASURES)],
+    frozen=True,
+    namespace={
+        "__doc__": "Absolute errors of a body's measures: means over lengths and angles, and each [cm, degrees]."
+    },
+)
+
+
+def score_measures(answer: Float[np.ndarray, " m"], true: Float[np.ndarray, " m"]) -> Any:
+    """The scores of an answer in the order of ``MEASURES`` [cm, degrees]. Raises ``ValueError`` for missing measures.
+
+    >>> true = np.full(len(MEASURES), 50.0)
+    >>> score_measures(true + 2, true).error_cm
+    2.0
+    """
+    if np.shape(answer) != (len(MEASURES),) or not np.isfinite(true).all():
+        raise ValueError(f"{np.size(answer)} measures, the truth has {np.isfinite(true).sum()} of {len(MEASURES)}")
+    errors = np.abs(np.asarray(answer, float) - np.asarray(true, float))
+    angle = np.array([name in ANGLES for name in MEASURES])
+    return MeasureScore(float(errors[~angle].mean()), float(errors[angle].mean()), *errors.tolist())

@@ -32,7 +32,7 @@ PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
     "answers with similar ones that they draw. Where no remark says otherwise, its answers are means over all points "
     "of a garment; `panel_set` and `edge_tokens` answer from 4,096 points, `neural_tailor` from 4,096 or `points`, and "
-    "`nearest` compares 512. `neural_tailor` follows the paper, with extensions that its docstring lists. `ceiling` is "
+    "`nearest` compares 512. `neural_tailor` (removed on 2026-11-27) follows the paper. `ceiling` is "
     "no model: the truth in the output format of `panel_set`."
 )
 NOTES: Mapping[str, str] = {
@@ -289,7 +289,7 @@ def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
 
 
 def _apart(numbers: Sequence[int]) -> list[int]:
-    """Increasing numbers without those whose labels a greater one would cover on a logarithmic axis.
+    """Tick positions whose labels do not overlap on a logarithmic axis: of two near ones, the greater stays.
 
     >>> _apart([1000, 4000, 13_956, 16_000])
     [1000, 4000, 16000]

@@ -16,7 +16,10 @@ from torch import Tensor, nn
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.garments import GarmentSet
-    from gcd_dataset.records import Pattern
+
+from collections.abc import Mapping
+
+from gcd_dataset.errors import ConfigError
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -63,7 +66,7 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         return None
 
     def drawn_from(self, encoded: "TensorExamples") -> Examples[Batch]:
-        """Examples whose batches are drawn from what ``encoder`` returned; by default its rows."""
+        """Examples that draw batches from the result of ``encoder``; by default its rows."""
         return cast(Examples[Batch], encoded)
 
     @abstractmethod
@@ -95,14 +98,6 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
 
     def compile_parts(self) -> None:
         """Compile the parts of the network that gain by it (``nn.Module.compile``). By default none."""
-
-
-class Reference(Protocol):
-    """A model without training: it answers for the test garments, given those to train on."""
-
-    def __call__(
-        self, known: "GarmentSet", unseen: "GarmentSet", *, device: torch.device, workers: int = 0
-    ) -> "list[Pattern]": ...
 
 
 def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
@@ -166,3 +161,37 @@ class TensorExamples:
 
     def _columns(self) -> list[Any]:
         return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
+
+
+Config = TypeVar("Config")
+NONE: Mapping[str, Any] = {}
+
+
+def sizes_from(
+    model: str,
+    kind: type[Config],
+    options: Mapping[str, Any],
+    *,
+    own: Sequence[str] = (),
+    without: Sequence[str] = (),
+    least: Mapping[str, int] = NONE,
+    heads: Mapping[str, str] = NONE,
+) -> tuple[Config, dict[str, Any]]:
+    """The configuration of a network, and the options ``own``, which it has no fields for.
+
+    ``without``: fields that the network does not use. ``least``: least values of sizes, 1 for others. ``heads``: names
+    of widths, each with the name of the number of heads that share it. Raises ``ConfigError`` for an unusable option.
+    """
+    names = [*(field.name for field in fields(kind) if field.name not in without), *own]  # type: ignore[arg-type]
+    unknown = set(options) - set(names)
+    if unknown:
+        raise ConfigError(f"no size {min(unknown)} of {model}: choose of {', '.join(names)}")
+    for name, value in options.items():
+        if isinstance(value, int) and value < least.get(name, 1):
+            raise ConfigError(f"{name} {value} of {model}: give {least.get(name, 1)} or more")
+    config = kind(**{name: value for name, value in options.items() if name not in own})
+    for width, count in heads.items():
+        if getattr(config, width) % getattr(config, count):
+            given = f"{width} {getattr(config, width)} is no multiple of {count} {getattr(config, count)}"
+            raise ConfigError(f"{given} of {model}: change one")
+    return config, {name: options[name] for name in own if name in options}

@@ -39,7 +39,7 @@ class NetConfig(PointConfig):
 
 @dataclass(frozen=True)
 class Predicted:
-    """What the queries say about panels; lengths in ``UNIT``. The fields may have a further dimension of layers."""
+    """Predicted panels, one per query; lengths in ``UNIT``. The fields may have a leading dimension of layers."""
 
     exists: Float[Tensor, "b q"]
     """Logits."""
@@ -68,7 +68,7 @@ class Predicted:
         return Predicted(*(column.detach() for column in self._columns()))
 
     def of_queries(self, queries: Int[Tensor, "b p"]) -> "Predicted":
-        """What these queries say, in their order; the fields have a dimension of layers."""
+        """The predictions of these queries, in their order; the fields have a dimension of layers."""
         found = []
         for column in self._columns():
             rows = column.flatten(3) if column.ndim > 3 else column[..., None]
@@ -98,7 +98,7 @@ class Edges:
         return values[garments, self.queries, slots]
 
     def of_panels(self, values: Float[Tensor, "b q w"]) -> Float[Tensor, "b e w"]:
-        """Values of the queries for each edge; a product, whose gradient is faster than that of an index."""
+        """Values of the queries for each edge; as a product, since its gradient is faster than that of an index."""
         chosen = functional.one_hot(self.queries, values.shape[1]).to(values.dtype)
         return chosen @ values
 
@@ -112,7 +112,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class Sewn:
-    """What is said about edges."""
+    """Predictions for edges."""
 
     partners: Float[Tensor, "b e f"]
     """Logits of the partner of each edge; the last column stands for none."""
@@ -145,7 +145,7 @@ class PanelDecoder(nn.Module):
         self.seams = SeamHead(config)
 
     def forward(self, tokens: Float[Tensor, "b t w"]) -> tuple[Predicted, Float[Tensor, "b q w"]]:
-        """What the queries say after each layer, and their features after the last."""
+        """Predictions after each layer, and the queries' features after the last."""
         panels = self.queries.expand(len(tokens), -1, -1)
         after = []
         for layer in self.layers:
@@ -192,7 +192,7 @@ class EdgeMover(nn.Module):
     def forward(
         self, edges: Edges, panels: Float[Tensor, "b q w"], said: Predicted, tokens: Float[Tensor, "b t w"]
     ) -> tuple[Predicted, Float[Tensor, "b e v"]]:
-        """``said`` with moved corners and bends, and the features of the edges."""
+        """The predictions ``said`` with moved corners and bends, and the features of the edges."""
         features = self.describe(edges, edges.of_panels(panels), said) + self.slot(edges.slots)
         tokens, hidden = self.tokens(tokens), hiding(edges.hidden)
         for layer in self.layers:

@@ -41,7 +41,7 @@ class PanelTargets(TensorExamples):
     corners: Float[Tensor, "b q n 2"]
     """Corners relative to the centroid [UNIT], in the order of the loop."""
     bends: Float[Tensor, "b q n k 2"]
-    """Points of the edge that begins at each corner, at equal shares of its length, relative to those of the chord."""
+    """Offsets of each edge from its chord, at equal shares of the length; row: the corner where the edge begins."""
     extents: Float[Tensor, "b q 2"]
     """Half of the panel's width and height [UNIT]."""
     centres: Float[Tensor, "b q 3"]

@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from benchmarks.reconstruction.picture_labels import MAPS, pixel_labels
+from benchmarks.reconstruction.derived import MAPS, pixel_labels
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.render import (
@@ -90,7 +90,7 @@ TRAINING = Ranges(
     lights=LightRanges(azimuth=(-75.0, 30.0), kelvin=(4500.0, 8000.0), contrast=(1.0, 3.0)),
     environment=EnvironmentRanges(weights=(0.3, 0.5, 0.0, 0.2)),
 )
-"""Of the front pictures; cameras of the back pictures stand opposite."""
+"""Ranges of training views of the front; cameras of the back stand opposite."""
 HELD_OUT = Ranges(
     appearance=AppearanceRanges(
         prints=(P.CHECKS, P.TARTAN, P.FLORAL), plain=0.0, looks=("satin", "crepe", "flannel", "ponte"), tones=(3, 6, 9)
@@ -112,9 +112,9 @@ class Garment:
     """A garment to render."""
 
     position: int
-    """In the folder's split ``train``, settled garments only."""
+    """Position among the settled garments of the folder's split ``train``."""
     index: int
-    """Of the sample."""
+    """Index of the sample."""
     scene: Scene
 
 
@@ -142,7 +142,7 @@ class Rendered:
     positions: Int[np.ndarray, " b"]
     pictures: UInt8[np.ndarray, "b n h w 3"]
     labels: UInt8[np.ndarray, "b n h w"]
-    """What each pixel shows, as ``pixel_labels``."""
+    """``pixel_labels`` of the pictures."""
 
 
 def load_garment(reader: ShardReader, position: int) -> Garment:

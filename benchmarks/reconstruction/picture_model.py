@@ -17,11 +17,10 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import PICTURES
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURES, SHOWN_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import uploaded
 from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
-from benchmarks.reconstruction.picture_labels import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS
@@ -29,7 +28,7 @@ from gcd_dataset.tensors import PANEL_LABELS
 STRIDE = 8  # pixels along each side of a token's cell
 NUMBERS = 6  # of a distortion
 MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3
-"""Of ``distorted``: radians; logarithm of the scale; half sides of the picture; logarithm of a channel's weight."""
+"""Limits of ``distorted``: turn [rad], log scale, shift [half sides of the picture], log weight of a channel."""
 GROUPS = 8  # of channels that are normalised together
 PARTS = 2  # parts of a cell along each side, about which its token says something
 SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
@@ -121,7 +120,7 @@ def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) ->
 
 
 def _borders(panels: Int[Tensor, "b n h w"]) -> Int[Tensor, "b n h w"]:
-    """1 for pixels of a panel (others are -1) whose right or lower neighbour shows another panel."""
+    """1 on pixels with another panel to the right or below, else 0; ``panels``: -1 off the garment."""
     right = functional.pad(panels, (0, 1), value=-1)[..., 1:]
     lower = functional.pad(panels, (0, 0, 0, 1), value=-1)[..., 1:, :]
     borders = [(panels >= 0) & (other >= 0) & (panels != other) for other in (right, lower)]
@@ -145,7 +144,7 @@ class ShownGarments(Protocol):
 
     @property
     def shown(self) -> UInt8[Tensor, "b n h w"]:
-        """What pixels show, as ``pixel_labels``."""
+        """``pixel_labels`` of the pictures."""
 
     @property
     def device(self) -> torch.device: ...
@@ -160,7 +159,7 @@ Shown = TypeVar("Shown", bound=ShownGarments)
 
 @dataclass(frozen=True)
 class DrawnPictures(Generic[Shown]):
-    """Examples whose batches have some of the pictures, others, in another order and distorted in each step."""
+    """Examples with a new choice, order and distortion of their pictures in each step."""
 
     whole: Shown
     views: int

@@ -1,19 +1,32 @@
-"""Train one network on three inputs, pictures of the same garments, and test each on pictures unlike any of them.
+"""What drawn pictures are worth: panels from two pictures of a draped garment, by one network trained on three inputs.
 
     python -m benchmarks.run pictures_matter --count 12 --steps 30 --size 64 --device cpu
 
-Pictures with drawn cameras and cloth are rendered while the network is trained: ``--fresh`` new readings a step enter a
-pool on the device, and each step draws its batch from the pool. Every network has the same first weights, the same
-steps and the same draws.
+The inputs show the same garments from the front and from behind:
+
+- ``plain``: the stored pictures, fixed cameras, a colour for each panel; the same at every reading;
+- ``grey``: grey cloth in studio light, cameras drawn anew for each reading;
+- ``drawn``: cloth, prints, people, cameras, lights and places drawn anew for each reading.
+
+Each network has the same first weights, steps and order of draws. All are tested on garments of other designs, as
+``plain``, ``grey`` and ``drawn`` pictures and as ``held_out`` ones: prints (checks, tartan, flowers), kinds of cloth
+(satin, crepe, flannel, ponte), skin tones, places (rooms), cameras (yaw, pitch, focal length) and lights (azimuth,
+colour, contrast) that no training drew. ``gap_to_X_on_Y``: the score of the network trained on ``drawn`` minus that of
+the network trained on X, both tested on Y, with a 95 % interval (bootstrap over garments, paired).
+
+Pictures of ``grey`` and ``drawn`` are rendered during a training: ``--fresh`` new readings a step enter a pool on the
+device, and each step draws its batch from the pool.
 """
 
 import argparse
 import csv
+import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,7 +43,7 @@ from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
-from benchmarks.reconstruction.picture_results import TESTS, Result, figures_of, log, read_result, rows_of, write_result
+from benchmarks.reconstruction.scoring.table import UNITS
 from benchmarks.reconstruction.training import TrainConfig, learning_rate
 from gcd_dataset import Progress, generate
 from gcd_dataset.errors import ConfigError
@@ -41,7 +54,7 @@ from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render
-from gcd_dataset.metrics import mean_scores
+from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.workers import parallel_map_chunks
@@ -65,6 +78,19 @@ PROBE = 60  # steps of a network that is thrown away, of which the second half i
 START_UP = 20.0  # s from the end of a training to the first step of the next, besides scoring
 SCORING = 0.1  # CPU-s for each prediction
 SHEET = 8  # garments of the sheet
+TESTS = (Input.HELD_OUT, Input.PLAIN, Input.DRAWN, Input.GREY)
+METRICS = ("panel_count_acc", "edge_count_acc", "iou")
+"""Metrics with gaps in points."""
+
+
+@dataclass
+class Result:
+    """Scores of a network that was trained on one input."""
+
+    what: Input
+    figures: dict[str, float]
+    scores: dict[Input, list[PatternScore]]
+    """Scores by test input, in the order of the test garments."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -158,7 +184,7 @@ class Data:
 
 
 def garments_folder(args: argparse.Namespace, out: Path) -> Path:
-    """The folder of the garments; those of ``--out`` are made, or completed, and so are those of an empty folder."""
+    """The folder of the garments. The set in ``--out``, or in an empty folder, is made or completed."""
     folder = Path(args.garments) if args.garments else out / "garments"
     if not args.garments or not (folder / "manifest.json").exists():
         design = read_overlay(args.design) if args.design else NO_OVERLAY
@@ -503,3 +529,93 @@ def _log_progress(progress: Progress) -> None:
 
 def _seconds_since(begun: float) -> float:
     return time.perf_counter() - begun
+
+
+def write_result(out: Path, result: Result, args: argparse.Namespace) -> None:
+    """Write the scores of every test garment, with the options that they depend on."""
+    scores = {test: [astuple(score) for score in found] for test, found in result.scores.items()}
+    steps = {"steps": int(result.figures["steps"])}
+    text = {"options": {**_options(args), **steps}, "figures": result.figures, "scores": scores}
+    write_whole(out / f"{result.what}.json", json.dumps(text).encode())
+
+
+def read_result(out: Path, what: Input, args: argparse.Namespace) -> Result | None:
+    """The result of an earlier call with the same options; ``None`` without one."""
+    path = out / f"{what}.json"
+    if not path.exists():
+        return None
+    text = json.loads(path.read_text())
+    options = _options(args)
+    if not args.steps:
+        options["steps"] = text["options"]["steps"]
+    if text["options"] != options:
+        raise ConfigError(f"{path} has results of other options: give another --out")
+    log(f"{what}: read from {path}")
+    if any(len(row) != len(fields(PatternScore)) for rows in text["scores"].values() for row in rows):
+        raise ConfigError(f"{path} has the scores of another version: give another --out")
+    scores = {Input(test): [PatternScore(*row) for row in rows] for test, rows in text["scores"].items()}
+    return Result(what, text["figures"], scores)
+
+
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options that decide the result, besides the number of renderers."""
+    without = ("out", "inputs", "minutes", "workers", "report", "keep", "case")
+    return {name: value for name, value in vars(args).items() if name not in without}
+
+
+def figures_of(results: Mapping[Input, Result]) -> list[Figure]:
+    """Course of each training, mean scores of each network on each test, gaps of the drawn input to the others."""
+    units = {"train_minutes": "min", "waiting": "of the time"}
+    figures = [
+        Figure(f"{what}_{name}", value, units.get(name, ""))
+        for what, result in results.items()
+        for name, value in result.figures.items()
+    ]
+    for what, result in results.items():
+        for test, scores in result.scores.items():
+            means = mean_scores(scores)
+            figures += [Figure(f"{what}_on_{test}_{name}", getattr(means, name), "share") for name in METRICS]
+    if Input.DRAWN in results:
+        for other in (what for what in results if what is not Input.DRAWN):
+            for test in TESTS:
+                found = gaps(results[Input.DRAWN].scores[test], results[other].scores[test])
+                figures += [
+                    Figure(f"gap_to_{other}_on_{test}_{name}", found[0][name], f"points, {low:.1f} to {high:.1f}")
+                    for name in METRICS
+                    for low, high in [(found[1][name], found[2][name])]
+                ]
+    return figures
+
+
+def gaps(
+    scores: Sequence[PatternScore], others: Sequence[PatternScore]
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Mean differences in points by metric, and the ends of their 95 % intervals, paired by garment."""
+    apart = [
+        PatternScore(*(100.0 * (np.array(astuple(one)) - astuple(other))).tolist())
+        for one, other in zip(scores, others, strict=True)
+    ]
+    ends = bootstrap_interval(apart, np.random.default_rng(0))
+    mean, low, high = ({name: float(getattr(one, name)) for name in METRICS} for one in (mean_scores(apart), *ends))
+    return mean, low, high
+
+
+def rows_of(results: Mapping[Input, Result]) -> list[dict[str, str]]:
+    """A table row for each network and test: mean scores with 95 % intervals."""
+    rows = []
+    for test in TESTS:
+        for what, result in results.items():
+            scores = result.scores[test]
+            means, (low, high) = mean_scores(scores), bootstrap_interval(scores, np.random.default_rng(0))
+            cells = {
+                name: f"{getattr(means, name):.3g} ({getattr(low, name):.3g} to {getattr(high, name):.3g})"
+                for name in PatternScore.__dataclass_fields__
+            }
+            named = {f"{name} [{UNITS[name]}]" if name in UNITS else name: cell for name, cell in cells.items()}
+            rows.append({"tested on": str(test), "trained on": str(what), **named})
+    return rows
+
+
+def log(text: str) -> None:
+    """Print a line of progress."""
+    print(text, file=sys.stderr, flush=True)

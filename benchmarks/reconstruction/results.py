@@ -28,7 +28,7 @@ HEADLINES: Mapping[str, Sequence[str]] = {
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
 USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
 LOWER = ("error_cm", "error_degrees", "ms")
-"""Scores of which the lower is the better."""
+"""Scores where lower is better."""
 TABLES: Mapping[str, str] = {
     "one_to_one": "Test patterns, edges subdivided as drawn",
     "one_round": "The same, all seams predicted at once",
@@ -61,7 +61,7 @@ class Entry:
     fresh: int = 0
     """Garments made during the training, besides ``train``."""
     remark: str = ""
-    """What the scores do not tell."""
+    """A sentence of the report on this result."""
     tested: int = 0
     """Garments of the test set."""
     tests: str = ""
@@ -151,7 +151,7 @@ def _of(found: Mapping[str, Any], path: Path) -> Entry:
         facts |= {f"{name} set": _data(part) for name, part in found["data"].items()}
         if "one_to_one" in found:
             arguments = found["arguments"]
-            variants = [name for name in ("placed", "autosew", "one_round") if arguments.get(name)]
+            variants = [name for name in ("one_round",) if arguments.get(name)]
             variants += _unusual(arguments, _usual_of_stitches())
             tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
             if "foreign" in found:

@@ -182,7 +182,7 @@ class _OfNeighbours(torch.autograd.Function):
 
 
 def gathered(values: Float[Tensor, "n w"], rows: Int[Tensor, "*v"]) -> Float[Tensor, "*v w"]:
-    """Rows of values; the gradient of ``index_select`` needs no sorting, unlike that of ``values[rows]``."""
+    """``values[rows]`` by ``index_select``: its gradient needs no sorting."""
     return values.index_select(0, rows.flatten()).view(*rows.shape, values.shape[-1])
 
 

@@ -6,7 +6,6 @@ first, then panel after panel. A mesh with shuffled vertices gets the same neigh
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -19,7 +18,6 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.workers import parallel_map
 
 METRE = 100.0  # cm: unit of positions in networks
 NEIGHBOURS = 10  # of a vertex, the nearest along edges; in a mesh of ours 6 on average
@@ -42,12 +40,12 @@ class Surface:
     reverse: Int[np.ndarray, "v k"]
     """Row of the reverse edge in the flattened ``neighbours``; an entry without a neighbour is its own."""
     lengths: Float[np.ndarray, "v k"]
-    """Of the edges to the neighbours [m]; 0 to the vertex itself."""
+    """Lengths of the edges to the neighbours [m]; 0 where a neighbour is missing."""
     shape: Float[np.ndarray, "v 6"]
     """Number of neighbours over 6; shortest, mean and longest edge over the median edge of the mesh; angle defect
     [rad], 0 on the border; whether on the border."""
     clusters: Int[np.ndarray, " v"]
-    """Cluster of each vertex: that of the centre at the least distance along edges."""
+    """Cluster of each vertex: the centre nearest along edges."""
 
 
 def surface_of(
@@ -93,17 +91,6 @@ def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
         shape=np.zeros((len(points), SHAPE), np.float32),
         clusters=_clusters(points, pairs, distances[:, 1:].ravel() + 1e-6, clusters),
     )
-
-
-def surfaces_of(
-    vertices: Sequence[np.ndarray], faces: Sequence[np.ndarray], *, clusters: int, workers: int = 0
-) -> list[Surface]:
-    """The meshes, prepared by ``workers`` processes."""
-    return list(parallel_map(partial(_prepared, clusters), zip(vertices, faces, strict=True), workers))
-
-
-def _prepared(clusters: int, mesh: tuple[np.ndarray, np.ndarray]) -> Surface:
-    return surface_of(*mesh, clusters=clusters)
 
 
 def vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
@@ -318,7 +305,7 @@ class Turn:
     """Orthogonal, times the growth."""
     mirrored: Bool[Tensor, " b"]
     jitter: Float[Tensor, "n 3"]
-    """Of vertex k: row k modulo n."""
+    """Jitter of vertex k: row k modulo n [m]."""
 
     def of(self, batch: SurfaceBatch) -> SurfaceBatch:
         """The batch, moved."""

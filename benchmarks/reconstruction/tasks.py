@@ -19,9 +19,9 @@ MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 POSE = ("pose",)
-"""Of T0, T1 and T2: the bodies on which answers can be draped."""
+"""Fields of T0, T1 and T2: the bodies on which answers can be draped."""
 NAMED = (*POSE, "panel_names", "design")
-"""Of T0 and T1: also the names of panels and the design parameters, targets of some models."""
+"""Fields of T0 and T1: also panel names and design parameters, targets of some models."""
 SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
     "labels", "panel_classes", "pose",
@@ -41,7 +41,7 @@ class Task:
     headline: str
     """The score by which models are compared; a field of ``PatternScore``, or of the task's own score."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Of ``GeneratedGarments``: the recipe besides seed and count."""
+    """Options of ``GeneratedGarments`` besides seed and count."""
     points: int = 0
     """Surface points of a garment."""
     extra: tuple[str, ...] = ()

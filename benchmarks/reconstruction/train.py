@@ -27,8 +27,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 import torch
 import torch.distributed as dist
@@ -38,13 +37,12 @@ from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
 from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
-from benchmarks.reconstruction.pools import FreshPool
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
-from benchmarks.reconstruction.scoring.table import DRAPED, TIMES
+from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
     CURVES,
+    FreshPool,
     StoppedError,
     TrainConfig,
     Trained,
@@ -79,7 +77,7 @@ class Options:
     out: Path
     train: int
     test: int
-    """Test garments; 0: those of the task."""
+    """Number of test garments; 0: the task's own."""
     config: TrainConfig
     sizes: Mapping[str, Any]
     """Options of the network."""
@@ -95,7 +93,7 @@ class Options:
     workers: int = 0
     device: str = "cpu"
     make_device: str = "auto"
-    """Of the drapes of generated garments."""
+    """Device that drapes generated garments."""
     smoke: bool = False
     make_only: bool = False
     """Make the garments, nothing else."""
@@ -103,8 +101,6 @@ class Options:
     """Time of this call; 0: no limit."""
     drape: bool = False
     """Whether answers are draped and scored."""
-    turns: Path | None = None
-    """File that runs on one GPU share, which train in turn; ``None``: there are no others."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,7 +125,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--checks", 0, "scores and pictures on the way; 0: the model's own, mostly 4")
     option("--seed", 0, "seed of weights and order")
     option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
-    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--resolution", 0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     option("--workers", -1, "processes that make and score; -1: all cores but one")
     option("--device", "auto", "auto, cpu or cuda")
@@ -185,7 +180,6 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         make_only=args.make_only,
         limit_minutes=args.limit_minutes,
         drape=args.drape,
-        turns=Path(args.turns) if args.turns else None,
     )
 
 
@@ -344,13 +338,12 @@ def _trained(
         examples = _pool(learner, split.train, options, device)
     limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": options.out, "check": check, "limit": limit}
-    arguments |= {"turns": options.turns, "of": _identity(options, split.train)}
-    trained = train(learner, examples, options.config, **arguments)
+    trained = train(learner, examples, options.config, of=_identity(options, split.train), **arguments)
     return trained, examples.received if isinstance(examples, FreshPool) else 0
 
 
 def _identity(options: Options, garments: GarmentSet) -> dict[str, str | int]:
-    """What is trained on what: a checkpoint of another training is not continued."""
+    """Model, options and data of a training; a checkpoint with another identity is refused."""
     recipe = {name: value for name, value in garments.recipe.items() if name != "made"}
     return {
         "task": options.task.name,
@@ -431,13 +424,10 @@ class _Check:
         return {"check_loss": sum(told.values()), **told, **{f"check_{name}": value for name, value in means.items()}}
 
 
-def _answers(
-    module: ModuleType, trained: Trained | None, split: Split, options: Options, device: torch.device
-) -> list[Any]:
+def _answers(module: Any, trained: Trained | None, split: Split, options: Options, device: torch.device) -> list[Any]:
     """The answers for the test garments."""
     if trained is None:
-        answer = cast(Callable[..., list[Any]], module.answers)
-        return answer(split.train, split.test, device=device, workers=options.workers)
+        return list(module.answers(split.train, split.test, device=device, workers=options.workers))
     examples = trained.learner.prepare(split.test, device=device, workers=options.workers)
     count, batch = len(split.test), options.config.batch
     return list(trained.learner.answers(examples, count, batch=batch, workers=options.workers))
@@ -449,20 +439,14 @@ def _answers(
 def _report(
     options: Options, split: Split, scores: Sequence[Any], trained: Trained | None, times: Mapping[str, float]
 ) -> dict[str, Any]:
-    """The report; without ``TIMES`` of a run that shares its GPU (``turns``)."""
     kinds = {kind: [s for s, k in zip(scores, split.test.kinds, strict=True) if k == kind] for kind in split.test.kinds}
-    hidden = () if options.turns is None else TIMES
-
-    def told(figures: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in figures.items() if name not in hidden}
-
     return {
         "model": options.model,
         "task": options.task.name,
         "headline": options.task.headline,
         "identity": _identity_of_answers(options, split),
-        "scores": told(intervals(scores)),
-        "scores_of_kinds": {kind: told(means_of(of_kind)) for kind, of_kind in sorted(kinds.items())},
+        "scores": intervals(scores),
+        "scores_of_kinds": {kind: means_of(of_kind) for kind, of_kind in sorted(kinds.items())},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash, "recipe": part.recipe}
             for name, part in (("train", split.train), ("test", split.test))
@@ -503,7 +487,7 @@ def _write(
 
 
 def _remove_answers(out: Path) -> None:
-    """Remove the files of an earlier run, which ``SCORES`` lists: nobody shall score them as answers of this one."""
+    """Remove the files of an earlier run, listed in ``SCORES``: they would be scored as answers of this one."""
     for name in (REPORT, EVALUATION):
         (out / name).unlink(missing_ok=True)
     if not (out / SCORES).exists():

@@ -6,29 +6,29 @@ the same steps as one that was never stopped. ``torchrun`` starts several ranks;
 
 import copy
 import csv
-import fcntl
 import importlib.util
 import math
 import os
+import queue
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 import torch
 import torch.distributed as dist
+from jaxtyping import Int
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from benchmarks.reconstruction.learners import Examples, Learner
-from benchmarks.reconstruction.recorded import RecordedStep
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder
@@ -67,7 +67,7 @@ class TrainConfig:
     warm_up: float = 0.05
     """Share of the training in which the learning rate rises."""
     weight_decay: float = 0.05
-    """Of matrices; vectors, such as biases, do not decay."""
+    """Weight decay, applied to matrices only."""
     largest_gradient: float = 1.0
     """Norm to which larger gradients are scaled."""
     ema: float = 0.999
@@ -138,7 +138,6 @@ def train(
     stop_after: int | None = None,
     limit: float = math.inf,
     of: Mapping[str, str | int] | None = None,
-    turns: Path | None = None,
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
@@ -146,9 +145,9 @@ def train(
     it is, and draws no number from torch's own generators.
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
-    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s]. ``turns``:
-    file of ``turn``; the steps are taken in one turn. Raises
-    ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
+    stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s].
+
+    Raises ``StoppedError``, with a checkpoint in ``out``, for a training that the limit, SIGINT or SIGTERM ends;
     ``TrainingError`` for a loss that is not finite; ``ConfigError`` for a checkpoint of another training.
     """
     called = time.perf_counter()
@@ -168,7 +167,7 @@ def train(
     if config.compile and run.progress < 1:
         examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
-    with turn(turns), _signals() as is_signalled:
+    with _signals() as is_signalled:
         saved, mark = time.perf_counter(), time.perf_counter()
         while run.progress < 1 and (stop_after is None or run.step < stop_after):
             run.take_step(examples)
@@ -193,16 +192,6 @@ def train(
                 raise StoppedError(f"stopped by {cause} at {run.progress:.0%}: repeat the command to continue")
     curves.close()
     return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
-
-
-def step_of(
-    learner: Learner[Batch, Any], examples: Examples[Batch], config: TrainConfig, *, device: torch.device
-) -> Callable[[], None]:
-    """A function that takes a training step, to measure it."""
-    run = _Run(learner.to(device), config, device)
-    if config.compile:
-        examples = run.compile(examples)
-    return lambda: run.take_step(examples)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
@@ -247,27 +236,6 @@ def _signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def turn(path: Path | None) -> Iterator[None]:
-    """Wait until no other process is in a turn of the file; ``None``: do not wait. Other ranks follow the first.
-
-    Raises ``ConfigError`` for a file that cannot be written.
-    """
-    if path is None or _rank():
-        yield
-        return
-    try:
-        file = path.open("a")
-    except OSError as error:
-        raise ConfigError(f"--turns {path}: {error.strerror}: give a file in a folder that exists") from error
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)  # a worker that was forked meanwhile does not keep it
 
 
 @contextmanager
@@ -377,7 +345,7 @@ class _Run:
         return examples
 
     def _with_gradients(self, examples: Examples[Any]) -> Tensor:
-        """The loss terms of the step's batch, whose gradients the learner holds then."""
+        """Loss terms of the step's batch; fills the gradients of the learner."""
         batch = self._batch(examples)
         if self._recorded is not None:
             return self._recorded(batch)
@@ -550,3 +518,156 @@ class _Curves:
     def close(self) -> None:
         if self._board is not None:
             self._board.close()
+
+
+WARM_UP = 3  # passes before the recording, in which kernels are loaded and tuned
+
+
+class RecordedStep(Generic[Batch]):
+    """A pass forward and backward, recorded for batches of one shape.
+
+    The gradients that the parameters of the model hold are overwritten by each call; they must not be set to ``None``.
+    """
+
+    def __init__(self, model: nn.Module, losses_of: Callable[[Batch], Tensor], batch: Batch) -> None:
+        """``losses_of``: loss terms of a batch on a GPU; it waits for nothing on the device.
+
+        ``batch``: a dataclass of tensors; its other fields are the same in all batches.
+        """
+        copies = {name: value.clone() for name, value in tensors_of(batch).items()}
+        self._batch, self._losses_of = cast(Batch, replace(cast(Any, batch), **copies)), losses_of
+        device = next(iter(tensors_of(batch).values())).device
+        with torch.cuda.device(device):
+            self._record(model, device)
+
+    def _record(self, model: nn.Module, device: torch.device) -> None:
+        aside = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
+        aside.wait_stream(torch.cuda.current_stream(device))
+        with torch.cuda.stream(aside):
+            for _ in range(WARM_UP):
+                model.zero_grad()
+                self._pass()
+        torch.cuda.current_stream(device).wait_stream(aside)
+        model.zero_grad()  # the recorded pass then allocates gradients that stay in place
+        self._graph = torch.cuda.CUDAGraph()
+        # Other threads may use the device meanwhile, such as the one that receives fresh garments.
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._losses = self._pass()
+
+    def __call__(self, batch: Batch) -> Tensor:
+        """The loss terms; the parameters hold the gradients. Raises ``ValueError`` as ``replace_tensors`` does."""
+        replace_tensors(self._batch, batch)
+        self._graph.replay()
+        return self._losses.clone()
+
+    def _pass(self) -> Tensor:
+        losses = self._losses_of(self._batch)
+        torch.autograd.backward(losses.sum())
+        return losses.detach()
+
+
+def tensors_of(batch: Any) -> dict[str, Tensor]:
+    """The tensors of a dataclass, by field."""
+    values = {field.name: getattr(batch, field.name) for field in fields(batch)}
+    return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+
+
+def replace_tensors(batch: Batch, other: Batch) -> None:
+    """Replace the values of a batch's tensors by those of another, in place.
+
+    Raises ``ValueError`` for tensors of other shapes, and for another value of a field that is no tensor.
+    """
+    shapes = [{name: tuple(value.shape) for name, value in tensors_of(some).items()} for some in (batch, other)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(f"tensors of the shapes {shapes[1]}, not {shapes[0]}: give a batch of the same shapes")
+    for field in fields(batch):  # type: ignore[arg-type]
+        if field.name not in shapes[0] and getattr(batch, field.name) != getattr(other, field.name):
+            raise ValueError(f"another {field.name}: give a batch that differs by tensors only")
+    torch._foreach_copy_(list(tensors_of(batch).values()), list(tensors_of(other).values()), non_blocking=True)
+
+
+WAITING = 256  # examples that wait to be taken
+
+
+class FreshPool(Generic[Batch]):
+    """The latest examples: those given at first, then fresh ones as they are made, the oldest replaced.
+
+    Before each step the examples that are ready are taken; a step never waits. A training with a pool therefore depends
+    on the speed of the machine. A resumed training goes on with the next garments of the stream.
+    """
+
+    def __init__(
+        self,
+        learner: Learner[Batch, Any],
+        first: TensorExamples,
+        stream: Callable[[int], Iterator[tuple[int, TensorExamples]]],
+        *,
+        room: int,
+    ) -> None:
+        """``first``: examples to begin with, on the device; ``stream``: indices and encoded garments from an index on,
+        on a CPU, in order.
+
+        Raises ``ConfigError`` without room for the first examples.
+        """
+        if len(first) > room:
+            raise ConfigError(f"room {room}: give room for the {len(first)} examples to begin with")
+        self._stream, filled = stream, len(first)
+        self._store = first[torch.arange(room, device=first.device) % filled]
+        self._filled = self._next = filled
+        self._view = learner.drawn_from(self._store)
+        self._ready: queue.Queue[tuple[int, TensorExamples] | BaseException] | None = None
+        self._following = 0  # index after the last example received; those of garments left out are counted
+        self.received = 0
+        """Fresh examples received, in this run and those that it continues."""
+
+    def __len__(self) -> int:
+        return self._filled
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Batch:
+        """The examples ``rows``, as the learner draws them."""
+        return self._view.batch(rows, chance)
+
+    def advance(self, step: int) -> None:
+        """Take what is ready; the first call starts the stream. Raises the stream's error."""
+        if self._ready is None:
+            self._ready = queue.Queue(WAITING)
+            thread = threading.Thread(target=_fill, args=(self._ready, self._stream(self._following)), daemon=True)
+            thread.start()
+        taken: list[TensorExamples] = []
+        while len(taken) < WAITING:
+            try:
+                one = self._ready.get_nowait()
+            except queue.Empty:
+                break
+            if isinstance(one, BaseException):
+                raise one
+            self._following = one[0] + 1
+            taken.append(one[1])
+        if taken:
+            self._put(type(taken[0]).join(taken))
+
+    def _put(self, fresh: TensorExamples) -> None:
+        room = len(self._store)
+        rows = (self._next + torch.arange(len(fresh))) % room
+        self._store.put(rows, fresh)
+        self._next = int((self._next + len(fresh)) % room)
+        self._filled = min(room, self._filled + len(fresh))
+        self.received += len(fresh)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The number of examples received, and the index at which the stream continues."""
+        return {"received": self.received, "following": self._following}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue the stream after the examples received before."""
+        self.received, self._following = state["received"], state["following"]
+
+
+def _fill(
+    ready: "queue.Queue[tuple[int, TensorExamples] | BaseException]", stream: Iterator[tuple[int, TensorExamples]]
+) -> None:
+    try:
+        for one in stream:
+            ready.put(one)
+    except Exception as error:  # noqa: BLE001 - raised in the training
+        ready.put(error)

@@ -292,23 +292,6 @@ FIGURES = (
         lambda r: "; ".join(f"{name}: {_remote_pass(r, name)}" for name in ("litdata", "mosaicml streaming")),
     ),
     Figure(
-        "`gcd show` on a set of 100,000: a garment of 14,500 vertices, from the command to its page; to the next one",
-        "viewer",
-        lambda r: (
-            f"{r.value('viewer.first_page_cpu_s'):.1f} CPU-s, {r.value('viewer.first_page_s'):.1f} s; "
-            f"{r.value('viewer.next_ms'):.0f} ms"
-        ),
-        on="one of two CPU cores, shared",
-    ),
-    Figure(
-        "`import gcd_dataset`; `gcd --help`; `import gcd_dataset.loaders`, of which beside torch",
-        "imports",
-        lambda r: (
-            f"{r.value('imports.gcd_dataset_cpu_s'):.2f}; {r.value('imports.gcd_help_cpu_s'):.2f}; "
-            f"{r.value('imports.loaders_cpu_s'):.1f}, {r.value('imports.loaders_beside_torch_cpu_s'):.2f} CPU-s"
-        ),
-    ),
-    Figure(
         "seams predicted for the panels of unseen patterns: a network, trained on 24,000 for 8 minutes",
         "learning_T3",
         lambda r: (

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks import run
-from benchmarks.draping.ablation import variants
 from benchmarks.draping.failures import write_failures
-from benchmarks.draping.memory import measure_memory
-from benchmarks.draping.quality import pass_paper, quality
-from benchmarks.draping.sewn import measure_sewn
-from benchmarks.draping.workload import Worn
+from benchmarks.draping.modes import measure_memory, measure_sewn, variants
+from benchmarks.draping.workload import Worn, pass_paper, quality
 from benchmarks.peers.newton import require_newton, unmirrored
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch

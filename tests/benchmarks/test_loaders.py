@@ -11,9 +11,8 @@ import torch
 
 from benchmarks.cases import loaders
 from benchmarks.cases.loaders import _opening, _passes, _ratios, cpu_ms_of
-from benchmarks.loading.loaders import installed_loaders
-from benchmarks.loading.store import _Counting
-from benchmarks.loading.workload import CONFIGS, large_sample, write_shards
+from benchmarks.cases.remote import _Counting
+from benchmarks.loading import CONFIGS, installed_loaders, large_sample, write_shards
 
 COUNT = 32
 

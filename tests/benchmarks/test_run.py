@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from benchmarks import run
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import Figure, Measured, jpeg_file
 
 
 @pytest.fixture(autouse=True)
@@ -48,3 +48,9 @@ def test_a_report_in_the_tree_is_replaced_only_on_request(tmp_path: Path, capsys
     assert f"no report is written: --keep writes {kept}" in told.err
     assert run.main(["tape", "--length", "3", "--keep"]) == 0
     assert "| tape.girth | 6 | cm |" in kept.read_text()
+
+
+def test_a_jpeg_has_no_other_ending() -> None:
+    assert jpeg_file("drapes.JPG") == Path("drapes.JPG")
+    with pytest.raises(argparse.ArgumentTypeError, match=r"drapes.png: the picture is a JPEG"):
+        jpeg_file("drapes.png")

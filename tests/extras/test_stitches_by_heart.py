@@ -7,8 +7,8 @@ from benchmarks.reconstruction.garments import pattern_of
 from benchmarks.reconstruction.models import stitches
 from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.scores import score_stitches
 from benchmarks.reconstruction.stitching.sewing import sew
-from benchmarks.reconstruction.stitching.symmetry import score_stitches
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.loaders import GeneratedGarments
 

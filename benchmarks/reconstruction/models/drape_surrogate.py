@@ -19,8 +19,7 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
 from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, squared_distances
-from benchmarks.reconstruction.sizes import sizes_from
+from benchmarks.reconstruction.learners import Learner, sizes_from, squared_distances
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, mlp, of_neighbours, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,

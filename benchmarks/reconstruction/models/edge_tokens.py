@@ -42,13 +42,12 @@ from benchmarks.reconstruction.edge_sequence import (
     sequence_of,
     tokens_of,
 )
-from benchmarks.reconstruction.learners import mean_of
+from benchmarks.reconstruction.learners import mean_of, sizes_from
 from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY, best_pairs, common_labels
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
 from benchmarks.reconstruction.panel_net import NEVER, axes_of, rotation_of
 from benchmarks.reconstruction.panel_targets import BENDS, PanelTargets, ToTargets
 from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, PointLearner, waves
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
@@ -178,12 +177,12 @@ class EdgeDecoder(nn.Module):
         return [layer.cache(points, length) for layer in self.layers if isinstance(layer, Block)]
 
     def first_corner(self, state: Float[Tensor, "*b w"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Of a panel that follows: first corner, centre and axes [UNIT]."""
+        """First corner, centre and axes of the next panel [UNIT]."""
         corner, centre, axes = self.next_panel(state).split([2, 3, 6], dim=-1)
         return corner, centre, axes
 
     def edge(self, state: Float[Tensor, "*b w"]) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b k 2"]]:
-        """Of an edge that follows: end and bends [UNIT]."""
+        """End and bends of the next edge [UNIT]."""
         found = self.next_edge(state).unflatten(-1, (1 + BENDS, 2))
         return found[..., 0, :], found[..., 1:, :]
 
@@ -289,7 +288,7 @@ def _merged(heads: Float[Tensor, "b h t d"]) -> Float[Tensor, "b t w"]:
 def token_loss(
     decoder: EdgeDecoder, points: Float[Tensor, "b m w"], true: PanelTargets, *, noise: float = 0.0
 ) -> dict[str, Tensor]:
-    """Weighted loss terms by name, of targets in canonical order; ``noise`` of what is fed back [UNIT]."""
+    """Weighted loss terms by name, for targets in canonical order; ``noise`` on the tokens fed back [UNIT]."""
     sequence = sequence_of(true)
     states = decoder(tokens_of(_with_noise(true, noise) if noise else true, sequence), points)
     with torch.autocast(points.device.type, enabled=False):

@@ -15,8 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, TensorExamples, squared_distances, uploaded
-from benchmarks.reconstruction.sizes import sizes_from
+from benchmarks.reconstruction.learners import Learner, TensorExamples, sizes_from, squared_distances, uploaded
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
 from benchmarks.reconstruction.wearers import dressed_scans
 from gcd_dataset.measurements import ANGLES, MEASURES
@@ -73,7 +72,7 @@ class Scans(TensorExamples):
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Scans whose batches have some of the points, turned about the vertical and grown."""
+    """Scans; each batch draws some of the points, turned about the vertical and scaled."""
 
     whole: Scans
     points: int

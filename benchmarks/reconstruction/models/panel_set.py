@@ -17,11 +17,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.assignment import least_cost
-from benchmarks.reconstruction.learners import mean_of, squared_distances
+from benchmarks.reconstruction.learners import mean_of, sizes_from, squared_distances
 from benchmarks.reconstruction.panel_net import Edges, NetConfig, PanelDecoder, Predicted, Sewn, axes_of
 from benchmarks.reconstruction.panel_targets import PanelTargets
 from benchmarks.reconstruction.point_net import PointLearner
-from benchmarks.reconstruction.sizes import sizes_from
 
 TASKS = ("T0", "T1", "T1-scan")
 WEIGHTS = {
@@ -150,14 +149,14 @@ def match_panels(predicted: Predicted, true: PanelTargets) -> Int[Tensor, "b p"]
 
 
 def _existence_loss(logits: Float[Tensor, "l b q"], queries: Int[Tensor, "b p"], exists: Bool[Tensor, "b p"]) -> Tensor:
-    """Of garments with panels; one beyond the network's sizes has none, and teaches nothing."""
+    """Loss of the panels' existence, over the garments that fit into the network's sizes; the others have no panels."""
     chosen = torch.zeros_like(logits[0]).scatter_add(1, queries, exists.to(logits.dtype)).expand_as(logits)
     losses = functional.binary_cross_entropy_with_logits(logits, chosen, reduction="none")
     return mean_of(losses, exists.any(dim=1)[:, None].expand_as(losses))
 
 
 def _shifts(corners: Float[Tensor, "l b p n 2"], true: PanelTargets) -> Int[Tensor, "l b p"]:
-    """The corner of each true loop at which the predicted loop starts: that of the least mean square distance."""
+    """The corner of each true loop that, as its start, has the least mean square distance to the predicted loop."""
     with torch.no_grad():
         counts = true.edge_counts.clamp(min=1)[..., None]
         slot = torch.arange(true.corners.shape[2], device=counts.device)
@@ -235,7 +234,7 @@ def _seam_losses(sewn: Sewn, true: PanelTargets, exists: Bool[Tensor, "b e"]) ->
 
 
 def answers_of(decoder: PanelDecoder, tokens: Float[Tensor, "b t w"]) -> PanelTargets:
-    """The predictions in the form of the targets, with the panels whose probability exceeds 1/2, at least one."""
+    """The predictions in the form of the targets; panels are those with a probability above 1/2, at least one."""
     layers, panels = decoder(tokens)
     last = layers[-1]
     exists = (last.exists > 0) | (last.exists == last.exists.amax(dim=1, keepdim=True))

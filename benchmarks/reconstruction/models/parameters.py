@@ -19,13 +19,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, PANEL_CLASSES, POINT_LABELS
-from benchmarks.reconstruction.design_augmentation import DesignAugmentation
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
+from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS
@@ -185,7 +183,7 @@ class ParameterNet(Learner[Designs, Pattern]):
         return ToDesigns(self.config.stored_points, bool(self.config.labelled))
 
     def require_fields(self, fields: Sequence[str]) -> None:
-        """Raise ``ConfigError`` for garments whose points have no labels, if they are to be learned from."""
+        """Raise ``ConfigError`` for garments without point labels, if the network learns them."""
         if self.config.labelled and set(POINT_LABELS).isdisjoint(fields):
             raise ConfigError(UNLABELLED)
 
@@ -213,7 +211,7 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     @torch.no_grad()
     def _said(self, batch: Designs) -> list[Answer]:
-        """What is said about the stored points, as many at once as in a step; a rest is left out."""
+        """Predictions from the stored points, in parts of as many as a step sees; a remainder is left out."""
         several = torch.split(batch.points, self.config.points, dim=1)
         return self.decoder.answers(*(self.tokens(part) for part in several if part.shape == several[0].shape))
 

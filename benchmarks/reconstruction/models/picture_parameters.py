@@ -12,15 +12,12 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.design_augmentation import DesignAugmentation
-from benchmarks.reconstruction.design_net import Answer, DesignDecoder, DesignTargets, drawn
+from benchmarks.reconstruction.derived import MIRRORED_PIXELS, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, uploaded
-from benchmarks.reconstruction.picture_labels import MIRRORED_PIXELS
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from, uploaded
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
 from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -41,7 +38,7 @@ class PictureDesigns(DesignTargets):
     pictures: UInt8[Tensor, "b n h w 3"]
     """sRGB"""
     shown: UInt8[Tensor, "b n h w"]
-    """What their pixels show, as ``pixel_labels``."""
+    """``pixel_labels`` of the pictures."""
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,11 @@ from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from
 from benchmarks.reconstruction.models.panel_set import HEADS, LEAST, answers_of, set_loss
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureNet, pictures_of, require_views
-from benchmarks.reconstruction.sizes import sizes_from
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -49,7 +48,7 @@ class PictureTargets(PanelTargets):
     pictures: UInt8[Tensor, "b n h w 3"]
     """sRGB"""
     shown: UInt8[Tensor, "b n h w"]
-    """What their pixels show, as ``pixel_labels``."""
+    """``pixel_labels`` of the pictures."""
 
 
 class PictureSet(Learner[PictureTargets, Pattern]):

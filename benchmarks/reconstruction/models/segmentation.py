@@ -19,8 +19,7 @@ from torch.nn import functional
 
 from benchmarks.reconstruction.derived import MIRRORED, MIRRORED_EDGES, PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner
-from benchmarks.reconstruction.sizes import sizes_from
+from benchmarks.reconstruction.learners import Learner, sizes_from
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
     Surface,

@@ -9,8 +9,6 @@ boundary of the partly sewn garment is a relation too: two edges that meet where
 
 Seams between one long edge and several edges become pairs once the long edge is subdivided: a second head predicts the
 points of subdivision (``cuts``), which then move to agree with the lengths of the edges sewn to the parts.
-
-``StitchConfig.autosew()`` is the baseline: GraphSAGE over the loops, Sinkhorn, one round (AutoSew, WACV 2026).
 """
 
 import functools
@@ -29,13 +27,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
-from benchmarks.reconstruction.learners import Examples, Learner, uploaded
-from benchmarks.reconstruction.sizes import sizes_from
-from benchmarks.reconstruction.stitching.edge_shapes import EdgeInputs, edges_before, feature_counts, rows_at
-from benchmarks.reconstruction.stitching.gluing import glued
-from benchmarks.reconstruction.stitching.graphs import CUT_BINS, EdgeBatch, EdgeGraph, PackedGraphs, graph_of
-from benchmarks.reconstruction.stitching.merging import merged, split, subdivided
-from benchmarks.reconstruction.stitching.parts import Part, fixed_parts, ordered, parts_of, shares_above
+from benchmarks.reconstruction.learners import Examples, Learner, sizes_from, uploaded
+from benchmarks.reconstruction.stitching.edge_shapes import EdgeInputs, edges_before, feature_counts
+from benchmarks.reconstruction.stitching.graphs import (
+    CUT_BINS,
+    EdgeBatch,
+    EdgeGraph,
+    PackedGraphs,
+    Part,
+    fixed_parts,
+    graph_of,
+    ordered,
+    parts_of,
+    shares_above,
+)
+from benchmarks.reconstruction.stitching.merging import glued, merged, split, subdivided
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
@@ -52,8 +58,7 @@ WEIGHTS = {"pairs": 1.0, "right_wrong": 0.1, "cuts": 0.2, "cut_offsets": 1.0}
 SIZES = 0.1  # standard deviation of the logarithm of a garment's size in training
 MISPLACED = 0.02  # standard deviation of the points at which training garments are subdivided again, by length
 VARIANTS = (0.5, 0.75)  # shares of the training garments up to which they are as drawn, and with joined edges
-ENCODERS = ("attention", "sage")
-LEAST = {"sinkhorn": 0, "relations": 0, "placed": 0, "foreign": 0}  # sizes; 1 for others
+LEAST = {"foreign": 0}  # sizes; 1 for others
 MOST_FOREIGN = 0.25  # largest share of the fourth variant, which takes the place of the third
 SPREAD = 0.5  # range of the random numbers that vary the order in which seams are given
 SUBDIVIDED = 0.1  # share of the seams that are cut in two in the third variant
@@ -70,26 +75,14 @@ class StitchConfig:
     heads: int = 8
     layers: int = 8
     pair_width: int = 48
-    encoder: str = "attention"
-    """``attention``, or ``sage``: mean over the neighbours in the loop."""
-    sinkhorn: int = 0
-    """Iterations; 0 for a softmax over each edge's choices."""
-    temperature: float = 1.0
-    """Of the Sinkhorn iterations."""
-    relations: bool = True
-    """Whether pairs are scored by their relations, too."""
     rounds: int = 24
     """Most rounds of a prediction; 1 predicts all seams at once, and trains without given seams."""
     confident: float = 0.7
     """Probability of the seams that are fixed together in a round."""
-    placed: bool = False
-    """Whether the network sees the placement of the panels in space (variant B)."""
     foreign: float = 0.0
     """Share of the training garments that are subdivided as another source might, at most 0.25."""
 
     def __post_init__(self) -> None:
-        if self.encoder not in ENCODERS:
-            raise ConfigError(f"encoder {self.encoder!r:.99}: give one of {', '.join(ENCODERS)}")
         if not 0.0 <= self.foreign <= MOST_FOREIGN:
             raise ConfigError(f"foreign is {self.foreign}: give a share between 0 and {MOST_FOREIGN}")
 
@@ -97,14 +90,6 @@ class StitchConfig:
     def variety(self) -> int:
         """Variants of a training garment."""
         return 4 if self.foreign else 3
-
-    @staticmethod
-    def autosew(*, placed: bool = False) -> "StitchConfig":
-        """The baseline: five GraphSAGE layers of 512, 128 features for the scores, 100 iterations at 0.4."""
-        return StitchConfig(
-            width=512, layers=5, pair_width=128, encoder="sage", sinkhorn=100, temperature=0.4, relations=False,
-            rounds=1, placed=placed,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -120,18 +105,9 @@ class Scores:
     cut_offsets: Float[Tensor, "b e bins"]
     """Position within the bin, in [0, 1]."""
 
-    def log_probabilities(self, config: StitchConfig) -> Float[Tensor, "b e e+1"]:
-        """Of each choice of each edge; the last is to stay free."""
-        pairs, free = self.pairs.float(), self.free.float()
-        if not config.sinkhorn:
-            return torch.cat([pairs, free[..., None]], dim=-1).log_softmax(dim=-1)
-        pairs, free = pairs / config.temperature, free / config.temperature
-        potential = torch.zeros_like(free)
-        for _ in range(config.sinkhorn):  # the scaling of a symmetric matrix is one vector
-            total = torch.cat([pairs + potential[:, None], free[..., None]], dim=-1).logsumexp(dim=-1)
-            potential = 0.5 * (potential - total)
-        chosen = pairs + potential[:, None] + potential[..., None]
-        return torch.cat([chosen, (free + potential)[..., None]], dim=-1)
+    def log_probabilities(self) -> Float[Tensor, "b e e+1"]:
+        """Log-probability of each partner of each edge; the last column: no partner."""
+        return torch.cat([self.pairs.float(), self.free.float()[..., None]], dim=-1).log_softmax(dim=-1)
 
 
 class StitchNet(nn.Module):
@@ -140,63 +116,48 @@ class StitchNet(nn.Module):
     def __init__(self, config: StitchConfig) -> None:
         super().__init__()
         self.config, width = config, config.width
-        n_features, n_relations = feature_counts(placed=config.placed)
+        n_features, n_relations = feature_counts()
         self.enter = _mlp(n_features, width, width)
         self.sewn = nn.Embedding(2, width)
-        if config.encoder == "sage":
-            self.sage = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(config.layers))
-        else:
-            self.blocks = nn.ModuleList(_Block(width, config.heads) for _ in range(config.layers))
-            self.relate = nn.Sequential(
-                nn.Linear(n_relations, config.pair_width), nn.GELU(), nn.Linear(config.pair_width, config.pair_width),
-                nn.GELU(),
-            )  # fmt: skip
-            self.bias = nn.Linear(config.pair_width, config.heads * config.layers)
+        self.blocks = nn.ModuleList(_Block(width, config.heads) for _ in range(config.layers))
+        self.relate = nn.Sequential(*_mlp(n_relations, config.pair_width, config.pair_width), nn.GELU())
+        self.bias = nn.Linear(config.pair_width, config.heads * config.layers)
         self.norm = nn.LayerNorm(width)
         self.key = nn.Linear(width, 128)
         self.free = nn.Linear(width, 1)
         self.cut = _mlp(width, width, 2 * CUT_BINS)
         nn.init.constant_(self.cut[2].bias[:CUT_BINS], RARE)  # type: ignore[index]
-        if config.relations:
-            self.side = nn.Linear(width, config.pair_width)
-            self.judge = _mlp(config.pair_width, config.pair_width, 2)
+        self.side = nn.Linear(width, config.pair_width)
+        self.judge = _mlp(config.pair_width, config.pair_width, 2)
 
     def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> Scores:
         """``known``: partners of the edges that are already sewn, -1 for the others."""
         return self.scores(self.inputs(batch), known)
 
     def inputs(self, batch: EdgeBatch) -> EdgeInputs:
-        """What the network sees of a batch, whichever seams are known."""
-        return EdgeInputs.of(batch, placed=self.config.placed, with_pairs=self.config.encoder == "attention")
+        """The network's inputs that do not depend on the known seams."""
+        return EdgeInputs.of(batch)
 
     def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> Scores:
         """The scores of a batch, given its ``inputs``."""
         config, valid = self.config, seen.valid
         # A lookup in a table of two rows; its gradient needs no sort.
         edges = self.enter(seen.edges) + torch.where((known >= 0)[..., None], *self.sewn.weight.flip(0))
-        related: Tensor | None = None
-        if config.encoder == "sage":
-            for layer in self.sage:
-                around = 0.5 * (rows_at(edges, seen.following) + rows_at(edges, seen.before))
-                edges = functional.normalize(functional.gelu(layer(torch.cat([edges, around], dim=-1))), dim=-1)
-        else:
-            related = self.relate(seen.relations(known))
-            biases = self.bias(related).unflatten(-1, (config.layers, config.heads)).permute(3, 0, 4, 1, 2)
-            biases = (biases + torch.where(valid, 0.0, NEVER)[None, :, None, None, :].to(biases)).contiguous()
-            for block, bias in zip(self.blocks, biases, strict=True):
-                edges = block(edges, bias)
+        related = self.relate(seen.relations(known))
+        biases = self.bias(related).unflatten(-1, (config.layers, config.heads)).permute(3, 0, 4, 1, 2)
+        biases = (biases + torch.where(valid, 0.0, NEVER)[None, :, None, None, :].to(biases)).contiguous()
+        for block, bias in zip(self.blocks, biases, strict=True):
+            edges = block(edges, bias)
         return self._scores(self.norm(edges), related, valid, known)
 
-    def _scores(self, edges: Tensor, related: Tensor | None, valid: Tensor, known: Tensor) -> Scores:
+    def _scores(self, edges: Tensor, related: Tensor, valid: Tensor, known: Tensor) -> Scores:
         with torch.autocast(edges.device.type, enabled=False):  # bfloat16 would round logits to steps of 0.1
             keys = self.key(edges.float())
             pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
-        wrong = torch.zeros_like(pairs)
-        if related is not None and self.config.relations:
-            sides = self.side(edges)
-            judged = self.judge(functional.gelu(sides[:, :, None] + sides[:, None] + related))
-            judged = judged + judged.transpose(1, 2)
-            pairs, wrong = pairs + judged[..., 0], judged[..., 1]
+        sides = self.side(edges)
+        judged = self.judge(functional.gelu(sides[:, :, None] + sides[:, None] + related))
+        judged = judged + judged.transpose(1, 2)
+        pairs, wrong = pairs + judged[..., 0], judged[..., 1]
         possible = valid & (known < 0)
         itself = torch.eye(pairs.shape[1], dtype=torch.bool, device=pairs.device)
         allowed = possible[:, :, None] & possible[:, None] & ~itself
@@ -211,7 +172,7 @@ class StitchNet(nn.Module):
 
 
 class _Block(nn.Module):
-    """A transformer layer whose attention has a bias for each pair."""
+    """A transformer layer with an attention bias for each pair."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -240,12 +201,10 @@ def mirrored(batch: EdgeBatch, chosen: Bool[Tensor, " b"]) -> EdgeBatch:
     """The chosen garments as their mirror images: points, loops and cuts run the other way."""
     one, two = chosen[:, None], chosen[:, None, None]
     flipped = _mirrored(batch.points.flip(2))
-    space = _mirrored(batch.placed.flip(2))
     turned = torch.where(batch.cuts >= 0, 1 - batch.cuts, batch.cuts)
     return replace(
         batch,
         points=torch.where(two[..., None], flipped, batch.points),
-        placed=torch.where(two[..., None], space, batch.placed),
         following=torch.where(one, edges_before(batch.following), batch.following),
         cuts=torch.where(two, turned, batch.cuts),
     )
@@ -254,9 +213,7 @@ def mirrored(batch: EdgeBatch, chosen: Bool[Tensor, " b"]) -> EdgeBatch:
 def scaled(batch: EdgeBatch, factors: Float[Tensor, " b"]) -> EdgeBatch:
     """The garments in other sizes."""
     wide = factors[:, None, None, None]
-    return replace(
-        batch, points=batch.points * wide, placed=batch.placed * wide, lengths=batch.lengths * factors[:, None]
-    )
+    return replace(batch, points=batch.points * wide, lengths=batch.lengths * factors[:, None])
 
 
 def revealed(
@@ -283,9 +240,7 @@ def edge_noise(seeds: Int[Tensor, " r"], count: int) -> Float[Tensor, "r e"]:
     return (((mixed >> 16) ^ mixed) >> 8).float() / 2**24
 
 
-def stitch_loss(
-    scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"], config: StitchConfig
-) -> dict[str, tuple[Tensor, Tensor]]:
+def stitch_loss(scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> dict[str, tuple[Tensor, Tensor]]:
     """Sums and counts of the loss terms by name.
 
     An edge without a partner in a garment with joined edges may be sewn to several: its choice is not counted.
@@ -293,7 +248,7 @@ def stitch_loss(
     valid, partners = batch.valid, batch.partners
     whole = (batch.cuts >= 0).flatten(1).any(dim=1)
     asked = valid & (known < 0) & (~whole[:, None] | (partners >= 0))
-    choices = scores.log_probabilities(config)
+    choices = scores.log_probabilities()
     target = torch.where(partners >= 0, partners, choices.shape[-1] - 1)
     chosen = -choices.gather(2, target[..., None])[..., 0]
     logits = scores.right_wrong.gather(2, partners.clamp(min=0)[..., None])[..., 0]
@@ -346,7 +301,7 @@ class StitchBatch:
     shares: Float[Tensor, " b"]
     """Share of the seams that are given; 0 or less for none."""
     seeds: Int[Tensor, " b"]
-    """Of the random numbers that vary which."""
+    """Seeds of the random choice of the given seams."""
 
     def edges(self, rows: slice, part: Part) -> EdgeBatch:
         """The edges of a part, whose garments are these rows."""
@@ -417,7 +372,7 @@ class StitchExamples:
 
     @property
     def _chances(self) -> list[float]:
-        """Of each variant."""
+        """Probability of each variant."""
         limits = [0.0, *VARIANTS, *([1 - self.config.foreign] if self.config.foreign else []), 1.0]
         return [high - low for low, high in pairwise(limits)]
 
@@ -465,7 +420,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
             edges = batch.edges(rows, part)
             seen = self.net.inputs(edges)
             known = self._given(seen, edges, part.given, batch.shares[rows], batch.seeds[rows])
-            found = stitch_loss(self.net.scores(seen, known), edges, known, self.net.config)
+            found = stitch_loss(self.net.scores(seen, known), edges, known)
             terms.append(torch.stack([torch.stack(found[name]) for name in WEIGHTS]))
         sums, counts = torch.stack(terms).sum(dim=0).unbind(-1)
         means = (sums / counts.clamp(min=1)).unbind()
@@ -483,7 +438,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         if not count:
             return known
         some = edges.select(slice(count))
-        choices = self.net.scores(seen.first(count), known[:count]).log_probabilities(self.net.config)
+        choices = self.net.scores(seen.first(count), known[:count]).log_probabilities()
         sure = choices.gather(2, some.partners.clamp(min=0)[..., None])[..., 0].exp()
         torch.clear_autocast_cache()  # weights that were cast here would get no gradient
         known[:count] = revealed(some, shares[:count], sure, edge_noise(seeds[:count], sure.shape[1]))
@@ -502,7 +457,7 @@ def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
 
 
 def _variants(job: tuple[int, Arrays, bool]) -> list[EdgeGraph]:
-    """Graphs of a pattern: as drawn, with joined edges, subdivided elsewhere, and as of another source."""
+    """Variants of a pattern's graph: as drawn, edges joined, subdivided elsewhere, subdivided like another source."""
     number, arrays, with_foreign = job
     pattern, rng = pattern_of(arrays), np.random.default_rng(number)
     joined, again = merged(pattern, rng), pattern

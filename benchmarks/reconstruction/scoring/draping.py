@@ -48,7 +48,7 @@ class _Job:
     """A pattern to drape, or the reason why it cannot be."""
 
     row: int
-    """Of the test garment."""
+    """Row of the test garment."""
     predicted: bool
     job: DrapeJob | None
     reason: str = ""

@@ -11,6 +11,12 @@ from gcd_dataset.metrics import bootstrap_means
 if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.garments import Scored
 
+REPORT = "report.json"
+"""In the folder of ``train --out``: mean scores, options, and hashes of the data."""
+SCORES = "scores.csv"
+"""There: a row of scores for each test garment."""
+EVALUATION = "evaluation.json"
+"""There: the evaluator's scores, with drapes."""
 UNITS = {
     "boxmesh_cd": "cm",
     "panel_l2": "cm",
@@ -98,7 +104,7 @@ def tree_of(
     presets: Mapping[str, Mapping[str, float]],
     settings: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """All of it as a JSON tree."""
+    """Figures, garments and settings as a JSON tree."""
 
     def entries(rows: Sequence[Summary]) -> dict[str, Any]:
         return {

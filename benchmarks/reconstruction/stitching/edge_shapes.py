@@ -13,7 +13,6 @@ from torch.nn import functional
 from benchmarks.reconstruction.stitching.graphs import SAMPLES, EdgeBatch
 
 USUAL_LENGTH = 20.0  # cm
-PLACED_UNIT = 50.0  # cm
 LOOP_STEPS = 3  # neighbours in the loop that are told apart, each way
 SAME_LOOP = 1 + 2 * LOOP_STEPS  # relations by panel and loop, which come before those by known seams
 WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.3)  # scales on which differences are compared
@@ -23,38 +22,34 @@ SEAMS_AT_CORNER = 4  # most seams that end in a corner of the partly sewn garmen
 
 @dataclass(frozen=True)
 class EdgeInputs:
-    """What a network sees of the edges of a batch and of their pairs, whichever seams are known."""
+    """Features of the edges of a batch, and of their pairs, that do not depend on the known seams."""
 
     valid: Bool[Tensor, "b e"]
     """Rows that are edges."""
     following: Int[Tensor, "b e"]
-    before: Int[Tensor, "b e"]
     edges: Float[Tensor, "b e f"]
-    pairs: Float[Tensor, "b e e r"] | None
-    """All relations but those by known seams; ``None`` for a network that sees no pairs."""
+    pairs: Float[Tensor, "b e e r"]
+    """All relations but those by known seams."""
 
     @staticmethod
     @torch.no_grad()
-    def of(batch: EdgeBatch, *, placed: bool, with_pairs: bool) -> "EdgeInputs":
-        """``placed``: with the place of the edges in space."""
+    def of(batch: EdgeBatch) -> "EdgeInputs":
+        """The features of a batch."""
         shapes = _EdgeShapes.of(batch)
-        pairs = shapes.pairs(placed=placed) if with_pairs else None
-        return EdgeInputs(batch.valid, batch.following, shapes.before, shapes.features(placed=placed), pairs)
+        return EdgeInputs(batch.valid, batch.following, shapes.features(), shapes.pairs())
 
     def first(self, count: int) -> "EdgeInputs":
         """The inputs of the first ``count`` garments."""
         return EdgeInputs(
             valid=self.valid[:count],
             following=self.following[:count],
-            before=self.before[:count],
             edges=self.edges[:count],
-            pairs=None if self.pairs is None else self.pairs[:count],
+            pairs=self.pairs[:count],
         )
 
     @torch.no_grad()
     def relations(self, known: Int[Tensor, "b e"]) -> Float[Tensor, "b e e r"]:
-        """What a network sees of each pair; ``known``: partners of the edges that are sewn, -1 for the others."""
-        assert self.pairs is not None
+        """Features of each pair; ``known``: partners of the sewn edges, -1 for the others."""
         found = _is_row(torch.stack([next_on_boundary(self.following, known), known], dim=-1))
         meeting, sewn = found[..., :1], found[..., 1:]
         before, after = self.pairs[..., :SAME_LOOP], self.pairs[..., SAME_LOOP:]
@@ -72,7 +67,7 @@ class _EdgeShapes:
     forward: Float[Tensor, "b e k"]
     """Points along the edge, in the frame of its chord, by length."""
     backward: Float[Tensor, "b e k"]
-    """The same of the reversed edge."""
+    """The same points for the reversed edge."""
     bend: Float[Tensor, "b e"]
     """Total turn between the ends [rad]."""
     corners: Float[Tensor, "b e 2"]
@@ -96,8 +91,8 @@ class _EdgeShapes:
             corners=torch.stack([at_end.gather(1, before), at_end], dim=-1),
         )
 
-    def features(self, *, placed: bool) -> Float[Tensor, "b e f"]:
-        """What a network sees of each edge; ``placed``: of its place in space, too."""
+    def features(self) -> Float[Tensor, "b e f"]:
+        """Features of each edge."""
         batch = self.batch
         x, y = batch.points.unbind(-1)
         areas = 0.5 * (x[..., :-1] * y[..., 1:] - x[..., 1:] * y[..., :-1]).sum(-1)
@@ -114,11 +109,9 @@ class _EdgeShapes:
                          _cross(middle, chord) / size / batch.lengths.clamp(min=1e-2)], dim=-1),
             self.corners.sin(), self.corners.cos(), waves.sin(), waves.cos(), self.forward, *neighbours,
         ]  # fmt: skip
-        if placed:
-            inputs.append(_waves(batch.placed.flatten(2) / PLACED_UNIT))
         return torch.cat(inputs, dim=-1)
 
-    def pairs(self, *, placed: bool) -> Float[Tensor, "b e e r"]:
+    def pairs(self) -> Float[Tensor, "b e e r"]:
         """The relations of each pair, apart from those by known seams."""
         batch, rows = self.batch, [self.batch.following]
         same = batch.panels[:, :, None] == batch.panels[:, None]
@@ -137,12 +130,6 @@ class _EdgeShapes:
             _near(torch.stack([difference, *alike.unbind(1)], dim=-1)),
             sine, sine.transpose(1, 2), cosine, cosine.transpose(1, 2),
         ]  # fmt: skip
-        if placed:
-            first, middle, last = (batch.placed[:, :, k] / PLACED_UNIT for k in range(3))
-            gaps = [torch.cdist(first, last), torch.cdist(last, first), torch.cdist(middle, middle)]
-            gaps.append(torch.cdist(first, first) + torch.cdist(last, last))
-            apart = torch.stack(gaps, dim=-1)
-            parts += [apart, _near(apart)]
         return torch.cat(parts, dim=-1)
 
     def _of_panel(self, values: Float[Tensor, "b e k"]) -> Float[Tensor, "b e k"]:
@@ -152,12 +139,10 @@ class _EdgeShapes:
         return torch.zeros_like(values).scatter_add_(1, panels, values).gather(1, panels)
 
 
-def feature_counts(*, placed: bool) -> tuple[int, int]:
+def feature_counts() -> tuple[int, int]:
     """Number of features of an edge, and of a pair."""
     profile = 2 * ((SAMPLES - 1) // 2)
-    places = 9 * (2 * WAVES + 1) if placed else 0
-    gaps = 4 * (1 + len(WIDTHS)) if placed else 0
-    return 9 + 4 + 2 * WAVES + profile + 4 + places, 1 + 2 * LOOP_STEPS + 3 + 1 + 3 * len(WIDTHS) + 4 + gaps
+    return 9 + 4 + 2 * WAVES + profile + 4, 1 + 2 * LOOP_STEPS + 3 + 1 + 3 * len(WIDTHS) + 4
 
 
 def _profile(points: Float[Tensor, "b e n 2"], lengths: Float[Tensor, "b e"]) -> Float[Tensor, "b e k"]:
@@ -180,11 +165,6 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 def _near(differences: Float[Tensor, "b e e k"]) -> Float[Tensor, "b e e n"]:
     """Likeness on each scale, from 0 to 1, of each of the differences in turn."""
     return torch.stack([differences / width for width in WIDTHS], dim=-1).square_().neg_().exp_().flatten(-2)
-
-
-def _waves(values: Tensor) -> Tensor:
-    octaves = (values[..., None] * 2.0 ** torch.arange(WAVES, device=values.device)).flatten(-2)
-    return torch.cat([values, octaves.sin(), octaves.cos()], dim=-1)
 
 
 def rows_at(values: Float[Tensor, "b e k"], rows: Int[Tensor, "b e"]) -> Float[Tensor, "b e k"]:

@@ -5,6 +5,9 @@ in space. Names, labels, kinds of curve, numbers of panels and starts of loops a
 give the same rows, in another order. Loops run counter-clockwise as seen from the right side of the cloth.
 """
 
+import functools
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -37,8 +40,6 @@ class EdgeGraph:
     panels: Int[np.ndarray, " e"]
     following: Int[np.ndarray, " e"]
     """Row of the next edge of the loop."""
-    placed: Float[np.ndarray, "e 3 3"]
-    """Start, middle and end in space [cm]."""
     partners: Int[np.ndarray, " e"]
     """Row of the edge that it is sewn to, -1 for none."""
     right_wrong: Bool[np.ndarray, " e"]
@@ -54,7 +55,6 @@ class EdgeBatch:
     lengths: Float[Tensor, "b e"]
     panels: Int[Tensor, "b e"]
     following: Int[Tensor, "b e"]
-    placed: Float[Tensor, "b e 3 3"]
     partners: Int[Tensor, "b e"]
     right_wrong: Bool[Tensor, "b e"]
     cuts: Float[Tensor, "b e 6"]
@@ -166,13 +166,11 @@ def graph_of(pattern: Pattern, cuts: Mapping[EdgeRef, Sequence[float]] | None = 
     shares = np.full((len(refs), MAX_CUTS), NO_CUT, np.float32)
     for ref, values in (cuts or {}).items():
         shares[row_of[ref], : len(values)] = values
-    parts = [_outline(panel) for panel in pattern.panels]
     return EdgeGraph(
-        points=np.concatenate([points for points, _ in parts]).astype(np.float32),
+        points=np.concatenate([_outline(panel) for panel in pattern.panels]).astype(np.float32),
         lengths=np.concatenate([panel.edge_lengths() for panel in pattern.panels]).astype(np.float32),
         panels=np.repeat(np.arange(len(sizes)), sizes),
         following=np.concatenate(following),
-        placed=np.concatenate([placed for _, placed in parts]).astype(np.float32),
         partners=partners,
         right_wrong=wrong,
         cuts=shares,
@@ -185,8 +183,8 @@ def with_seams(pattern: Pattern, pairs: Sequence[tuple[int, int, bool]]) -> Patt
     return replace(pattern, seams=tuple(Seam(refs[left], refs[right], wrong) for left, right, wrong in pairs))
 
 
-def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarray, "e 3 3"]]:
-    """Points of the edges about the centroid, from the right side; start, middle and end of the edges in space."""
+def _outline(panel: Panel) -> Float[np.ndarray, "e 17 2"]:
+    """Points of the edges about the centroid, from the right side [cm]."""
     require_closed(panel)
     shares = np.linspace(0, 1, SAMPLES)[:, None]
     edges = []
@@ -195,11 +193,81 @@ def _outline(panel: Panel) -> tuple[Float[np.ndarray, "e 17 2"], Float[np.ndarra
         straight = edge.curve == LINE
         edges.append((1 - shares) * start + shares * end if straight else sample_curve(start, end, edge.curve, SAMPLES))
     points = np.array(edges)
-    placed = panel.placement.apply(points[:, [0, SAMPLES // 2, -1]].reshape(-1, 2)).reshape(-1, 3, 3)
     middle = points.mean(axis=(0, 1))
     x, y = (points[:, :-1] - middle).reshape(-1, 2).T
     crossed = x * np.roll(y, -1) - np.roll(x, -1) * y
     area = 0.5 * crossed.sum()
     moments = [((v + np.roll(v, -1)) * crossed).sum() / 6 for v in (x, y)]
     centroid = middle + np.array(moments) / area if abs(area) > LEAST_AREA else middle
-    return (points - centroid) * [np.copysign(1.0, area), 1.0], placed
+    return (points - centroid) * [np.copysign(1.0, area), 1.0]
+
+
+SMALLER = 0.75  # share of a batch, of the fewest edges, that is computed apart from the others
+LEAST_APART = 16  # garments of a batch that is computed in parts
+FIXED = 3  # parts of batches of one shape: two would have a third more pairs of edges
+RARE = 1e-6  # upper bound of the chance that the garments of a batch exceed a part of ``fixed_parts``
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Garments of a batch that are computed together."""
+
+    rows: int
+    given: int
+    """Number of garments, the first ones, that may be given seams."""
+    width: int
+    """Edges to which they are padded."""
+
+
+def parts_of(counts: Int[Tensor, " b"], shares: Float[Tensor, " b"]) -> tuple[Part, ...]:
+    """The parts that fit a batch: its smaller garments, and the others. ``shares``: of the seams that are given."""
+    order = counts.argsort()
+    apart = [int(SMALLER * len(order))] if len(order) >= LEAST_APART else []
+    chunks = order.tensor_split(apart)
+    return tuple(Part(len(c), int((shares[c] > 0).sum()), aligned(int(counts[c].max()))) for c in chunks)
+
+
+def ordered(parts: Sequence[Part], counts: Int[Tensor, " b"], shares: Float[Tensor, " b"]) -> Int[Tensor, " b"]:
+    """The garments of a batch in the order of its parts, within a part by decreasing share."""
+    chunks = torch.split(counts.argsort(), [part.rows for part in parts])
+    return torch.cat([chunk[shares[chunk].argsort(descending=True)] for chunk in chunks])
+
+
+def shares_above(counts: Int[Tensor, "n v"], chances: Sequence[float]) -> tuple[float, ...]:
+    """The chances that a garment, whose variants have these counts and chances, exceeds each multiple of 8 edges."""
+    widths = torch.arange(ALIGNMENT, aligned(int(counts.max())) + 1, ALIGNMENT)
+    above = torch.stack([(counts > width).double().mean(dim=0) for width in widths])
+    return tuple((above @ torch.tensor(chances, dtype=torch.double)).tolist())
+
+
+@functools.lru_cache
+def fixed_parts(rows: int, above: tuple[float, ...], *, garments: int, is_given: bool) -> tuple[Part, ...]:
+    """The parts of every batch of ``rows`` garments, of the fewest pairs of edges. ``above``: ``shares_above``.
+
+    ``is_given``: whether seams of garments are given, of each with a chance of 1/2 or less.
+    """
+    wider = [min(rows, _most(rows, chance, garments)) for chance in above[:-1]]  # most garments above each width
+    count = min(FIXED if rows >= LEAST_APART else 1, len(above))
+
+    def sized(widths: Sequence[int]) -> list[tuple[int, int]]:
+        """Garments and edges of each part; a part takes those that are wider than the part before."""
+        room = [rows, *(wider[number] for number in widths), 0]
+        edges = [ALIGNMENT * (number + 1) for number in (*widths, len(wider))]
+        counts = [most - rest for most, rest in itertools.pairwise(room)]
+        return list(zip(counts, edges, strict=True))
+
+    tries = (sized(widths) for widths in itertools.combinations(range(len(wider)), count - 1))
+    best = min(tries, key=lambda parts: sum(size * width**2 for size, width in parts))
+    return tuple(Part(size, _most_given(size) if is_given else 0, width) for size, width in best if size)
+
+
+def _most_given(rows: int) -> int:
+    """Three standard deviations more than half: where there are more, the smallest shares count as none."""
+    return min(rows, math.ceil(0.5 * rows + 1.5 * math.sqrt(rows)))
+
+
+def _most(rows: int, chance: float, garments: int) -> int:
+    """The number of garments of this chance that a batch exceeds at most rarely (Bernstein's inequality)."""
+    rare = -math.log(RARE)
+    variance = rows * chance * (1 - chance) * (1 + rows / garments)  # a garment may be drawn twice
+    return math.ceil(rows * chance + rare / 3 + math.sqrt((rare / 3) ** 2 + 2 * rare * variance)) if chance else 0

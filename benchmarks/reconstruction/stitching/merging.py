@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+import shapely
+from jaxtyping import Complex, Float, Int
 
 from benchmarks.reconstruction.panel_targets import fitted_curve
-from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, edge_refs
+from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, EdgeGraph, edge_refs
 from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
 
@@ -33,14 +34,14 @@ class Merged:
     """A pattern with joined edges, without the seams of these edges, and how to restore them."""
 
     pattern: Pattern
-    """Its seams join edges of which neither is to be subdivided."""
+    """The pattern with joined edges; its seams join whole edges only."""
     cuts: dict[EdgeRef, tuple[float, ...]]
     parts: Pattern
     """The pattern subdivided at ``cuts``, with all seams: the truth."""
 
     @property
     def seams_of_several(self) -> frozenset[int]:
-        """Seams of ``parts`` of which a side is a part of an edge."""
+        """Seams of ``parts`` with a side that is a part of an edge."""
         refs = dict(zip(edge_refs(self.parts), _origins(self.pattern, self.cuts), strict=True))
         return frozenset(
             number
@@ -288,3 +289,91 @@ def _between(
     share = np.linspace(0, 1, len(fine))
     at = np.linspace(first, last, SAMPLES)
     return np.stack([np.interp(at, share, fine[:, axis]) for axis in (0, 1)], axis=1)
+
+
+STRAIGHT = 0.02  # cm: largest distance of a straight edge's points from its chord
+EQUAL = 0.1  # cm: largest difference of the lengths of the two sides
+
+
+def glued(graph: EdgeGraph, rng: np.random.Generator, *, share: float) -> EdgeGraph:
+    """The graph without a random share of the seams that are straight and join two panels, which become one.
+
+    A seam stays if its sides differ in length, if it joins right to wrong side, if the panels would overlap, or if an
+    edge of the graph is to be subdivided.
+    """
+    if (graph.cuts >= 0).any():
+        return graph
+    points = graph.points.astype(float) @ np.array([1, 1j])
+    following, panels = graph.following.copy(), graph.panels.copy()
+    gone = np.zeros(len(panels), bool)
+    for one in np.flatnonzero(graph.partners > np.arange(len(panels))).tolist():
+        other = int(graph.partners[one])
+        if panels[one] == panels[other] or graph.right_wrong[one] or rng.random() >= share:
+            continue
+        if not _straight(points[one]) or not _straight(points[other]):
+            continue
+        if abs(graph.lengths[one] - graph.lengths[other]) > EQUAL:
+            continue
+        moved = _moved(points, one, other, panels == panels[other])
+        after = following.copy()
+        after[np.flatnonzero(following == one)] = following[other]
+        after[np.flatnonzero(following == other)] = following[one]
+        if not shapely.Polygon(_outline(moved, after, int(following[one]))).is_valid:
+            continue
+        points, following = moved, after
+        panels[panels == panels[other]] = panels[one]
+        gone[[one, other]] = True
+    return _without(graph, points, following, panels, gone)
+
+
+def _straight(points: Complex[np.ndarray, " n"]) -> bool:
+    chord = points[-1] - points[0]
+    if abs(chord) < STRAIGHT:
+        return False
+    return bool(np.abs(((points - points[0]) * np.conj(chord / abs(chord))).imag).max() <= STRAIGHT)
+
+
+def _moved(points: Complex[np.ndarray, "e n"], one: int, other: int, rows: np.ndarray) -> Complex[np.ndarray, "e n"]:
+    """The points with the panel of ``other`` turned and moved so that its edge runs along ``one``, against it."""
+    turn = (points[one, 0] - points[one, -1]) / (points[other, -1] - points[other, 0])
+    middle, goal = points[other, [0, -1]].mean(), points[one, [0, -1]].mean()
+    placed = (points - middle) * (turn / abs(turn)) + goal
+    return np.where(rows[:, None], placed, points)
+
+
+def _outline(
+    points: Complex[np.ndarray, "e n"], following: Int[np.ndarray, " e"], first: int
+) -> Float[np.ndarray, "m 2"]:
+    """Points of the loop that begins with an edge."""
+    loop, row = [first], int(following[first])
+    while row != first:
+        loop.append(row)
+        row = int(following[row])
+    along = points[np.array(loop), :-1].ravel()
+    return np.stack([along.real, along.imag], axis=1)
+
+
+def _without(
+    graph: EdgeGraph, points: np.ndarray, following: np.ndarray, panels: np.ndarray, gone: np.ndarray
+) -> EdgeGraph:
+    """The rows that stay, panel by panel, with points about the centroid of their panel."""
+    kept = np.flatnonzero(~gone)
+    kept = kept[np.argsort(panels[kept], kind="stable")]
+    new_row = np.full(len(panels), -1)
+    new_row[kept] = np.arange(len(kept))
+    _, numbers = np.unique(panels[kept], return_inverse=True)
+    at = np.stack([points.real, points.imag], axis=-1)
+    for row in {int(kept[np.flatnonzero(numbers == number)[0]]) for number in np.unique(numbers)}:
+        centroid = shapely.Polygon(_outline(points, following, row)).centroid
+        at[panels == panels[row]] -= [centroid.x, centroid.y]
+    partners = graph.partners[kept]
+    return replace(
+        graph,
+        points=at[kept].astype(np.float32),
+        lengths=graph.lengths[kept],
+        panels=numbers.astype(graph.panels.dtype),
+        following=new_row[following[kept]],
+        partners=np.where(partners >= 0, new_row[partners], -1),
+        right_wrong=graph.right_wrong[kept],
+        cuts=graph.cuts[kept],
+    )

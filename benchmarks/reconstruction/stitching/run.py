@@ -24,13 +24,18 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from benchmarks.reconstruction.learners import sizes_from
 from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchExamples, StitchLearner
-from benchmarks.reconstruction.sizes import sizes_from
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
-from benchmarks.reconstruction.stitching.intervals import IntervalScore, score_intervals
 from benchmarks.reconstruction.stitching.merging import Merged, merged
+from benchmarks.reconstruction.stitching.scores import (
+    IntervalScore,
+    StitchScore,
+    random_symmetry,
+    score_intervals,
+    score_stitches,
+)
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.stitching.symmetry import StitchScore, random_symmetry, score_stitches
 from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
 from benchmarks.reconstruction.train import UNFINISHED
 from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
@@ -99,11 +104,11 @@ def run(args: argparse.Namespace) -> None:
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
         return {f"check_{name}": value for name, value in _means(scores).items()}
 
-    of = {name: getattr(args, name) for name in ("placed", "autosew", "one_round", "leave_out", "foreign")}
+    of = {name: getattr(args, name) for name in ("one_round", "leave_out", "foreign")}
     of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
     limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
     arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
-    trained = train(learner, prepared, config, turns=Path(args.turns) if args.turns else None, **arguments)
+    trained = train(learner, prepared, config, **arguments)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
@@ -135,8 +140,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, help="folder of the checkpoint, curves and report")
     parser.add_argument("--smoke", action="store_true", help="200 patterns, a minute on two CPU cores")
     parser.add_argument("--make-only", action="store_true", help="draw the patterns of --data, then stop")
-    parser.add_argument("--placed", action="store_true", help="variant B: the network sees the panels' placement")
-    parser.add_argument("--autosew", action="store_true", help="the baseline: GraphSAGE and Sinkhorn")
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
     parser.add_argument("--compile", action="store_true", help="record the step on a GPU, which then takes less time")
     option("--train", 24_000, "patterns to train on")
@@ -156,13 +159,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--workers", 0, "processes that draw patterns")
     option("--checks", 8, "scorings on the way")
     option("--device", "auto", "auto, cpu or cuda:0")
-    option("--turns", "", "file that runs on one GPU lock: one of them trains at a time")
     option("--data", "", "folder of the patterns; by default in the output folder")
     option("--examples", "", "folder whose specifications are scored, too")
 
 
 def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The options, those of ``SMOKE`` where they are not given with ``--smoke``."""
+    """The options; with ``--smoke``, ``SMOKE`` holds the defaults."""
     given = parser.parse_args(arguments)
     if given.smoke:
         parser.set_defaults(**SMOKE)
@@ -179,9 +181,7 @@ def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
     for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
         if not least <= getattr(args, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
-    if args.autosew:
-        return config, StitchConfig.autosew(placed=args.placed)
-    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "placed", "foreign")}
+    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "foreign")}
     given |= {"rounds": 1} if args.one_round else {}
     sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads={"width": "heads"})
     return config, sizes
@@ -280,7 +280,7 @@ def foreign(learner: StitchLearner, folder: Path) -> dict[str, Any]:
 
 
 def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """The specifications of patterns, by name, for the evaluator; those of an earlier run are removed."""
+    """Write the specifications of patterns for the evaluator; files of an earlier run are removed."""
     for old in make_folder(folder).glob(f"{TEST_SEED}_*_specification.json"):
         old.unlink()
     for pattern in patterns:

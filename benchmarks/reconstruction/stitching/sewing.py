@@ -87,7 +87,7 @@ class _Parts:
     parts: Sequence[Pattern]
     """The patterns subdivided at ``cuts``, with seams."""
     options: Mapping[str, int]
-    """Of ``_sewn``."""
+    """Keyword arguments of ``_sewn``."""
 
     @classmethod
     @torch.no_grad()
@@ -175,7 +175,7 @@ def predict_stitches(net: "StitchNet", batch: EdgeBatch, rounds: int = 0) -> lis
         rows = torch.from_numpy(open_rows).to(known.device)
         part = batch if len(rows) == len(batch) else batch.select(rows)
         scores = net(part, known[rows])
-        choices = scores.log_probabilities(config).cpu().double().numpy()
+        choices = scores.log_probabilities().cpu().double().numpy()
         turned = (scores.right_wrong > 0).cpu().numpy()
         partners, flags, still = known[rows].cpu().numpy(), wrong[rows].cpu().numpy(), []
         for at, row in enumerate(open_rows.tolist()):

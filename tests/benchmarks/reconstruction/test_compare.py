@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.reconstruction import compare
 from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, Scores, differences, main, read_scores
 from benchmarks.reconstruction.evaluate import main as evaluate
-from benchmarks.reconstruction.run_files import EVALUATION, REPORT, SCORES
+from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.sewn_patterns import t_shirt, tube
@@ -137,11 +138,14 @@ def test_a_folder_with_scores_of_the_evaluator_has_these(tmp_path: Path, capsys:
     assert capsys.readouterr().out.splitlines()[1:] == ["compare.within_1cm +1 [+1, +1] from 0 to 1 better"]
 
 
-def test_files_of_the_evaluator_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_the_evaluator_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compare, "LEAST_GARMENTS", 2)
     truth, better, worse = (tmp_path / name for name in ("truth", "better", "worse"))
     for folder in (truth, better, worse):
         folder.mkdir()
-    for name in range(LEAST_GARMENTS):
+    for name in range(2):
         write_pattern(tube(), truth / f"{name}.json")
         write_pattern(tube(), better / f"{name}.json")
     (worse / "0.json").write_text("{}")  # and no file of the others: all fail
@@ -150,7 +154,7 @@ def test_files_of_the_evaluator_are_compared(tmp_path: Path, capsys: pytest.Capt
     capsys.readouterr()
     assert main([f"{worse}.json", f"{better}.json"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"compare.garments {LEAST_GARMENTS} garments"
+    assert lines[0] == "compare.garments 2 garments"
     assert "compare.iou +1 [+1, +1] from 0 to 1 better" in lines
     write_pattern(t_shirt(), truth / "0.json")
     assert evaluate([str(better), str(truth), "--quiet", "--json", f"{better}.json"]) == 0

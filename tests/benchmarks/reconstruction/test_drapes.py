@@ -13,10 +13,9 @@ from benchmarks.reconstruction.drapes import (
     transferred,
 )
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import box_mesh, solver
+from benchmarks.reconstruction.models.baselines import box_mesh, solver
 from benchmarks.reconstruction.models.drape_surrogate import build, depth, nearest_rows, nearest_skin
 from benchmarks.reconstruction.wearers import body_points, box_mesh_of, measurements_of, wearer_of
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.measurements import MEASURES
 
@@ -64,8 +63,8 @@ def test_a_finer_mesh_carries_a_linear_map_exactly(draped: GarmentSet) -> None:
 
 def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
     one = draped.select([0])
-    (score,) = score_drapes(solver.answers(one, one, device=CPU), one, crossings=False)
-    (unmoved,) = score_drapes(box_mesh.answers(one, one, device=CPU), one, crossings=False)
+    (score,) = score_drapes(solver(one, one, device=CPU), one, crossings=False)
+    (unmoved,) = score_drapes(box_mesh(one, one, device=CPU), one, crossings=False)
     assert score.error_cm < 2 < unmoved.error_cm
     assert score.ms > 0
 
@@ -115,8 +114,3 @@ def test_a_turned_batch_is_the_same_drape(draped: GarmentSet) -> None:
         before, after = (torch.cdist(a[first], b[0, :, :3]) for a, b in ((one, plain.body), (other, moved.body)))
         assert torch.allclose(before, after, atol=1e-4)
     assert not torch.allclose(plain.draped, moved.draped)
-
-
-def test_unknown_sizes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no size depth of drape_surrogate"):
-        build(smoke=True, options={"depth": 3})

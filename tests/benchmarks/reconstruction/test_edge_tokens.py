@@ -27,7 +27,7 @@ from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
-from tests.benchmarks.reconstruction.orders import shuffled, started_elsewhere
+from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")
 
@@ -278,9 +278,9 @@ def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> No
 
 def test_the_loss_falls(six: GarmentSet) -> None:
     network = learner(tokens=16)
-    config = TrainConfig(steps=60, batch=6, lr=3e-3, log_every=5, weight_decay=0.0)
+    config = TrainConfig(steps=20, batch=6, lr=3e-3, log_every=5, weight_decay=0.0)
     curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
-    assert curve[-1]["loss"] < curve[0]["loss"] / 2
+    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
 
 
 # -------------------------------------------------------------------------------------------------------- the options
@@ -294,7 +294,6 @@ def test_workers_can_be_sent_the_encoder(six: GarmentSet, targets: PanelTargets)
 @pytest.mark.parametrize(
     ("sizes", "expected"),
     [
-        ({"depth": 3}, "no size depth of edge_tokens: choose of tokens, seen"),
         ({"slots": 2}, "slots 2, edges 96: give room for one panel of 3 edges"),
         ({"tokens": 24}, "24 tokens of 128 points: give a power of 2"),
     ],

@@ -302,15 +302,6 @@ def test_a_device_that_is_missing(tmp_path: Path, truth: Path, capsys: pytest.Ca
     assert "cuda:99" in capsys.readouterr().err
 
 
-def test_a_reader_that_exits_early(tmp_path: Path, truth: Path) -> None:
-    ours = save(tmp_path / "ours", {"a": garment()})
-    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None and process.stderr is not None
-        process.stdout.close()
-        assert "Traceback" not in process.stderr.read()
-
-
 @pytest.mark.parametrize(
     "arguments",
     [["--bodies", "neutral"], ["--device", "cpu"], ["--resolution", "1"], ["--drape", "--partial"], ["--workers", "0"]],

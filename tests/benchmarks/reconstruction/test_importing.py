@@ -154,12 +154,6 @@ def test_a_sound_specification_is_not_changed() -> None:
 # --------------------------------------------------------------------------------------------------------------- arrays
 
 
-def test_neuraltailor_in_the_networks_units(tmp_path: Path) -> None:
-    save(tmp_path / "belt.npz", standardised(garment()))
-    assert run("neuraltailor", tmp_path / "belt.npz", out=tmp_path / "out") == 0
-    assert_perfect(tmp_path / "out" / "belt_specification.json", garment())
-
-
 def test_a_batch_of_garments_with_names(tmp_path: Path) -> None:
     parts = [standardised(garment(width=width)) for width in (30.0, 50.0)]
     batch = {key: np.stack([part[key] for part in parts]) for key in parts[0]}

@@ -218,15 +218,6 @@ def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None
     assert found == ["picture_set", "picture_set views=1"]
 
 
-def test_trainings_of_other_lengths_are_rows_of_their_own(tmp_path: Path) -> None:
-    added(tmp_path, result("T1", "panel_set", 0.3, train=1000))
-    added(tmp_path, result("T1", "panel_set", 0.4, train=4000))
-    added(tmp_path, result("T1", "panel_set", 0.5, train=4000) | {"minutes": 20.0})
-    page = (tmp_path / "learning_T1.md").read_text()
-    assert "| topology_exact | panel_set, 8 minutes | 0.3 (0.2 to 0.4) | 0.4 (0.3 to 0.5) |" in page
-    assert "| topology_exact | panel_set, 20 minutes |  | 0.5 (0.4 to 0.6) |" in page
-
-
 def test_lengths_of_trainings_are_told_apart(tmp_path: Path) -> None:
     """2.4 and 2.5 minutes, measured with the last step, and steps whatever time they took."""
     for exact, steps, minutes in ((0.3, 0, 2.4003), (0.4, 0, 2.5008), (0.5, 1200, 2.5)):
@@ -271,14 +262,6 @@ def test_unusual_options_make_another_model_of_stitches(changed: dict[str, Any],
         added(tmp_path, {"arguments": arguments, "data": {"train": data, "test": data}, **scores})
     ((name, value),) = changed.items()
     assert {entry.model for entry in read_entries(tmp_path / "learning")} == {"stitches", f"stitches {name}={value}"}
-
-
-def test_results_at_other_resolutions_are_all_kept(tmp_path: Path) -> None:
-    for resolution in (1.0, 2.0, 6.0):
-        found = result("T1", "panel_set", 0.5)
-        found["data"]["test"]["recipe"] = {"recipe": {"resolution": resolution}}
-        added(tmp_path, found)
-    assert {entry.tests[-4:] for entry in read_entries(tmp_path / "learning")} == {"1 cm", "2 cm", "6 cm"}
 
 
 def test_lengths_that_differ_are_shown_beside_a_kind_left_out(tmp_path: Path) -> None:

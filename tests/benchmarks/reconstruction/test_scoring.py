@@ -20,8 +20,13 @@ from benchmarks.reconstruction.scoring.distances import (
     read_shape,
 )
 from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
-from benchmarks.reconstruction.scoring.files import garment_files, match_folders
-from benchmarks.reconstruction.scoring.garments import box_mesh_distance, kind_of, score_garment
+from benchmarks.reconstruction.scoring.garments import (
+    box_mesh_distance,
+    garment_files,
+    kind_of,
+    match_folders,
+    score_garment,
+)
 from gcd_dataset.curves import Cubic
 from gcd_dataset.errors import BodyError, GcdError, SpecError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements

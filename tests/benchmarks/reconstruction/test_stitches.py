@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from benchmarks.reconstruction.models.stitches import (
-    StitchConfig,
     StitchExamples,
     StitchLearner,
     edge_noise,
@@ -20,13 +20,13 @@ from benchmarks.reconstruction.models.stitches import (
     revealed,
     scaled,
 )
-from benchmarks.reconstruction.recorded import replace_tensors, tensors_of
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.merging import subdivided
 from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew
+from benchmarks.reconstruction.training import replace_tensors, tensors_of
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.records import EdgeRef, Pattern, Placement
+from gcd_dataset.records import EdgeRef, Pattern
 from tests.benchmarks.reconstruction.sewn_patterns import (
     ARMHOLE_L,
     ARMHOLE_R,
@@ -45,11 +45,8 @@ from tests.benchmarks.reconstruction.sewn_patterns import (
 )
 
 
-@pytest.mark.parametrize(
-    "config", [SMALL, replace(StitchConfig.autosew(), width=32, layers=2)], ids=["ours", "autosew"]
-)
-def test_another_file_of_the_same_garment_gets_the_same_scores(config: StitchConfig) -> None:
-    net, pattern = net_of(config), t_shirt()
+def test_another_file_of_the_same_garment_gets_the_same_scores() -> None:
+    net, pattern = net_of(), t_shirt()
     other, new_ref = rewritten(pattern, np.random.default_rng(1))
     rows = {ref: row for row, ref in enumerate(edge_refs(other))}
     moved = torch.tensor([rows[new_ref[ref]] for ref in edge_refs(pattern)])
@@ -67,17 +64,6 @@ def test_padding_changes_no_score() -> None:
     with torch.no_grad():
         ours, theirs = net(alone, nothing_known(alone)), net(beside, nothing_known(beside))
     assert torch.allclose(ours.pairs[0, :16, :16], theirs.pairs[0, :16, :16], atol=1e-4)
-
-
-def test_placement_is_seen_only_if_asked_for() -> None:
-    pattern = t_shirt()
-    panels = tuple(replace(p, placement=Placement(3 * p.placement.translation, np.ones(3))) for p in pattern.panels)
-    here, there = batch_of(pattern), batch_of(replace(pattern, panels=panels))
-    with torch.no_grad():
-        for placed in (False, True):
-            net = net_of(replace(SMALL, placed=placed))
-            ours, theirs = net(here, nothing_known(here)), net(there, nothing_known(there))
-            assert torch.allclose(ours.pairs, theirs.pairs, atol=1e-4) != placed
 
 
 def test_the_boundary_turns_at_a_sewn_seam() -> None:
@@ -104,7 +90,7 @@ def test_a_garment_of_twice_the_size_has_edges_of_twice_the_length() -> None:
     assert torch.allclose(steps, batch.lengths, rtol=1e-2)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_fourth_variant_has_seams_of_many_parts_and_each_joins_two_edges(seed: int) -> None:
     """Runs of edges: the part after one end of a seam is sewn to the part before the other end."""
     pattern = t_shirt()
@@ -138,19 +124,10 @@ def test_half_of_the_seams_are_given_the_surest_first() -> None:
     assert torch.equal(revealed(batch, torch.tensor([0.0]), sure, draw), nothing_known(batch))
 
 
-@pytest.mark.parametrize("config", [SMALL, replace(SMALL, rounds=1, sinkhorn=10)], ids=["rounds", "sinkhorn"])
-def test_each_edge_is_sewn_once(config: StitchConfig) -> None:
-    for found in sew(net_of(config), [tube(), t_shirt()]):
+def test_each_edge_is_sewn_once() -> None:
+    for found in sew(net_of(), [tube(), t_shirt()]):
         sides = [side for seam in found.seams for side in (seam.left, seam.right)]
         assert len(sides) == len(set(sides))
-
-
-def test_sinkhorn_gives_each_edge_one_partner_in_the_mean() -> None:
-    config = replace(SMALL, sinkhorn=200)
-    net, batch = net_of(config), batch_of(t_shirt())
-    with torch.no_grad():
-        choices = net(batch, nothing_known(batch)).log_probabilities(config)[0, :26].exp()
-    assert torch.allclose(choices.sum(dim=-1), torch.ones(26), atol=1e-3)
 
 
 @pytest.mark.parametrize("foreign", [0.0, 0.25])
@@ -169,10 +146,9 @@ def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None
         replace(SMALL, foreign=0.5)
 
 
-@pytest.mark.parametrize("one_shape", [False, True])
-def test_a_step_never_reads_a_value_of_the_device(one_shape: bool) -> None:
+def test_a_step_never_reads_a_value_of_the_device() -> None:
     learner = StitchLearner(SMALL)
-    examples = replace(many(learner), one_shape=one_shape)
+    examples = replace(many(60), one_shape=True)
     batch = examples.batch(torch.arange(48), torch.Generator().manual_seed(0))
     assert len(batch.parts) > 1
     assert sum(part.given for part in batch.parts) > 0
@@ -185,7 +161,7 @@ def test_a_step_copies_nothing_from_the_host(monkeypatch: pytest.MonkeyPatch) ->
     """As a recorded step must not; the device is one without values, for which autocast does not exist."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
     learner, meta = StitchLearner(SMALL), torch.device("meta")
-    batch = learner.of_one_shape(many(learner)).batch(torch.arange(48), torch.Generator().manual_seed(0))
+    batch = learner.of_one_shape(many()).batch(torch.arange(48), torch.Generator().manual_seed(0))
     there: dict[str, Any] = {name: column.to(meta) for name, column in tensors_of(batch).items()}
     there_too = replace(batch, graphs=batch.graphs.to(meta), **there)
     learner.to(meta)
@@ -207,16 +183,17 @@ class Devices(TorchDispatchMode):
         return found
 
 
-def many(learner: StitchLearner, *, large: int = 12) -> StitchExamples:
+@cache
+def many(count: int = 240, *, large: int = 12) -> StitchExamples:
     """Garments of 16 edges, and a few of 26."""
-    arrays = [encode(t_shirt() if k < large else tube()) for k in range(240)]
-    return learner.examples(arrays, device=torch.device("cpu"))
+    arrays = [encode(t_shirt() if k < large else tube()) for k in range(count)]
+    return StitchLearner(SMALL).examples(arrays, device=torch.device("cpu"))
 
 
 def test_batches_of_one_shape_can_replace_each_other() -> None:
     """As a recorded step needs; the last of these batches has as many large garments as the set."""
     learner = StitchLearner(SMALL)
-    examples = learner.of_one_shape(many(learner))
+    examples = learner.of_one_shape(many())
     drawn = torch.stack([torch.randint(240, (48,), generator=torch.Generator().manual_seed(k)) for k in range(8)])
     batches = [examples.batch(rows, torch.Generator().manual_seed(k)) for k, rows in enumerate(drawn)]
     assert len({batch.parts for batch in batches}) == 1
@@ -232,11 +209,10 @@ def test_batches_of_one_shape_can_replace_each_other() -> None:
         replace_tensors(batches[0], other)
 
 
-@pytest.mark.parametrize("config", [SMALL, replace(StitchConfig.autosew(), width=32, layers=2)], ids=["ours", "sage"])
-def test_wider_parts_change_no_loss(config: StitchConfig) -> None:
+def test_wider_parts_change_no_loss() -> None:
     torch.manual_seed(0)
-    learner = StitchLearner(config)
-    examples = many(learner)
+    learner = StitchLearner(SMALL)
+    examples = many()
     rows = torch.randint(240, (48,), generator=torch.Generator().manual_seed(0))
     ours, padded = (
         learner.loss(replace(examples, one_shape=one_shape).batch(rows, torch.Generator().manual_seed(1)))
@@ -249,19 +225,19 @@ def test_wider_parts_change_no_loss(config: StitchConfig) -> None:
 
 def test_a_garment_without_room_in_a_batch_of_one_shape_is_left_out() -> None:
     learner = StitchLearner(SMALL)
-    examples = replace(many(learner), one_shape=True)
+    examples = replace(many(), one_shape=True)
     rows = torch.arange(48) % 12  # the large ones only
     batch = examples.batch(rows, torch.Generator().manual_seed(0))
     small = sum(part.rows for part in batch.parts if part.width < 26)
     assert 0 < (batch.counts == 0).sum() <= small
     assert all(value.isfinite() for value in learner.loss(batch).values())
-    everything = replace(many(learner, large=120), one_shape=True).batch(rows, torch.Generator().manual_seed(0))
+    everything = replace(many(120, large=60), one_shape=True).batch(rows, torch.Generator().manual_seed(0))
     assert (everything.counts > 0).all()
 
 
 def test_what_is_drawn_for_a_garment_does_not_depend_on_the_others_of_its_batch() -> None:
     """So that two ranks, each with half of a batch, learn what one process learns."""
-    examples = many(StitchLearner(SMALL))
+    examples = many()
     rows = torch.randperm(240, generator=torch.Generator().manual_seed(0))[:48]
     whole, *halves = (
         sorted(torch.stack([column.double() for column in tensors_of(batch).values()], dim=1).tolist())
@@ -314,7 +290,7 @@ def heaviest(gain: np.ndarray, free: tuple[int, ...]) -> float:
     return float(max([heaviest(gain, rest), *paired]))
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(18))
 def test_the_best_pairs_weigh_as_much_as_any(seed: int) -> None:
     chance = np.random.default_rng(seed)
     count = seed % 9

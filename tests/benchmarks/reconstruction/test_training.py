@@ -2,8 +2,9 @@
 
 import csv
 import itertools
-import threading
-from collections.abc import Mapping
+import signal
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,13 +16,13 @@ from torch import Tensor
 
 from benchmarks.reconstruction import training
 from benchmarks.reconstruction.training import (
+    FreshPool,
     StoppedError,
     TrainConfig,
     Trained,
     TrainingError,
     learning_rate,
     train,
-    turn,
 )
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
@@ -44,7 +45,7 @@ def weight_of(found: Trained) -> Tensor:
 
 
 def test_the_line_is_found() -> None:
-    found = trained(config=TrainConfig(steps=300, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
+    found = trained(config=TrainConfig(steps=150, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
     assert weight_of(found).tolist()[0] == pytest.approx([2.0, -1.0], abs=0.02)
     assert found.curve[-1]["loss"] < 1e-3 * found.curve[0]["loss"]
 
@@ -66,6 +67,17 @@ def test_a_training_that_its_limit_ends_continues_in_the_next_call(tmp_path: Pat
     assert (tmp_path / "checkpoint.pt").exists()
     assert same(trained(tmp_path, dropout=0.2), whole)
     assert same(trained(tmp_path, dropout=0.2, limit=0.0), whole)  # finished before its limit counts
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tmp_path: Path) -> None:
+    def interrupt(step: int, learner: object) -> Mapping[str, float]:
+        signal.raise_signal(number)
+        return {}
+
+    with pytest.raises(StoppedError, match="stopped by a signal at 28%: repeat the command"):
+        trained(tmp_path, check=interrupt)
+    assert same(trained(tmp_path), trained())
 
 
 def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None:
@@ -187,18 +199,61 @@ def test_invalid_options_are_refused(options: dict[str, Any]) -> None:
         TrainConfig(**options)
 
 
-def test_one_process_at_a_time_has_its_turn(tmp_path: Path) -> None:
-    entered = threading.Event()
+def numbered(*numbers: int) -> Line:
+    values = torch.tensor(numbers, dtype=torch.float32)
+    return Line(values[:, None].expand(-1, 2).clone(), values)
 
-    def follow() -> None:
-        with turn(tmp_path / "turns"):
-            entered.set()
 
-    with turn(tmp_path / "turns"):
-        follower = threading.Thread(target=follow)
-        follower.start()
-        assert not entered.wait(0.3)
-    follower.join(10)
-    assert entered.is_set()
-    with pytest.raises(ConfigError, match=r"--turns .*: give a file in a folder"), turn(tmp_path / "a" / "b"):
-        pass
+def pool(first: Line, *, fresh: int, room: int) -> FreshPool[Line]:
+    def stream(begin: int) -> Iterator[tuple[int, Line]]:
+        """Every third drape does not settle."""
+        yield from ((k, numbered(100 + k)) for k in range(begin, fresh) if k % 3 != 2)
+
+    return FreshPool(LineLearner(), first, stream, room=room)
+
+
+def advance_to(found: FreshPool[Line], received: int) -> None:
+    begun = time.monotonic()
+    while found.received < received:
+        assert time.monotonic() - begun < 60, f"received {found.received} of {received}"
+        found.advance(0)
+        time.sleep(0.001)
+
+
+def contents(found: FreshPool[Line]) -> list[float]:
+    return found.batch(torch.arange(len(found))).y.tolist()
+
+
+def test_a_pool_begins_with_the_examples_given() -> None:
+    assert contents(pool(numbered(0, 1, 2), fresh=0, room=5)) == [0, 1, 2]
+
+
+def test_fresh_examples_fill_the_room_then_replace_the_oldest() -> None:
+    found = pool(numbered(0, 1), fresh=5, room=4)
+    advance_to(found, 4)
+    assert contents(found) == [103, 104, 100, 101]
+
+
+def test_a_first_example_without_room_is_refused() -> None:
+    with pytest.raises(ConfigError, match="room 2: give room for the 3 examples"):
+        pool(numbered(0, 1, 2), fresh=0, room=2)
+
+
+def test_a_pool_continues_after_the_last_index_received() -> None:
+    """Drapes that do not settle have indices, too: 100, 101, 103, 104 are followed by 106, not by 104."""
+    stopped = pool(numbered(0), fresh=6, room=8)
+    advance_to(stopped, 4)
+    found = pool(numbered(0), fresh=8, room=8)
+    found.load_state_dict(stopped.state_dict())
+    advance_to(found, 6)
+    assert contents(found) == [0, 106, 107]
+
+
+def test_an_error_of_the_stream_is_raised() -> None:
+    def stream(begin: int) -> Iterator[tuple[int, Line]]:
+        yield 0, numbered(1)
+        raise ValueError("no cloth")
+
+    found = FreshPool(LineLearner(), numbered(0), stream, room=4)
+    with pytest.raises(ValueError, match="no cloth"):
+        advance_to(found, 2)
