@@ -25,7 +25,7 @@ from tests.generator.garments.conftest import WEARERS
 
 DRESS = {"upper": "Shirt", "bottom": "SkirtManyPanels"}
 BANDED = {"upper": None, "wb": "StraightWB", "bottom": "SkirtCircle"}
-SAMPLED = 150
+SAMPLED = 60
 
 
 def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> OutfitDesign:
