@@ -8,11 +8,14 @@ import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.calibrate import flank_stretch, nearest_covariance
 from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, weights_of
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.body.shape import draw_from, named_shape
-from gcd_dataset.generator.body.survey import (
+from gcd_dataset.records import MEASURES, Body
+from gcd_dataset.seeding import Stage, rng
+from tests.helpers import body_from
+from tools.body_model.calibrate import flank_stretch, nearest_covariance
+from tools.body_model.survey import (
     HANGING,
     body_weight,
     shoulder_breadths,
@@ -20,9 +23,6 @@ from gcd_dataset.generator.body.survey import (
     survey_measures,
     survey_of,
 )
-from gcd_dataset.records import MEASURES, Body
-from gcd_dataset.seeding import Stage, rng
-from tests.helpers import body_from
 
 PEOPLE = 50  # 200 in tests/extras/test_population.py
 
