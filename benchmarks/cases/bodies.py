@@ -31,9 +31,7 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure
-from gcd_dataset.generator.body.clearance import arm_clearance
-from gcd_dataset.generator.body.population import POOLED, SEXES
-from gcd_dataset.generator.body.shape import draw_from
+from gcd_dataset.generator.body.shape import POOLED, SEXES, arm_clearance, draw_from
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tools.body_model.survey import (

@@ -16,8 +16,8 @@ from benchmarks.stand_ins import coarser
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body, neutral_shape, read_body
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.holes import VisibleSkin
-from gcd_dataset.generator.body.pose import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
+from gcd_dataset.generator.body.repair import VisibleSkin
+from gcd_dataset.generator.body.shape import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.dressing.sewing_start import sewing_start

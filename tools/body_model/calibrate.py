@@ -27,8 +27,7 @@ from jaxtyping import Float
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import measure
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.population import MAX_DEVIATION, SEXES, Adults
-from gcd_dataset.generator.body.shape import build_body
+from gcd_dataset.generator.body.shape import MAX_DEVIATION, SEXES, Adults, build_body
 from gcd_dataset.records import BodyPart, BodyShape
 from tools.body_model.survey import Survey, survey_measures, survey_of
 

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.generator.body.asset import body_model, landmark_table
-from gcd_dataset.generator.body.population import FEMALE_SHARE, SEXES
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
+from gcd_dataset.generator.body.shape import FEMALE_SHARE, SEXES
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcd_dataset.generator.body import build_body, draw_shape, neutral_shape
-from gcd_dataset.generator.body.clearance import arm_clearance
+from gcd_dataset.generator.body.shape import arm_clearance
 from gcd_dataset.records import BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 

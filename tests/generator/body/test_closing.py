@@ -10,7 +10,7 @@ import trimesh
 from gcd_dataset.bodyfiles import read_body_parts
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, female_shape, read_body
-from gcd_dataset.generator.body.closing import WIDEST_HOLE, ClosedSkin
+from gcd_dataset.generator.body.repair import WIDEST_HOLE, ClosedSkin
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import Body, BodyPart
 from tests.helpers import body_from

@@ -27,7 +27,7 @@ from gcd_dataset.generator.body import (
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.upright import unit_of
+from gcd_dataset.generator.body.register import unit_of
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 

@@ -24,7 +24,7 @@ from gcd_dataset.generator.body import (
 )
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng

@@ -13,8 +13,7 @@ import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, named_body
-from gcd_dataset.generator.body.mesh_bodies import measure_file, read_body
-from gcd_dataset.generator.body.meshfile import read_mesh
+from gcd_dataset.generator.body.mesh_bodies import measure_file, read_body, read_mesh
 from gcd_dataset.records import Body
 from gcd_dataset.release.obj import read_obj
 from gcd_dataset.seeding import Stage, rng

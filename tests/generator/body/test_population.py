@@ -8,9 +8,15 @@ import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, weights_of
-from gcd_dataset.generator.body.pose import T_POSE
-from gcd_dataset.generator.body.shape import draw_from, named_shape
+from gcd_dataset.generator.body.shape import (
+    MAX_DEVIATION,
+    T_POSE,
+    Adults,
+    adults_of,
+    draw_from,
+    named_shape,
+    weights_of,
+)
 from gcd_dataset.records import MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
