@@ -4,13 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.captions.lengths import leg_words, shirt_words, skirt_words
-from gcd_dataset.generator.garments.description import ASYMMETRIC, NO_WORDS, Description, Detail, Place, Words
+from gcd_dataset.generator.garments.description import ASYMMETRIC, NO_WORDS, RUFFLES, Description, Detail, Place, Words
 from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.drawn import gather, part_of, sides_match
+from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
-from gcd_dataset.generator.garments.style import described, hem_below_waist, hem_depth
-from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
 

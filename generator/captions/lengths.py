@@ -4,8 +4,7 @@ A depth is the distance of a hem below the hips, as a fraction of hips to floor,
 the classes of the tags (``tags.HEMS``) further at the wearer's knee: a "mini", "midi" or "maxi" skirt has that tag.
 """
 
-from gcd_dataset.generator.garments.description import Words
-from gcd_dataset.generator.garments.tags import HEMS
+from gcd_dataset.generator.garments.description import HEMS, Words
 from gcd_dataset.records import Measurements
 
 KNEE_HEIGHT = 0.285  # of the body's height: R. Drillis and R. Contini, Body Segment Parameters, 1966

@@ -13,9 +13,9 @@ from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_s
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
 from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
 from gcd_dataset.generator.garments.pants import PantsDesign
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign

@@ -14,9 +14,8 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, curve_length, curve_points
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
-from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design_file import read_design
-from gcd_dataset.generator.garments.hood import RAISED, hood_outline
+from gcd_dataset.generator.garments.collar import RAISED, Collar, hood_outline
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.pattern import s_shaped_cubic
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import read_pattern

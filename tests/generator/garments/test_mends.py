@@ -10,8 +10,8 @@ import pytest
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.style import hem_depth
 from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements, Panel, Pattern

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.garments import OutfitDesign, Redraw, attempted_design, drafted_design, try_on
-from gcd_dataset.generator.garments.kind import Kind, kind_of
+from gcd_dataset.generator.garments.design import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.garments import TAGS, design_from_dict, outfit, outfit_tags
-from gcd_dataset.generator.garments.style import hem_depth
-from gcd_dataset.generator.garments.tags import Tag
+from gcd_dataset.generator.garments.description import Tag
+from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.records import Measurements, PanelRole, Pattern
 from tests.generator.worn import Worn, drawn, edges, sampled_wardrobe
 
