@@ -11,7 +11,7 @@ from benchmarks.drapemeter import drape_coefficient
 from benchmarks.strips import Direction, bending_length, cantilever, tensile_stiffness
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, fabric_named
-from gcd_dataset.generator.drape.fabric import STIFFEST
+from gcd_dataset.generator.drape.fabrics import STIFFEST
 
 TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "relation", "set", "none")

@@ -19,7 +19,7 @@ from benchmarks.peers import newton_kernels
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body.repair import VisibleSkin
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.fabric import shear_stiffness
+from gcd_dataset.generator.drape.fabrics import shear_stiffness
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.records import BoxMesh
 

@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.records import BoxMesh, Pattern
 
 TILE = 10.0  # cm of cloth that a texture covers

@@ -17,11 +17,10 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.filekinds import BODY_FOLDERS
 from gcd_dataset.files import write_whole
-from gcd_dataset.generator.colours import INK, cloth_colour
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.design import design_tree
-from gcd_dataset.generator.lay_plan import LayPlan, lay_out
+from gcd_dataset.generator.lay_plan import INK, LayPlan, cloth_colour, lay_out
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Sample

@@ -1,4 +1,10 @@
-"""Registers the body model to any mesh, and finds the mesh's orientation and unit with it."""
+"""Registers the body model to any mesh, and finds the mesh's orientation and unit with it.
+
+Shape weights, rotations of shoulders and hips, and rigid motion are fitted by Gauss-Newton steps on the distance from
+the model to the nearest points of the surface, mostly along its normal (Chen and Medioni, 1991), with robust weights
+(Geman and McClure). The mesh is first scaled to the model's height, so that the fit does not depend on the
+body's size.
+"""
 
 import functools
 import itertools

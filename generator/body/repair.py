@@ -2,6 +2,10 @@
 
 A ``Scan`` is any mesh prepared for measuring, a ``ClosedSkin`` one prepared for cloth, and ``SkinMesh`` removes folds
 from drawn bodies.
+
+A body far from the mean may have inverted patches of skin: a nipple pushed in, the fold between the thighs, an armpit
+under a lowered arm. Such patches, whose normals oppose those of the mean body, are smoothed until the normals agree.
+Creases whose sides intersect, as beside the crotch, are smoothed until the sides are apart. Other bodies are unchanged.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,8 @@
-"""Bodies from shape weights: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
+"""Bodies from shape weights: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024).
+
+Adults of each sex are a Gaussian over the weights, calibrated to a survey: ``adults.npz``, made by
+``tools/body_model/calibrate.py``, holds its mean and principal axes. Half of the adults are women.
+"""
 
 import functools
 import io

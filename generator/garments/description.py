@@ -2,6 +2,8 @@
 
 Each garment's record describes it (``Garment.describe``), in the file that draws it. A description names only what is
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
+
+Tags state what is drawn too. ``outfit_tags`` collects those of the garments and adds those of the outfit as a whole.
 """
 
 from collections.abc import Iterable, Mapping

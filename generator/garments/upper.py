@@ -1,4 +1,4 @@
-"""Uppers: straight and fitted shirts, both halves sewn together, and the words for them."""
+"""Uppers: straight and fitted shirts, sewn of two halves, and their records."""
 
 from dataclasses import dataclass
 from functools import lru_cache

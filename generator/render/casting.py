@@ -2,26 +2,55 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
 import warp as wp
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.render import plain_kernels
+from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import Cloth, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.plain_batch import thresholds
-from gcd_dataset.generator.render.points import Points, points_of
 from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
 from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
+from gcd_dataset.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Record):
+    """Panel corners, then landmarks, as one camera sees them."""
+
+    positions: Float[np.ndarray, "n 3"]
+    """[cm]"""
+    pixels: Float[np.ndarray, "n 2"]
+    """Column and row; NaN behind the camera."""
+    in_picture: Bool[np.ndarray, " n"]
+    corners: int
+    """Number of panel corners."""
+    panel_corners: Int[np.ndarray, "k 2"]
+    landmark_names: tuple[str, ...]
+
+
+def points_of(scene: Scene, camera: Camera, size: int) -> Points:
+    """The points of a scene in a picture of ``size`` pixels."""
+    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
+    marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
+    positions = np.concatenate([corners, marks])
+    pixels = camera.project(positions, size)
+    inside = np.asarray((np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1))
+    return Points(positions, pixels, inside, len(corners), scene.panel_corners, tuple(scene.landmarks))
+
 
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU

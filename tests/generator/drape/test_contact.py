@@ -20,10 +20,10 @@ from gcd_dataset.generator.body import build_body, neutral_shape, read_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields, host_field
 from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BodyPart, EdgeRole
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
+from tests.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up

@@ -9,12 +9,11 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.coarse_start import start_from_coarse
+from gcd_dataset.generator.drape.batches import drape_unordered, start_from_coarse
 from gcd_dataset.generator.drape.holds import find_keepers, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
-from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start, coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome

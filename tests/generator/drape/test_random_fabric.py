@@ -9,9 +9,8 @@ import pytest
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, Fabric, draw_fabric
-from gcd_dataset.generator.drape.fabric import shear_stiffness
-from gcd_dataset.generator.drape.queue import drape_unordered
-from gcd_dataset.generator.drape.random_fabric import MEASURED
+from gcd_dataset.generator.drape.batches import drape_unordered
+from gcd_dataset.generator.drape.fabrics import MEASURED, shear_stiffness
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import sample_fabric
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
