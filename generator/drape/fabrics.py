@@ -1,8 +1,8 @@
 """Fabrics: what is measured of a cloth, the measured cloths by name, and random ones between them.
 
-Where a figure of a named cloth is not published for a cloth, ``source`` names the cloth, or class of cloth, that supplies it. All
-fabrics have the reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70, 2022) measured 0.25
-to 0.79 for one cotton at six sites of the body.
+Where a figure of a named cloth is not published for a cloth, ``source`` names the cloth, or class of cloth, that
+supplies it. All fabrics have the reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70,
+2022) measured 0.25 to 0.79 for one cotton at six sites of the body.
 """
 
 import math

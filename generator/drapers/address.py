@@ -1,7 +1,7 @@
 """The address of a draping process, and the transport of its requests and replies.
 
-Arrays travel in shared memory files: through the socket, the draping process would need ten milliseconds to read and unpack a request of five megabytes, and
-would launch no kernels meanwhile.
+Arrays travel in shared memory files: through the socket, the draping process would need ten milliseconds to read and
+unpack a request of five megabytes, and would launch no kernels meanwhile.
 
 The process that creates an address owns it. It holds a record lock in the folder: a fork does not inherit such a lock,
 and any end of the process releases it. So the draping process ends with the owner, not with the worker that started it.

@@ -3,10 +3,11 @@
 Drawings begin at the right side of the neck, ``(-half_width, 0)``, where neck and shoulder meet, and are placed with
 that point on the body; x = 0 is the wearer's middle.
 
-The shoulder seams of a cape follow the shoulders and then bend down over the arms, so that a half circle lies as smoothly as a
-full one.
+The shoulder seams of a cape follow the shoulders and then bend down over the arms, so that a half circle lies as
+smoothly as a full one.
 
-Front and back of a poncho are sewn, not folded, along shoulders and arms: the seams of a rectangle follow the shoulders' slope.
+Front and back of a poncho are sewn, not folded, along shoulders and arms: the seams of a rectangle follow the
+shoulders' slope.
 """
 
 from dataclasses import dataclass, replace

@@ -148,7 +148,7 @@ class Description:
     traits: tuple[Words, ...] = ()
     """Adjectives for the outfit that it is part of: "sleeveless"."""
     tags: tuple[Tag, ...] = ()
-    """The tags of the same facts; ``style.outfit_tags`` adds those of the outfit as a whole."""
+    """The tags of the same facts; ``outfit_tags`` adds those of the outfit as a whole."""
 
     def adding(self, *details: Detail) -> Self:
         """The description with more details."""
