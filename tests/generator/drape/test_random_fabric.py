@@ -75,7 +75,7 @@ def as_fabric(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def test_a_batch_of_random_fabrics_drapes_like_each_alone() -> None:
     """The batch mixes orthotropic and isotropic fabrics."""
-    fabrics = [FABRICS["default"], *(sample_fabric(1, index, "random") for index in range(3)), FABRICS["cotton"]]
+    fabrics = [FABRICS["default"], sample_fabric(1, 0, "random"), FABRICS["cotton"]]
     jobs = [replace(on_a_ball(6), fabric=fabric) for fabric in fabrics]
     config = DrapeConfig(max_frames=30)
     together = dict(drape_unordered(jobs, config, device="cpu", at_once=len(jobs)))
