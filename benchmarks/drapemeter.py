@@ -12,7 +12,7 @@ from benchmarks.strips import HALF_ROW, hold_fast, one_panel, strip_job
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeConfig, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY
-from gcd_dataset.generator.drape.fabric import STIFFEST
+from gcd_dataset.generator.drape.fabrics import STIFFEST
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import BoxMesh

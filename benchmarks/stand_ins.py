@@ -11,8 +11,8 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from gcd_dataset.generator.body import build_body
-from gcd_dataset.generator.body.holes import VisibleSkin
-from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.repair import VisibleSkin
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, BodyShape

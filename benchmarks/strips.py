@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY
-from gcd_dataset.generator.drape.fabric import STIFFEST
+from gcd_dataset.generator.drape.fabrics import STIFFEST
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BoxMesh, Measurements

@@ -10,8 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import plain_names
-from gcd_dataset.generator.colours import INK, PAPER, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
+from gcd_dataset.generator.lay_plan import INK, PAPER, SheetPanel, cloth_colour, lay_out, seam_colour
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [

@@ -9,8 +9,7 @@ from gcd_dataset.bodies import BodyMesh, Person
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.population import GROUPS
-from gcd_dataset.generator.body.shape import draw_from
+from gcd_dataset.generator.body.shape import GROUPS, draw_from
 from gcd_dataset.seeding import Stage, rng
 
 

@@ -29,8 +29,7 @@ from gcd_dataset.generator.garments import (
     try_on,
 )
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
-from gcd_dataset.generator.points import sample_surface
-from gcd_dataset.generator.quality import grade_of, strain_of
+from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, picture_seed, stored_body
 from gcd_dataset.records import (

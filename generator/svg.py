@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
-from gcd_dataset.generator.colours import INK, RGB, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
+from gcd_dataset.generator.lay_plan import INK, RGB, LayPlan, SheetPanel, cloth_colour, lay_out, seam_colour
 from gcd_dataset.records import Panel, Pattern
 
 __all__ = ["pattern_svg"]

@@ -19,9 +19,9 @@ from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
-from gcd_dataset.generator.estimates import core_seconds
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
+from gcd_dataset.generator.quality import core_seconds
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, require_integer

@@ -16,7 +16,7 @@ from PIL import Image
 from gcd_dataset import __version__
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.loaders.base import Garments, Transform, index_from_key
 from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern, Provenance, Sample

@@ -32,8 +32,7 @@ from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.render.depth_noise import DepthNoise
-    from gcd_dataset.generator.render.scans import PointScan, ScanRanges
+    from gcd_dataset.generator.render.scans import DepthNoise, PointScan, ScanRanges
     from gcd_dataset.generator.render.sketches import SketchStyle
 
 VIEW_FIELDS: tuple[str, ...] = (
@@ -309,8 +308,7 @@ class Scan(SceneTransform):
         device: str = "cpu",
         bodies: Bodies | BodyOf | None = None,
     ) -> None:
-        from gcd_dataset.generator.render.depth_noise import KINECT
-        from gcd_dataset.generator.render.scans import ScanRanges
+        from gcd_dataset.generator.render.scans import KINECT, ScanRanges
 
         self.n, self.points = require_integer("n", n, least=1), require_integer("points", points, least=1)
         super().__init__(size, seed, device, bodies)

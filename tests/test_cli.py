@@ -28,8 +28,8 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.fitting import drape_patterns
 from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
+from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.design import MetaDesign
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.maker import make

@@ -2,7 +2,7 @@
 
 Three quarters of the bodies are drawn as ``bodies="random"`` draws them, women and men, and a quarter from the pool;
 each is built with straight legs and with legs apart. Women, men and both together are compared with ANSUR II, measure
-by measure in the survey's own definitions (``generator/data/survey.json``): one row of the table each. The survey's
+by measure in the survey's own definitions (``tools/body_model/survey.json``): one row of the table each. The survey's
 mixed figures are those of as many women as men; "CAESAR" is the mean of GarmentCode's mean bodies where the definition
 is the same. "within" counts measures whose mean differs by at most 2 %, or whose standard deviation by at most 10 %;
 neck, shoulder width and arm length are defined differently there, so only their variation is compared. As in a survey
@@ -21,7 +21,6 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +31,10 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure
-from gcd_dataset.generator.body.clearance import arm_clearance
-from gcd_dataset.generator.body.population import POOLED, SEXES
-from gcd_dataset.generator.body.shape import draw_from
-from gcd_dataset.generator.body.survey import (
+from gcd_dataset.generator.body.shape import POOLED, SEXES, arm_clearance, draw_from
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
+from gcd_dataset.seeding import Stage, rng
+from tools.body_model.survey import (
     HANGING,
     Survey,
     shoulder_breadths,
@@ -43,9 +42,8 @@ from gcd_dataset.generator.body.survey import (
     survey_measures,
     survey_of,
 )
-from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
-from gcd_dataset.seeding import Stage, rng
 
+POPULATION = Path(__file__).parents[2] / "tools" / "body_model" / "population.json"
 GROUPS = ("random", "random", "random", POOLED)
 """Groups from which the bodies are drawn, in turn."""
 LEAST = 4 * len(GROUPS)
@@ -242,7 +240,7 @@ def _rows(sex: str, found: Float[np.ndarray, "n m"]) -> list[dict[str, Any]]:
 
 def _caesar(sex: str) -> dict[str, float]:
     """Means of the CAESAR survey, from GarmentCode's mean bodies, for measures that are defined as the survey's."""
-    table = json.loads((files("gcd_dataset.generator") / "data" / "population.json").read_bytes())["mean"]
+    table = json.loads(POPULATION.read_bytes())["mean"]
     mean = table["neutral" if sex == MIXED else sex]
     same = {name: mean[name] for name in ("height", "bust", "hips", "wrist", "shoulder_w", "arm_length")}
     return same | {"thigh": mean["leg_circ"], "neck": 2.0 * mean["neck_w"]}

@@ -45,7 +45,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, drape_batch, fabric_named, resolve_device
-from gcd_dataset.generator.drape.fabric import STIFFEST
+from gcd_dataset.generator.drape.fabrics import STIFFEST
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.garments import sample_design
 from gcd_dataset.generator.garments.overlay import Overlay

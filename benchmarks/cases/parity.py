@@ -20,8 +20,7 @@ from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import BodyError, ConfigError, PatternError, SpecError
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import OutfitDesign, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import EdgeRef, Measurements, Pattern

@@ -22,7 +22,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drawing import design_sheet, jpeg_bytes
 from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, attempted_design, try_on
-from gcd_dataset.generator.garments.kind import kind_of
+from gcd_dataset.generator.garments.design import kind_of
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 

@@ -6,9 +6,8 @@ silhouette agrees with trimesh's caster (Embree) on the same meshes and cameras,
 ``depth_agreement`` the share of the pixels that both hit whose depths differ by less than 0.05 cm; ``shadow_agreement``
 the share of these that both find lit, or both in shadow.
 
-``--profile`` adds figures of each stage, in ms a garment: elapsed and CPU time on the host, time on the device; and
-the bytes copied. ``loader_images_per_s`` includes the work of loaders before rendering, which ``images_per_s`` leaves
-out: the stages body, scene and drawing.
+``loader_images_per_s`` includes the work of loaders before rendering, which ``images_per_s`` leaves out: body, scene
+and drawn views.
 
 ``--peer pyrender`` rasterises the same scenes as described in ``benchmarks.peers.pyrender_egl``.
 """
@@ -45,7 +44,6 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.geometry import solid_of
-from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.records import Sample
 
 SIZES = (256, 512)  # pixels
@@ -65,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8; 0: none)")
     parser.add_argument("--preparers", type=int, default=2, help="threads that prepare batches (default: 2)")
-    parser.add_argument("--profile", action="store_true", help="add host and device times of each stage, and bytes")
     parser.add_argument("--peer", choices=["pyrender"], help="rasterise the --checked garments with it too")
     parser.add_argument("--sheet", type=jpeg_file, metavar="FILE", help="write a JPEG of 64 pictures")
 
@@ -81,13 +78,11 @@ def run(options: argparse.Namespace) -> Measured:
         require_pyrender()
     samples = list(_samples(options, device))
     scenes, views = zip(*(_made(options, index, sample) for index, sample in enumerate(samples)), strict=True)
-    figures = _loader_stages(options, samples) if options.profile else []
+    figures: list[Figure] = []
     batch = min(options.batch or (1 if device == "cpu" else 16), max(1, len(scenes) // 2))
     for size in SIZES:
         runner = Runner(lambda row: (_fresh(scenes[row]), views[row]), len(scenes), size, device, options.preparers)
-        profile = Profile(device) if options.profile else None
-        rate = runner.rate(batch, profile)
-        figures += [] if profile is None else _stages(profile, f"{size}_", len(scenes))
+        rate = runner.rate(batch)
         figures.append(Figure("images_per_s" if size == SIZES[0] else f"images_per_s_{size}", rate, f"of {size}²"))
     loader = Runner(lambda row: _made(options, row, samples[row]), len(scenes), SIZES[0], device, options.preparers)
     figures.append(Figure("loader_images_per_s", loader.rate(batch), f"of {SIZES[0]}², body, scene and views made too"))
@@ -130,7 +125,7 @@ class Runner:
     preparers: int
     """Threads that prepare and start batches; on a CPU, where rendering needs the core, one."""
 
-    def rate(self, batch: int, profile: Profile | None = None) -> float:
+    def rate(self, batch: int) -> float:
         """Pictures per second; on a GPU, once the device and its buffers are warm.
 
         As many batches as there are preparers are begun while the device renders, and copied back in order.
@@ -138,13 +133,13 @@ class Runner:
         if self.device == "cpu":
             self._started(range(1), size=SIZES[0] // 4).pictures()
         else:
-            list(self._batches(batch, None))  # each buffer is page-locked once
+            list(self._batches(batch))  # each buffer is page-locked once
         begun, pictures = time.perf_counter(), 0
-        for finished in self._batches(batch, profile):
+        for finished in self._batches(batch):
             pictures += finished
         return pictures / (time.perf_counter() - begun)
 
-    def _batches(self, batch: int, profile: Profile | None) -> Iterator[int]:
+    def _batches(self, batch: int) -> Iterator[int]:
         """Render all batches; the number of pictures of each."""
         preparers = 1 if self.device == "cpu" else self.preparers
         ahead = 0 if self.device == "cpu" else preparers
@@ -152,18 +147,16 @@ class Runner:
         waiting: deque[Future[PendingPictures]] = deque()
         with ThreadPoolExecutor(preparers) as executor:
             for rows in starts:
-                waiting.append(executor.submit(self._started, rows, profile=profile))
+                waiting.append(executor.submit(self._started, rows))
                 if len(waiting) > ahead:
                     yield len(waiting.popleft().result().pictures())
             while waiting:
                 yield len(waiting.popleft().result().pictures())
 
-    def _started(
-        self, rows: Sequence[int], *, size: int | None = None, profile: Profile | None = None
-    ) -> PendingPictures:
+    def _started(self, rows: Sequence[int], *, size: int | None = None) -> PendingPictures:
         scenes, views = zip(*map(self.garment, rows), strict=True)
         placed = [_at(view, k) for k, own in enumerate(views) for view in own]
-        return start_pictures(scenes, placed, size=size or self.size, maps=MAPS, device=self.device, profile=profile)
+        return start_pictures(scenes, placed, size=size or self.size, maps=MAPS, device=self.device)
 
 
 def _fresh(scene: Scene) -> Scene:
@@ -171,41 +164,11 @@ def _fresh(scene: Scene) -> Scene:
     return replace(scene)
 
 
-def _stages(profile: Profile, prefix: str, garments: int) -> list[Figure]:
-    """Time of each stage and bytes copied, of one garment."""
-    unit = "ms a garment"
-    kinds = {"host": profile.host, "cpu": profile.cpu, "device": profile.device_times()}
-    figures = [
-        Figure(f"{prefix}{stage.replace(', ', '_and_')}_{kind}_ms", 1e3 * times[stage] / garments, unit)
-        for stage in profile.host
-        for kind, times in kinds.items()
-        if stage in times
-    ]
-    for kind, times in kinds.items():
-        if times:
-            figures.append(Figure(f"{prefix}sum_{kind}_ms", 1e3 * sum(times.values()) / garments, unit))
-    for name, count in profile.copied.items():
-        figures.append(Figure(f"{prefix}copied_{name.replace(' ', '_')}", count / garments / 2**20, "MiB a garment"))
-    return figures
-
-
-def _loader_stages(options: argparse.Namespace, samples: Sequence[Sample]) -> list[Figure]:
-    profile = Profile("cpu")
-    for index, sample in enumerate(samples):
-        _made(options, index, sample, profile)
-    return _stages(profile, "", len(samples))
-
-
-def _made(
-    options: argparse.Namespace, index: int, sample: Sample, profile: Profile | None = None
-) -> tuple[Scene, list[View]]:
+def _made(options: argparse.Namespace, index: int, sample: Sample) -> tuple[Scene, list[View]]:
     """The work of loaders before rendering: body, scene and drawn views."""
-    with in_stage(profile, "body"):
-        body = build_body(sample.shape if sample.shape is not None else neutral_shape())
-    with in_stage(profile, "scene"):
-        scene = scene_of_sample(sample, body, hair=draw_hair(options.seed, index))
-    with in_stage(profile, "drawing"):
-        return scene, draw_views(options.seed, index, scene, options.views)
+    body = build_body(sample.shape if sample.shape is not None else neutral_shape())
+    scene = scene_of_sample(sample, body, hair=draw_hair(options.seed, index))
+    return scene, draw_views(options.seed, index, scene, options.views)
 
 
 def _at(view: View, row: int) -> View:

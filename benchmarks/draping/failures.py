@@ -11,11 +11,11 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.draping.workload import Worn
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.generator.colours import INK, PAPER
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, resolve_device
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
+from gcd_dataset.generator.lay_plan import INK, PAPER
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import BoxMesh, Drape, Outcome
 

@@ -15,11 +15,9 @@ from benchmarks.draping.workload import Worn, kind_of
 from benchmarks.stand_ins import coarser
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body, neutral_shape, read_body
-from gcd_dataset.generator.body.anny_bodies import AnnyBodies
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.bake import AVERAGE
-from gcd_dataset.generator.body.holes import VisibleSkin
-from gcd_dataset.generator.body.pose import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
+from gcd_dataset.generator.body.repair import VisibleSkin
+from gcd_dataset.generator.body.shape import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
@@ -28,6 +26,8 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
+from tools.body_model.anny_bodies import AnnyBodies
+from tools.body_model.bake import AVERAGE
 
 ATTEMPTS = 30  # designs tried for one garment
 ARM_TURN = np.radians(40.0)  # raising or lowering of the arms from the A-pose

@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from benchmarks.peers import newton_kernels
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.body.holes import VisibleSkin
+from gcd_dataset.generator.body.repair import VisibleSkin
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.fabric import shear_stiffness
+from gcd_dataset.generator.drape.fabrics import shear_stiffness
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.records import BoxMesh
 

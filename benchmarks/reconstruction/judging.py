@@ -14,8 +14,8 @@ from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import Task
 from gcd_dataset.files import make_folder, open_whole, write_whole
-from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.spec import write_pattern

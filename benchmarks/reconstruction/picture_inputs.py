@@ -15,7 +15,7 @@ from jaxtyping import Int, UInt8
 
 from benchmarks.reconstruction.derived import MAPS, pixel_labels
 from gcd_dataset.generator.body import neutral_shape
-from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.render import (
     Appearance,
     AppearanceRanges,

@@ -65,8 +65,7 @@ def dressed_scans(garments: GarmentSet, *, workers: int = 0) -> Float[np.ndarray
 
 
 def _scanned(job: tuple[str, BoxMesh, Float[np.ndarray, "v 3"], BodyShape]) -> Float[np.ndarray, "n 7"]:
-    from gcd_dataset.generator.render.depth_noise import NOISELESS
-    from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
+    from gcd_dataset.generator.render.scans import NOISELESS, draw_scan_cameras, scan
 
     key, mesh, vertices, shape = job
     scene = stored_scene(mesh, vertices, stored_body(shape))

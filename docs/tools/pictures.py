@@ -36,9 +36,9 @@ from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.generator.body.landmarks import model_landmarks
 from gcd_dataset.generator.body.measuring import measure_closely
 from gcd_dataset.generator.body.section import section
-from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
 from gcd_dataset.generator.garments import design_from_dict
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.render import (
     CameraRanges,
     Ranges,

@@ -14,7 +14,7 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
 from gcd_dataset.files import open_whole, plain_names, write_whole
-from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.records import Body, BoxMesh, Pattern
 
 TILE = 10.0  # cm of cloth that a texture covers

@@ -19,12 +19,11 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.filekinds import BODY_FOLDERS
 from gcd_dataset.files import safe_name, write_whole
-from gcd_dataset.generator.colours import INK, cloth_colour
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.garments import design_from_dict
-from gcd_dataset.generator.garments.design_file import design_tree
+from gcd_dataset.generator.garments.design import design_tree
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
-from gcd_dataset.generator.lay_plan import LayPlan, lay_out
+from gcd_dataset.generator.lay_plan import INK, LayPlan, cloth_colour, lay_out
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.published_names import DEFAULT_BODY, SPLIT_NAMES, properties_name

@@ -9,7 +9,7 @@ import numpy as np
 
 from gcd_dataset.errors import BodyError, ConfigError, PatternError
 from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, check_outfit, design_from_dict
-from gcd_dataset.generator.garments.design_file import design_tree
+from gcd_dataset.generator.garments.design import design_tree
 from gcd_dataset.generator.garments.parameter import Integer, Real, plain
 from gcd_dataset.generator.garments.space import DesignSpace, leaves, value_at
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements

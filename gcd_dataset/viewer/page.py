@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gcd_dataset.generator.colours import PALETTE, PLAIN_EDGE, seam_colour
-from gcd_dataset.generator.lay_plan import LayPlan, SheetPanel, lay_out
+from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPanel, lay_out, seam_colour
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content

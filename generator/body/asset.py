@@ -18,7 +18,7 @@ from jaxtyping import Float, Int, UInt8
 from scipy.sparse import csr_matrix
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.subdivide import refine
+from gcd_dataset.generator.body.surface import refine
 from gcd_dataset.records import BodyPart, Record
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

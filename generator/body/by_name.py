@@ -8,8 +8,7 @@ from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.mesh_bodies import read_body
-from gcd_dataset.generator.body.population import GROUPS
-from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
+from gcd_dataset.generator.body.shape import GROUPS, build_body, draw_shape, named_shape
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 

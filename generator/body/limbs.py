@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.per_body import kept_per_body
+from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.records import Body, BodyPart
 
 FRONT = np.array([0.0, 0.0, 1.0])

@@ -5,27 +5,246 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, ArmPose, model_mesh_in_a_pose, turn_off_a_pose
-from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.find import find_landmarks, find_parts
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.geodesic import graph_between
-from gcd_dataset.generator.body.landmarks import GivenLandmarks, Landmarks, model_landmarks
+from gcd_dataset.generator.body.landmarks import GivenLandmarks, Landmarks, levels_of, model_landmarks
 from gcd_dataset.generator.body.measures import sinking
-from gcd_dataset.generator.body.mesh_checks import (
-    require_body_alone,
-    require_free_limbs,
-    require_skin,
-    underbust_uncertainty,
+from gcd_dataset.generator.body.register import (
+    Registration,
+    UprightScan,
+    find_upright,
+    model_height,
+    registration_at,
+    unit_of,
 )
-from gcd_dataset.generator.body.register import Registration, registration_at
-from gcd_dataset.generator.body.scan import Scan, kept_mesh
+from gcd_dataset.generator.body.repair import Scan, VisibleSkin, kept_mesh
+from gcd_dataset.generator.body.section import contour_length, girth, loops, rough_girths, section, section_points
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.generator.body.tailor import MeasureResult, measure_at, model_sites, sites_of
-from gcd_dataset.generator.body.upright import UprightScan, find_upright, unit_of
+from gcd_dataset.generator.body.tailor import (
+    GIRTHS,
+    MeasureResult,
+    Sites,
+    measure_at,
+    model_sites,
+    relative_height,
+    sites_of,
+)
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
+
+CONFIDENCE_RADIUS = 6.0  # cm about a landmark within which the misfit decides its confidence
+WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
+WRIST_REACH = 7.0  # cm from the ring within which faces are searched for the wrist: excludes the trunk
+MAX_WRIST_PATCH = 2.0  # cm of patch that the tape round the wrist may cross
+BEHIND = 0.5  # cm behind the model's closed lips and lids: inside a mouth or a socket
+HALF_CONFIDENCE = 1.5  # cm of misfit at which the confidence is 0.5
+
+
+def find_landmarks(
+    scan: Scan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
+) -> Landmarks:
+    """The model's landmarks projected to the nearest skin.
+
+    ``surface`` is the scan's surface scaled to the model's height: ``vertices * scale + shift``. The wrist is the
+    narrowest section nearby. The confidence of a landmark falls with the misfit around it, and with the share of its
+    points on patches.
+    """
+    model = model_landmarks(registration.vertices)
+    offsets = {name: model_height() * share for name, share in landmark_table().beside.items()}
+    expected = {name: (at + offsets.get(name, 0.0))[None] for name, at in model.points.items()} | dict(model.rings)
+    near = {name: surface.nearest(at) for name, at in expected.items()}
+    tree = cKDTree(registration.vertices)
+    confidence = {}
+    for name, at in near.items():
+        around = np.unique(np.concatenate([*tree.query_ball_point(at.points, CONFIDENCE_RADIUS), []])).astype(int)
+        misfit = np.sqrt((registration.distances[around] ** 2).mean()) if len(around) else np.inf
+        patched = scan.patched[at.faces].mean()
+        confidence[name] = float((1 - patched) / (1 + (misfit / HALF_CONFIDENCE) ** 2))
+    points = {name: (near[name].points[0] - shift) / scale for name in model.points}
+    rings = {name: (near[name].points - shift) / scale for name in model.rings}
+    wrist = _near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
+    rings["wrist_right"] = narrowest_ring(
+        scan.vertices, scan.faces[wrist], rings["wrist_right"], WRIST_SEARCH / scale, scan.patched[wrist]
+    )
+    return Landmarks(points, rings, levels_of(rings, float(np.ptp(scan.vertices[:, 1]))), confidence)
+
+
+def narrowest_ring(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    ring: Float[np.ndarray, "n 3"],
+    offsets: Float[np.ndarray, " o"],
+    patched: Bool[np.ndarray, " f"],
+) -> Float[np.ndarray, "m 3"]:
+    """The convex hull of the narrowest section of a limb, parallel to the plane of a ring [cm].
+
+    ``offsets``: the searched distances from the ring's plane; ``patched``: the faces that close holes. Raises
+    ``BodyError`` if a plane cuts no skin, or cuts a hole.
+    """
+    middle = ring.mean(axis=0)
+    across, along, normal = np.linalg.svd(ring - middle)[2]
+    turned = (vertices - middle) @ np.stack([across, normal, along], axis=1)
+    points, level = section_points(turned, mesh_edges(faces).ends, 1, offsets)
+    if len(np.unique(level)) < len(offsets):
+        raise BodyError("no skin is found round the right wrist: correct the mesh there")
+    if any(contour_length(section(turned, faces[patched], 1, offset)) > MAX_WRIST_PATCH for offset in offsets):
+        raise BodyError("the skin round the right wrist has a hole: close it, and give a whole hand")
+    loops = [points[level == offset] for offset in offsets]
+    narrowest = min(loops, key=lambda loop: girth(loop[:, [0, 2]]))
+    try:
+        hull = narrowest[ConvexHull(narrowest[:, [0, 2]]).vertices]
+    except QhullError as error:  # collinear points: a sliver
+        raise BodyError("no skin goes all round the right wrist: correct the mesh there") from error
+    return hull @ np.stack([across, normal, along]) + middle
+
+
+def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
+
+
+def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
+    """``BodyPart`` of each vertex, from the model's nearest skin vertex; internal if well behind the skin."""
+    model = body_model()
+    internal = model.parts == BodyPart.INTERNAL.value
+    skin = np.flatnonzero(~internal)
+    parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
+    candidates = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
+    closed = VisibleSkin.of(model.faces, model.parts)
+    near = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[candidates])
+    behind = np.einsum("vi,vi->v", vertices[candidates] - near.points, near.normals) < -BEHIND
+    parts[candidates[behind]] = BodyPart.INTERNAL.value
+    return parts
+
+
+MISSING = 3.0  # cm: largest median distance of a present part from the scan
+STRAY = 8.0  # cm: surface further from the registered model is not part of the body
+STRAY_SHARE = 0.02  # largest share of the mesh's area that is stray: a bun, a heel, a fragment
+STICKS_OUT = 6.0  # cm above the model's head or below its soles, largest extent of the mesh
+MAX_BRIDGED = 3.0  # cm that a tape may run over one patch: straight over it, the tape is at most 0.1 cm too short
+MAX_JOINED = 8.0  # cm: largest length of arm contour in the loop of a girth; sampled bodies have none
+LEVEL_ERROR = 2.0  # possible error of a level over the misfit
+MIN_TRUNK = 20.0  # cm: a loop with more contour of trunk and legs than this belongs to the trunk
+
+NEEDED = {
+    BodyPart.TRUNK: "the trunk",
+    BodyPart.LEFT_ARM: "the left arm",
+    BodyPart.RIGHT_ARM: "the right arm",
+    BodyPart.LEFT_LEG: "the left leg",
+    BodyPart.RIGHT_LEG: "the right leg",
+    BodyPart.HEAD: "the head",
+    BodyPart.HANDS: "the hands",
+    BodyPart.FEET: "the feet",
+}
+CHECKED_POINTS = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right", "underarm_right", "crotch_point")
+X, Y, Z = 0, 1, 2
+
+
+def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
+    """Raise ``BodyError`` if a body part is missing, or the mesh holds other objects.
+
+    ``surface`` is the scan's surface, scaled to the model's height.
+    """
+    parts = body_model().parts
+    for part, words in NEEDED.items():
+        of_part = parts == part.value
+        # The left and the right half separately: one hand alone may be missing.
+        halves = [of_part & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
+        distance = max(float(np.median(registration.distances[half])) for half in halves if half.any())
+        if distance > MISSING:
+            raise BodyError(f"{name}: no skin within {distance:.0f} cm of where {words} should be: give a whole body")
+    corners = surface.corners
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    far = cKDTree(registration.vertices).query(corners.mean(axis=1))[0] > STRAY
+    share = float(area[far & ~scan.patched[surface.owners]].sum() / area.sum())
+    if share > STRAY_SHARE:
+        raise BodyError(
+            f"{name}: {share:.0%} of its surface lies more than {STRAY:.0f} cm off the body in it: "
+            "leave only the body in it (no floor, chair, loose clothes or second person)"
+        )
+    for end, model, words in (
+        (corners[..., Y].max(), registration.vertices[:, Y].max(), "above the head"),
+        (-corners[..., Y].min(), -registration.vertices[:, Y].min(), "below the soles"),
+    ):
+        if end - model > STICKS_OUT:
+            raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave only the body in the mesh")
+
+
+def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
+    """Raise ``BodyError`` if a landmark or a tape lies on a patch over a hole."""
+    patches = scan.faces[scan.patched]
+    if not len(patches):
+        return
+    for point in CHECKED_POINTS:
+        if marks.confidence[point] == 0:
+            raise BodyError(f"{name}: the {point.replace('_', ' ')} lies in a hole: close the skin there")
+    for key, level in result.levels.items():
+        band = sites.thighs if key == "leg_circ" else sites.bands[key]
+        _require_bridgeable(scan, _common(patches, band), Y, level, key, name)
+    _require_bridgeable(scan, _common(patches, sites.spine), X, marks.points["nape_of_neck"][X], "waist_line", name)
+    over_bust = float(marks.rings["bust_line"][:, X].mean())
+    _require_bridgeable(scan, _common(patches, sites.breast), X, over_bust, "waist_over_bust_line", name)
+
+
+def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
+    bridged = _longest_run(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
+    if bridged > MAX_BRIDGED * relative_height(scan.vertices):
+        raise BodyError(f"{name}: {measure} crosses {bridged:.0f} cm of a hole in the skin: close it")
+
+
+def _longest_run(segments: Float[np.ndarray, "s 2 3"]) -> float:
+    """Length of the longest connected line of a section's segments [cm]."""
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    return float(np.bincount(loops(segments), length).max(initial=0.0))
+
+
+def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:
+    """The patches that are also faces of a band."""
+    of_band = {tuple(face) for face in band.tolist()}
+    common = [face for face in patches.tolist() if tuple(face) in of_band]
+    return np.array(common, int).reshape(-1, 3)
+
+
+def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
+    """Raise ``BodyError`` if an arm is merged with the trunk at a girth's level, as in scans with lowered arms."""
+    arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
+    for key in GIRTHS:
+        if joined_arm_contour(scan, arms, result.levels[key]) > MAX_JOINED * relative_height(scan.vertices):
+            raise BodyError(
+                f"{name}: an arm is merged with the trunk at the level of the {key}, "
+                f"{result.levels[key]:.0f} cm: raise the arms, or separate them in the mesh"
+            )
+
+
+def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfit: float) -> float:
+    """Change of the underbust over the possible error of its level [cm]; infinite off the skin.
+
+    Other girths are extrema over their levels; the underbust level is the lower end of the breast on the registered
+    model.
+    """
+    level, error = result.levels["underbust"], LEVEL_ERROR * misfit * relative_height(scan.vertices)
+    heights = np.array([level - error, level, level + error])
+    points, at = section_points(scan.vertices, sites.rings["underbust"], Y, heights)
+    girths = rough_girths(points[:, [X, Z]], at)
+    return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
+
+
+def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
+    """Length of the arms' contour in the loops of a level section that also contain trunk [cm]."""
+    heights = scan.vertices[scan.faces, Y]
+    cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]
+    segments = section(scan.vertices, cut, Y, level)
+    of_arm = arms[cut].any(axis=1)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    loop = loops(segments)
+    trunk_share = np.bincount(loop, weights=length * ~of_arm)
+    arm_share = np.bincount(loop, weights=length * of_arm)
+    return float(arm_share[trunk_share > MIN_TRUNK * relative_height(scan.vertices)].sum())
+
 
 SAME_VERTICES = 5.0  # cm: median distance of a model mesh's vertices from those of the registered model, if the same
 

@@ -1,25 +1,231 @@
-"""Bodies from mesh files: read, set upright, and measured unless the measures are given."""
+"""Bodies from mesh files (OBJ, PLY, STL, GLB): read, set upright, and measured unless the measures are given."""
 
+import contextlib
+import io
 import logging
+import re
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.bodyfiles import read_body_parts, read_measurements, require_same_body
+from gcd_dataset.bodyfiles import obj_lines, read_body_parts, read_measurements, require_same_body
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.closing import ClosedSkin
+from gcd_dataset.files import read_whole
+from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
-from gcd_dataset.generator.body.meshfile import read_mesh
-from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.scan import kept_mesh
+from gcd_dataset.generator.body.register import UNITS, unit_of
+from gcd_dataset.generator.body.repair import ClosedSkin, is_convex, kept_mesh
+from gcd_dataset.generator.body.shape import stand
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
-from gcd_dataset.generator.body.upright import UNITS, unit_of
+from gcd_dataset.jsonfile import parse_json
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+MAGIC, JSON_CHUNK = b"glTF", b"JSON"
+COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+MAX_NODES = 2_000  # a rigged figure has some hundred
+MAX_STEPS = 10_000_000  # of placing the meshes: trimesh takes the cube of a mesh's depth in the tree of nodes
+MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
+REMEDY = "export the mesh again"
+
+
+def require_readable(content: bytes, path: Path) -> None:
+    """Raise ``BodyError`` for content that is not GLB, or that would exhaust memory or recursion when parsed."""
+    if len(content) < 20 or content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
+        raise BodyError(f"{path}: is not binary glTF 2.0: {REMEDY}")
+    length = struct.unpack("<I", content[12:16])[0]
+    tree = parse_json(content[20 : 20 + length], source=str(path), remedy=REMEDY, error=BodyError)
+    if not isinstance(tree, dict):
+        raise BodyError(f"{path}: its JSON is not an object: {REMEDY}")
+    parts = {name: _objects(tree, name, path) for name in ("accessors", "bufferViews", "meshes", "nodes")}
+    extensions = tree.get("extensionsUsed") or ()
+    if compression := next((name for name in COMPRESSED if name in str(extensions)), None):
+        raise BodyError(f"{path}: is compressed by {compression}: export it without compression")
+    declared = [accessor.get("count") for accessor in parts["accessors"]]
+    counts = [count for count in declared if type(count) is int and count >= 0]
+    if len(counts) < len(declared) or sum(counts) > len(content):
+        raise BodyError(f"{path}: declares more numbers than it holds: {REMEDY}")
+    _require_tree(parts["nodes"], path)
+    corners = [_corners(mesh, counts) for mesh in parts["meshes"]]
+    used_meshes = [node["mesh"] for node in parts["nodes"] if "mesh" in node]
+    if not all(type(mesh) is int and 0 <= mesh < len(corners) for mesh in used_meshes):
+        raise BodyError(f"{path}: a node refers to a missing mesh: {REMEDY}")
+    if (pieces := sum(len(_primitives(parts["meshes"][mesh])) for mesh in used_meshes)) > MAX_NODES:
+        raise BodyError(f"{path}: {pieces} pieces of meshes, more than {MAX_NODES}: export one mesh")
+    if sum(corners[mesh] for mesh in used_meshes) > MAX_CORNERS:
+        raise BodyError(f"{path}: more than {MAX_CORNERS // 3} triangles: decimate the mesh")
+
+
+def _objects(tree: Mapping[str, Any], name: str, path: Path) -> Sequence[Mapping[str, Any]]:
+    entries = tree.get(name, [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise BodyError(f"{path}: its {name} are not a list of objects: {REMEDY}")
+    if len(entries) > MAX_NODES:
+        raise BodyError(f"{path}: {len(entries)} {name}, more than {MAX_NODES}: export one mesh")
+    return entries
+
+
+def _require_tree(nodes: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Raise ``BodyError`` for cycles of nodes, nodes with two parents, and invalid children."""
+    children = [node.get("children", []) for node in nodes]
+    flat = [child for row in children if isinstance(row, list) for child in row]
+    valid = all(isinstance(row, list) for row in children) and all(type(child) is int for child in flat)
+    if not valid or len(set(flat)) < len(flat) or not set(flat) <= set(range(len(nodes))):
+        raise BodyError(f"{path}: its nodes are not a tree: {REMEDY}")
+    with_parent = set(flat)
+    reached = [number for number in range(len(nodes)) if number not in with_parent]
+    depth = dict.fromkeys(reached, 1)
+    for number in reached:
+        reached += children[number]
+        depth |= dict.fromkeys(children[number], depth[number] + 1)
+    if len(reached) < len(nodes):
+        raise BodyError(f"{path}: its nodes contain each other: {REMEDY}")
+    if sum(depth[number] ** 3 for number, node in enumerate(nodes) if "mesh" in node) > MAX_STEPS:
+        raise BodyError(f"{path}: its meshes lie below too many nodes: export one mesh")
+
+
+def _primitives(mesh: Mapping[str, Any]) -> Sequence[Any]:
+    primitives = mesh.get("primitives", [])
+    return primitives if isinstance(primitives, list) else []
+
+
+def _corners(mesh: Mapping[str, Any], counts: Sequence[int]) -> int:
+    """Number of triangle corners of a mesh."""
+    total = 0
+    for primitive in _primitives(mesh):
+        if isinstance(primitive, dict):
+            attributes = primitive.get("attributes")
+            number = primitive.get("indices", attributes.get("POSITION") if isinstance(attributes, dict) else None)
+            total += counts[number] if type(number) is int and 0 <= number < len(counts) else 0
+    return total
+
+
+MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
+MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
+MAIN_SHARE = 0.8  # share of the total area above which one of several meshes is taken for the body
+
+_Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
+
+
+def read_mesh(path: Path) -> _Mesh:
+    """Vertices (v, 3) and triangles (f, 3) of a mesh file, in its order and unit; polygons are triangulated.
+
+    Vertices of OBJ and PLY are kept one to one. STL stores triangles without shared vertices: coincident corners are
+    merged, in order of appearance. GLB is read with the transforms of its nodes. Raises ``BodyError``.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise BodyError(f"{path}: not a readable mesh format: convert it to {', '.join(READERS)}")
+    content = read_whole(path, "mesh", limit=MAX_BYTES, error=BodyError)
+    try:
+        with _trimesh_silent():
+            vertices, faces = reader(content, path)
+    except BodyError:
+        raise
+    except Exception as error:  # trimesh raises any exception for malformed files
+        kind = path.suffix[1:].upper()
+        raise BodyError(f"{path}: cannot be read as {kind} ({_first_line(error)}): {REMEDY}") from error
+    if not len(faces):
+        raise BodyError(f"{path}: holds no triangles: {REMEDY}")
+    if len(faces) > MAX_FACES:
+        raise BodyError(f"{path}: {len(faces)} triangles, more than {MAX_FACES}: decimate the mesh")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        odd = faces.min() if faces.min() < 0 else faces.max()
+        raise BodyError(f"{path}: a face names vertex {odd} of {len(vertices)}, numbered from 0: {REMEDY}")
+    if not np.isfinite(vertices).all():
+        odd = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise BodyError(f"{path}: the position of vertex {odd} is not a number: {REMEDY}")
+    return vertices, faces
+
+
+def _read_obj(content: bytes, path: Path) -> _Mesh:
+    """Reads positions and faces only: trimesh renumbers vertices by texture seams, materials and groups."""
+    plain = re.sub(rb"/\S*", b"", b"\n".join(obj_lines(content)))
+    if odd := re.search(rb"^f.*\s(-\d+|\+?0+)(?!\S)", plain, re.MULTILINE):
+        raise ValueError(f"a face names vertex {odd[1].decode()}, but OBJ counts from 1")
+    return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
+
+
+def _read_ply(content: bytes, path: Path) -> _Mesh:
+    return _arrays(_loaded(io.BytesIO(content), "ply"))
+
+
+def _read_stl(content: bytes, path: Path) -> _Mesh:
+    corners = np.asarray(_loaded(io.BytesIO(content), "stl").triangles, float)
+    if (body := _with_model_numbering(corners)) is not None:
+        return body
+    _, first, number = np.unique(corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    faces = np.argsort(order)[number.ravel()].reshape(-1, 3)
+    return corners.reshape(-1, 3)[first[order]], faces
+
+
+def _with_model_numbering(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
+    """The mesh with the body model's vertex numbers, if its triangles are the model's; else ``None``."""
+    model = body_model()
+    if len(corners) != len(model.faces):
+        return None
+    vertices = np.full(model.mean.shape, np.nan)
+    vertices[model.faces] = corners
+    return (vertices, model.faces) if np.array_equal(vertices[model.faces], corners) else None
+
+
+def _read_glb(content: bytes, path: Path) -> _Mesh:
+    import trimesh
+
+    require_readable(content, path)
+    scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
+    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # with transforms
+    areas = [mesh.area for mesh in meshes if not is_convex(np.asarray(mesh.vertices))]  # leaves out a floor
+    if len(areas) > 1 and not max(areas) > MAIN_SHARE * sum(areas):
+        names = ", ".join(ascii(name)[1:-1] for name in list(scene.geometry)[:9])
+        raise BodyError(f"{path}: holds {len(meshes)} meshes ({names}), none of them clearly the body: export it alone")
+    return _arrays(trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh())
+
+
+def _loaded(stream: io.StringIO | io.BytesIO, kind: str) -> "Trimesh":
+    import trimesh  # here, not above: drawn patterns need no trimesh, which takes 0.4 s
+
+    return trimesh.load(stream, file_type=kind, force="mesh", process=False, maintain_order=True)
+
+
+def _arrays(mesh: "Trimesh") -> _Mesh:
+    return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
+
+
+@contextlib.contextmanager
+def _trimesh_silent() -> Iterator[None]:
+    """Suppress trimesh's logged tracebacks of malformed files: the caller raises a one-line error."""
+    logger = logging.getLogger("trimesh")
+    previous, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = previous
+
+
+def _first_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return ascii(text[:80])[1:-1] or type(error).__name__
+
+
+READERS: Mapping[str, Callable[[bytes, Path], _Mesh]] = {
+    ".obj": _read_obj,
+    ".ply": _read_ply,
+    ".stl": _read_stl,
+    ".glb": _read_glb,
+}
+
 
 log = logging.getLogger(__name__)
 

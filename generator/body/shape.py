@@ -1,19 +1,135 @@
-"""Bodies from shape weights: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
+"""Bodies from shape weights: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024).
+
+Adults of each sex are a Gaussian over the weights, calibrated to a survey: ``adults.npz``, made by
+``tools/body_model/calibrate.py``, holds its mean and principal axes. Half of the adults are women.
+"""
 
 import functools
-from dataclasses import replace
+import io
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+import shapely
+from jaxtyping import Float, Int
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
-from gcd_dataset.generator.body.clearance import arm_clearance
-from gcd_dataset.generator.body.population import FEMALE_SHARE, GROUPS, POOLED, adults_of, weights_of
-from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
-from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh, Smoothed
-from gcd_dataset.records import Body, BodyShape
+from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model, checked_data, landmark_table
+from gcd_dataset.generator.body.repair import ROUNDS, SkinMesh, Smoothed
+from gcd_dataset.generator.body.section import section_points
+from gcd_dataset.meshedges import mesh_edges
+from gcd_dataset.records import Body, BodyPart, BodyShape, Record
+
+LEGS_APART = np.radians(3.0)
+"""Rotation of each thigh with legs apart [rad]: moves the feet from 15 to 19 cm off the midplane."""
+
+T_POSE = np.radians(45.0)
+"""``arm_angle`` from the A-pose to horizontal upper arms [rad]."""
+
+LEFT_ARM, LEFT_LEG, LEFT_FOOT, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT = range(6)
+
+
+def set_pose(
+    vertices: Float[np.ndarray, "v 3"],
+    joints: Float[np.ndarray, "6 3"],
+    skin: Float[np.ndarray, "v 6"],
+    *,
+    arm: float = 0.0,
+    leg: float = 0.0,
+) -> Float[np.ndarray, "v 3"]:
+    """The vertices with both arms raised by ``arm`` and both legs spread by ``leg`` [rad]; the soles stay level.
+
+    ``joints`` [cm] and the columns of ``skin``, the skinning weights, are ordered as ``LEFT_ARM`` to ``RIGHT_FOOT``.
+    """
+    posed = vertices.copy()
+    for side, shoulder, hip, ankle in ((1, LEFT_ARM, LEFT_LEG, LEFT_FOOT), (-1, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT)):
+        if arm:
+            _blend_rotation(posed, joints[shoulder], side * arm, skin[:, shoulder])
+        if leg:
+            foot = _rotated(joints[ankle, :2], joints[hip], side * leg)
+            _blend_rotation(posed, joints[hip], side * leg, skin[:, hip])
+            _blend_rotation(posed, foot, -side * leg, skin[:, ankle])
+    return posed
+
+
+def stand(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+    """The vertices with the lowest of them on y = 0."""
+    standing = vertices.copy()
+    standing[:, 1] -= vertices[:, 1].min()
+    return standing
+
+
+def _blend_rotation(
+    points: Float[np.ndarray, "v 3"], centre: np.ndarray, angle: float, weights: Float[np.ndarray, " v"]
+) -> None:
+    """Move points in place towards their rotated positions, linearly by weight (linear blend skinning)."""
+    rows = np.flatnonzero(weights)
+    share, (x, y) = weights[rows], points[rows, :2].T
+    turned = _rotated(np.stack([x, y], axis=-1), centre, angle)
+    points[rows, 0] = x + share * (turned[:, 0] - x)
+    points[rows, 1] = y + share * (turned[:, 1] - y)
+
+
+def _rotated(points: Float[np.ndarray, "*n 2"], centre: np.ndarray, angle: float) -> Float[np.ndarray, "*n 2"]:
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = points[..., 0] - centre[0], points[..., 1] - centre[1]
+    return np.stack([cos * x - sin * y + centre[0], sin * x + cos * y + centre[1]], axis=-1)
+
+
+X, Y, Z = range(3)
+ARMPIT = 3.0  # cm below the underarm point, where arm and trunk separate; GarmentCode's armholes reach 2.5 cm down
+
+
+def arm_clearance(body: Body) -> float:
+    """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm]."""
+    level = body.vertices[landmark_table().points["underarm_right"], Y] - ARMPIT
+    trunk, *arms = (_hull(body, part, level) for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM))
+    return float(min(shapely.distance(trunk, arm) for arm in arms))
+
+
+def _hull(body: Body, part: BodyPart, level: float) -> shapely.Geometry:
+    points = section_points(body.vertices, _edges_of(part), Y, np.array([level]))[0]
+    return shapely.convex_hull(shapely.multipoints(points[:, [X, Z]]))
+
+
+@functools.cache
+def _edges_of(part: BodyPart) -> Int[np.ndarray, "e 2"]:
+    """Edges of the faces that lie in a part with all corners."""
+    model = body_model()
+    return mesh_edges(model.faces[(model.parts == part.value)[model.faces].all(axis=1)]).ends
+
+
+SEXES = ("female", "male")
+POOLED = "pooled"
+"""The pool of GarmentCodeData: bodies about the neutral one, mostly between the sexes."""
+GROUPS = ("random", *SEXES, POOLED)
+"""Groups that bodies are drawn from; ``random``: women and men, as a population is made up."""
+FEMALE_SHARE = 0.5  # share of women among adults; within one or two per cent in most countries
+MAX_DEVIATION = 3.0  # standard deviations along each axis, to which draws are clipped
+
+
+@dataclass(frozen=True, eq=False)
+class Adults(Record):
+    """The normal distribution of shape weights among the adults of one sex."""
+
+    mean: Float[np.ndarray, " k"]
+    axes: Float[np.ndarray, "k k"]
+    """Principal axes as columns, one standard deviation long."""
+
+
+@functools.cache
+def adults_of(sex: str) -> Adults:
+    """The adults of a sex, one of ``SEXES``. Raises ``BodyError`` for a damaged file."""
+    with np.load(io.BytesIO(checked_data("adults.npz"))) as file:
+        return Adults(file[f"{sex}_mean"].astype(float), file[f"{sex}_axes"].astype(float))
+
+
+def weights_of(adults: Adults, deviates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Shape weights of the adult at ``deviates`` standard deviations along each axis."""
+    along = np.clip(deviates, -MAX_DEVIATION, MAX_DEVIATION)
+    # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
+    return adults.mean + np.einsum("ka,a->k", adults.axes, along)
+
 
 SPREAD = 0.7  # standard deviation of pooled weights, as in GarmentCodeData
 CLEFT = 0.1  # cm: least gap between the skin and its mirror image

@@ -1,18 +1,84 @@
-"""The facts of an outfit in words, from its design, its wearer and its drawn pattern."""
+"""The facts of an outfit in words, from its design, its wearer and its drawn pattern.
+
+A depth is the distance of a hem below the hips, as a fraction of hips to floor, as ``hem_depth``. Words divide
+the classes of the tags (``HEMS``) further at the wearer's knee: a "mini", "midi" or "maxi" skirt has that tag.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from gcd_dataset.generator.captions.lengths import leg_words, shirt_words, skirt_words
-from gcd_dataset.generator.garments.description import ASYMMETRIC, NO_WORDS, Description, Detail, Place, Words
+from gcd_dataset.generator.garments.description import (
+    ASYMMETRIC,
+    HEMS,
+    NO_WORDS,
+    RUFFLES,
+    Description,
+    Detail,
+    Place,
+    Words,
+)
 from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.drawn import gather, part_of, sides_match
+from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
-from gcd_dataset.generator.garments.style import described, hem_below_waist, hem_depth
-from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
+
+KNEE_HEIGHT = 0.285  # of the body's height: R. Drillis and R. Contini, Body Segment Parameters, 1966
+AT_KNEE = 0.05  # of hips to floor: a hem nearer to the knee than this, four to five centimetres, is at the knee
+WAIST = (-0.08, 0.4)  # depth of a shirt's hem below the waist, of waist to hips: largest of cropped and of waist-length
+HIPS = 0.1  # of hips to floor: largest depth of hip length
+
+
+def knee_depth(size: Measurements) -> float:
+    """Depth of the knee, by the mean proportions of adults: height of the knee 0.285 of the body's."""
+    return 1.0 - KNEE_HEIGHT * size.height / size.leg_length
+
+
+def skirt_words(size: Measurements, depth: float) -> Words:
+    """Adjectives for the length of a skirt or dress."""
+    knee = knee_depth(size)
+    if depth <= min(_mid_thigh(size), HEMS[0]):
+        return ("mini",)
+    if depth < knee - AT_KNEE:
+        return ("above-the-knee",)
+    if depth <= knee + AT_KNEE:
+        return ("knee-length",)
+    if depth <= HEMS[1]:
+        return ("below-the-knee",)
+    return ("midi", "mid-calf") if depth <= HEMS[2] else ("maxi", "full-length")
+
+
+def leg_words(size: Measurements, depth: float) -> tuple[Words, Words]:
+    """Adjectives for the length of trousers, and names of trousers of this length."""
+    knee = knee_depth(size)
+    if depth < knee - AT_KNEE:
+        return (("very short",) if depth <= _mid_thigh(size) else ("above-the-knee",)), ("shorts",)
+    if depth <= knee + AT_KNEE:
+        return ("knee-length",), ("shorts",)
+    if depth <= HEMS[2]:
+        return ("cropped", "calf-length"), ("trousers",)
+    return ("long", "full-length"), ("trousers",)
+
+
+def shirt_words(size: Measurements, below_waist: float) -> tuple[Words, Words]:
+    """Adjectives for the length of a shirt, and its names at this length; ``below_waist``: depth of its hem [cm]."""
+    if below_waist <= WAIST[0] * size.hips_line:
+        return ("cropped",), ("top",)
+    if below_waist <= WAIST[1] * size.hips_line:
+        return ("waist-length",), ("top",)
+    depth = (below_waist - size.hips_line) / size.leg_length
+    if depth <= HIPS:
+        return ("hip-length",), ("top",)
+    if depth <= _mid_thigh(size):
+        return ("thigh-length",), ("tunic",)
+    return skirt_words(size, depth), ("tunic",)
+
+
+def _mid_thigh(size: Measurements) -> float:
+    """Depth of the middle between crotch and knee."""
+    return 0.5 * (size.crotch_hip_diff / size.leg_length + knee_depth(size))
+
 
 NARROW, WIDE = 4.0, 9.0  # cm: largest height of a narrow and least of a wide waistband
 LOOSE = 1.15  # least girth of a loose waistband over the body's

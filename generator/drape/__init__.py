@@ -3,10 +3,17 @@
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch
-from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile
-from gcd_dataset.generator.drape.fabrics import DEFAULT_FABRIC, FABRICS, fabric_named
+from gcd_dataset.generator.drape.fabrics import (
+    DEFAULT_FABRIC,
+    FABRICS,
+    RANDOM_FABRIC,
+    Bending,
+    Fabric,
+    Tensile,
+    draw_fabric,
+    fabric_named,
+)
 from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
-from gcd_dataset.generator.drape.random_fabric import RANDOM_FABRIC, draw_fabric
 
 __all__ = [
     "DEFAULT_FABRIC",

@@ -19,8 +19,8 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
-from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
-from gcd_dataset.generator.body.per_body import kept_per_body
+from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
+from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.generator.drape.streams import native_builds
 from gcd_dataset.records import Body, BodyPart

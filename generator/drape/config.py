@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError, DrapeError
-from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
+from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 

@@ -21,7 +21,7 @@ from gcd_dataset.generator.drape.kernels import (
     topology,
     untangling,
 )
-from gcd_dataset.generator.estimates import core_seconds
+from gcd_dataset.generator.quality import core_seconds
 
 logger = logging.getLogger("gcd_dataset")
 

@@ -1,4 +1,7 @@
-"""Addresses of draping processes: a folder with a socket; the first client that connects starts the process.
+"""The address of a draping process, and the transport of its requests and replies.
+
+Arrays travel in shared memory files: through the socket, the draping process would need ten milliseconds to read and
+unpack a request of five megabytes, and would launch no kernels meanwhile.
 
 The process that creates an address owns it. It holds a record lock in the folder: a fork does not inherit such a lock,
 and any end of the process releases it. So the draping process ends with the owner, not with the worker that started it.
@@ -7,17 +10,71 @@ and any end of the process releases it. So the draping process ends with the own
 import atexit
 import contextlib
 import fcntl
+import mmap
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from multiprocessing.connection import Client, Connection
+from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
+from typing import IO, Any
 
 from gcd_dataset.errors import ConfigError, DrapeError
+
+ALIGNMENT = 64  # bytes
+
+
+def send_object(connection: Connection, content: object) -> None:
+    """Send an object; its arrays are copied once. Raises ``OSError`` if the receiver has gone."""
+    buffers: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(content, protocol=5, buffer_callback=buffers.append)
+    arrays = [buffer.raw() for buffer in buffers]
+    offsets = _offsets([array.nbytes for array in arrays])
+    with _memory_file() as file:
+        os.truncate(file.fileno(), offsets[-1])
+        for array, offset in zip(arrays, offsets, strict=False):
+            file.seek(offset)
+            file.write(array)
+        file.flush()
+        connection.send((head, [array.nbytes for array in arrays]))
+        send_handle(connection, file.fileno(), None)
+
+
+def receive_object(connection: Connection) -> Any:
+    """Wait for the next object. Raises ``EOFError`` or ``OSError`` if the sender has gone."""
+    head, sizes = connection.recv()
+    offsets = _offsets(sizes)
+    try:
+        file = recv_handle(connection)
+    except RuntimeError as error:  # the sender ended between the two messages
+        raise EOFError from error
+    try:
+        memory = memoryview(mmap.mmap(file, offsets[-1], mmap.MAP_PRIVATE))
+    finally:
+        os.close(file)
+    # Unpickling is safe as in ``Connection.recv``: only this user can reach the socket's folder.
+    return pickle.loads(
+        head, buffers=[memory[offset : offset + size] for offset, size in zip(offsets, sizes, strict=False)]
+    )
+
+
+def _offsets(sizes: list[int]) -> list[int]:
+    """Aligned offset of each array, then the total size [bytes]."""
+    return [0, *accumulate(-(-max(size, 1) // ALIGNMENT) * ALIGNMENT for size in sizes)] if sizes else [0, ALIGNMENT]
+
+
+def _memory_file() -> IO[bytes]:
+    """An unnamed file, in memory on systems with ``memfd_create``."""
+    if hasattr(os, "memfd_create"):
+        return open(os.memfd_create("gcd-request"), "wb")  # noqa: PTH123 - it has no path
+    return tempfile.TemporaryFile()
+
 
 READY = "ready"
 DRAPERS_PER_GPU = 2  # processes: one prepares its next batch, or renders pictures, while the other simulates

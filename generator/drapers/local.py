@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Self
 
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, drape_batch, resolve_device
+from gcd_dataset.generator.drape.batches import drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, make_reply, require_faces
 from gcd_dataset.records import Drape
 

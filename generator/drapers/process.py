@@ -25,13 +25,11 @@ from typing import Protocol
 
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, resolve_device
+from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.passes import PreparedJob
-from gcd_dataset.generator.drape.queue import drape_unordered
-from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, READY, owner_file, socket_file
+from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, READY, owner_file, receive_object, socket_file
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.pictures import PictureQueue
-from gcd_dataset.generator.drapers.transport import receive_object
 from gcd_dataset.waits import WaitClock
 
 CONFIG = DrapeConfig()

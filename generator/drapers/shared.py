@@ -5,9 +5,8 @@ from multiprocessing.connection import Connection
 from typing import Self
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.drapers.address import DraperAddress
+from gcd_dataset.generator.drapers.address import DraperAddress, send_object
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
-from gcd_dataset.generator.drapers.transport import send_object
 
 AT_ONCE = 24  # requests of each client: eleven clients fill both batches of a GPU, 2 x 128
 

@@ -14,9 +14,9 @@ A new garment, for example a skirt, takes one file and one line. ``gathered_skir
 that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks a value taken from GarmentCode.
 """
 
-from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.design_file import design_from_dict, design_to_dict, read_design
-from gcd_dataset.generator.garments.kind import Kind
+from gcd_dataset.generator.garments.description import TAGS
+from gcd_dataset.generator.garments.design import Kind, OutfitDesign, design_from_dict, design_to_dict, read_design
+from gcd_dataset.generator.garments.drawn import outfit_tags
 from gcd_dataset.generator.garments.outfit import outfit
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
@@ -27,8 +27,6 @@ from gcd_dataset.generator.garments.sampling import (
     sample_draft,
     sample_kind,
 )
-from gcd_dataset.generator.garments.style import outfit_tags
-from gcd_dataset.generator.garments.tags import TAGS
 
 __all__ = [
     "TAGS",

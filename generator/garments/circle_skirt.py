@@ -1,25 +1,94 @@
-"""Circle skirts: two ring sectors, or halves of an off-centre ring. Panels ``skirt_front`` and ``skirt_back``."""
+"""Flared skirts: of one circle, level or tilted, and of many panels; they share their section of a design."""
 
-from dataclasses import replace
-from math import hypot, pi, sqrt
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import atan, atan2, cos, degrees, hypot, pi, sin, sqrt, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
-from gcd_dataset.generator.garments.flare_skirt import (
-    FlareSkirtDesign,
-    HemCutDesign,
-    flare_nouns,
-    flare_skirt_length,
-    flare_tag,
-)
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.panel_shapes import sector
-from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
-from gcd_dataset.generator.garments.tags import Tag
+from gcd_dataset.generator.garments.skirt import (
+    SHORTEST,
+    across,
+    hem_ring,
+    length_below_waist,
+    sector,
+    skirt_panel,
+    waist_ring,
+)
+from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
 from gcd_dataset.records import Measurements
+
+VERY_FULL = 1.5  # suns
+CIRCLES = ((0.375, Tag.A_LINE), (0.75, Tag.HALF_CIRCLE))  # upper bounds of a skirt's suns
+
+
+@dataclass(frozen=True)
+class PanelSkirtDesign(Design):
+    """The division of a flared skirt into panels."""
+
+    n_panels: int = integer(4, 4, 15)
+    panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
+    """Bulge of each panel's hem: sagitta over chord, positive outwards."""
+
+
+@dataclass(frozen=True)
+class HemCutDesign(Design):
+    """A triangular cut in the hem."""
+
+    add: bool = flag(False, keep=0.6)
+    depth: float = real(0.5, 0.05, 0.95, keep=0.6)
+    """Depth of the cut, as a fraction of the skirt's length."""
+    width: float = real(0.1, 0.05, 0.4)
+    """Width of the cut at the hem, as a fraction of the skirt's length."""
+    place: float = real(-0.5, -1.0, 1.0)
+    """Centre of the cut: if positive, in the front, as a fraction of its hem from the wearer's right; if negative, in
+    the back, as a fraction of its hem from the wearer's left."""
+
+
+@dataclass(frozen=True)
+class AsymmetricSkirtDesign(Design):
+    """A circle skirt with its waist cut off centre."""
+
+    front_length: float = real(0.5, 0.1, 0.9, keep=0.5)
+    """Length at the middle of the front, as a fraction of the length behind."""
+
+
+@dataclass(frozen=True)
+class FlareSkirtDesign(Design):
+    """A skirt cut from circles of cloth, or of panels that widen downwards."""
+
+    length: float = real(0.2, -0.2, 0.95)
+    """Depth of the hem below the hips as worn, with or without a waistband, as a fraction of hips to floor."""
+    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
+    """Where the top sits: 0 at the hips, 1 at the waist."""
+    suns: float = real(0.75, 0.1, 1.95)
+    """Number of full circles that front and back together are cut from."""
+    skirt_many_panels: PanelSkirtDesign = part(PanelSkirtDesign, key="skirt-many-panels")
+    asymm: AsymmetricSkirtDesign = part(AsymmetricSkirtDesign)
+    cut: HemCutDesign = part(HemCutDesign)
+
+
+def flare_tag(design: FlareSkirtDesign) -> Tag:
+    """The tag of a flared skirt by its share of a circle."""
+    return next((tag for most, tag in CIRCLES if design.suns < most), Tag.CIRCLE)
+
+
+def flare_nouns(design: FlareSkirtDesign) -> tuple[str, ...]:
+    """Names of a flared skirt by its share of a circle: the tag, and for over a circle and a half its fullness."""
+    tag = flare_tag(design)
+    if tag is Tag.A_LINE:
+        return ("A-line skirt",)
+    return ("very full circle skirt",) if design.suns >= VERY_FULL else (tag.value,)
+
+
+def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
+    """Length from the top to the hem along the cloth [cm]; along the back if the front is shorter."""
+    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
+
 
 LEAST_HEM = 0.01  # share of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
 VISIBLE_CUT = 3.0  # cm: descriptions leave out a shallower cut
@@ -119,7 +188,7 @@ def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
     return replace(design, cut=replace(design.cut, add=False))
 
 
-def _describe(setting: Setting, design: FlareSkirtDesign) -> Description:
+def _describe_circle(setting: Setting, design: FlareSkirtDesign) -> Description:
     cut = _cut_details(setting, design)
     return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *_cut_tags(cut)))
 
@@ -156,7 +225,7 @@ CIRCLE_SKIRT = SimpleBottom(
     design=FlareSkirtDesign,
     cut=circle_skirt,
     length_of=flare_skirt_length,
-    description_of=_describe,
+    description_of=_describe_circle,
     without_slits=_uncut,
     flared=True,
     fullness_parameter="suns",
@@ -174,4 +243,78 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     without_slits=_uncut,
     flared=True,
     remedies=CUT_REMEDIES,
+)
+
+
+def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
+    """Panels sewn to a ring, each at least 5 cm high; ``suns`` sets the length of all hems as for a circle skirt.
+
+    Offers the ring ``top``.
+    """
+    count = design.skirt_many_panels.n_panels
+    length, share = max(cutting.length, SHORTEST), 1 / count
+    top, flare = share * girth_at_rise(size, cutting.rise), share * pi * design.suns * length
+    panel = _with_bent_hem(skirt_panel("skirt_panel", top, length, flare=flare), design.skirt_many_panels.panel_curve)
+    panels = [
+        _placed_in_ring(replace(panel, name=f"skirt_panel_{index}"), index, count).moved((0, size.waist_level, 0))
+        for index in range(count)
+    ]
+    skirt = Component.of(*panels)
+    for before, after in pairwise((*panels, panels[0])):
+        skirt = skirt.sewn(before.against("left"), after.along("right"))
+    return skirt.offering(top=tuple(section for panel in panels for section in across(panel, "top")))
+
+
+def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
+    """The panel with an arc as its hem; ``bulge`` is sagitta over chord, positive outwards.
+
+    Raises ``PatternError`` for a hem that bends inwards over the sides or the top.
+    """
+    if not bulge:
+        return panel
+    hem, side = panel.outline.edge("bottom"), panel.outline.edge("right").chord
+    chord, bend, corner = abs(hem.chord[0]), 2 * atan(2 * abs(bulge)), atan2(side[1], side[0])
+    if bulge < 0 and (bend >= corner or -bulge * chord >= side[1]):
+        figures = f"bends inwards by {degrees(bend):.0f} degrees between sides that stand at {degrees(corner):.0f}"
+        raise PatternError(f"the hem of a skirt panel {figures}: raise flare-skirt.skirt-many-panels.panel_curve")
+    radius = (1 + 4 * bulge**2) / (8 * abs(bulge)) * chord
+    arc = Arc(radius, large=False, right=bulge < 0)  # the hem is drawn from left to right of the wearer
+    return replace(panel, outline=panel.outline.with_strokes((hem,), (replace(hem, curve=arc),)))
+
+
+def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
+    """The upright panel at its place in a ring, which begins at the wearer's right and continues over the front.
+
+    As in GarmentCode: the ring's radius is the inradius of a regular polygon of the hems; the right corner of a panel's
+    top lies on the ring, and the panel's middle faces outwards.
+    """
+    away = panel.outline.length("bottom") / (2 * tan(pi / count))
+    half = 0.5 * panel.outline.length("top")
+    facing, turn = atan2(-away, half), 2 * pi * index / count
+    x, z = half * cos(facing) - away, -half * sin(facing)
+    around = (x * cos(turn) + z * sin(turn), z * cos(turn) - x * sin(turn))
+    return replace(panel.at(around[0], 0, around[1]), rotation=(0, facing + turn, 0))
+
+
+def _describe_panels(setting: Setting, design: FlareSkirtDesign) -> Description:
+    count, curve = number_word(design.skirt_many_panels.n_panels), design.skirt_many_panels.panel_curve
+    (noun,) = flare_nouns(design)
+    details = [Detail(Place.LOWER, ("seams from top to hem between the panels",))]
+    if curve:
+        words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
+        details.append(Detail(Place.HEM, words, main=True))
+    nouns = (f"{count}-panel {noun}", f"{noun} of {count} panels")
+    return Description(nouns, (), tuple(details), tags=(Tag.PANELLED, flare_tag(design)))
+
+
+PANEL_SKIRT = SimpleBottom(
+    name="SkirtManyPanels",
+    section="flare-skirt",
+    design=FlareSkirtDesign,
+    cut=panel_skirt,
+    length_of=flare_skirt_length,
+    description_of=_describe_panels,
+    flared=True,
+    fullness_parameter="suns",
+    remedies=("skirt-many-panels.panel_curve", "suns+"),
 )

@@ -13,10 +13,9 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import CuffGathers
-from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
+from gcd_dataset.generator.garments.description import RUFFLES, CuffGathers
+from gcd_dataset.generator.garments.skirt import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.garments.tags import RUFFLES
 from gcd_dataset.generator.pattern import Component, Interface, Piece
 from gcd_dataset.records import Measurements, PanelRole
 

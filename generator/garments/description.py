@@ -2,6 +2,8 @@
 
 Each garment's record describes it (``Garment.describe``), in the file that draws it. A description names only what is
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
+
+Tags state what is drawn too. ``outfit_tags`` collects those of the garments and adds those of the outfit as a whole.
 """
 
 from collections.abc import Iterable, Mapping
@@ -9,8 +11,68 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Self
 
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.records import Measurements
+
+RUFFLES = 1.2  # least ratio of cloth to its gathered length in a ruffle
+HEMS = (0.35, 0.55, 0.8)  # largest hem depths of mini, knee length and midi, as fractions of hips to floor
+
+
+class Tag(Enum):
+    """A word for a style; its value is the word in ``Sample.tags``."""
+
+    meaning: str
+
+    def __new__(cls, word: str, meaning: str) -> "Tag":
+        member = object.__new__(cls)
+        member._value_, member.meaning = word, meaning
+        return member
+
+    TOP = "top", "a shirt or bodice without skirt or trousers"
+    DRESS = "dress", "a shirt or bodice with a skirt"
+    JUMPSUIT = "jumpsuit", "a shirt or bodice with trousers"
+    SKIRT = "skirt", "a skirt without upper"
+    TROUSERS = "trousers", "trousers, with or without upper"
+    SHIRT = "shirt", "a straight upper without darts"
+    FITTED = "fitted bodice", "an upper fitted to bust and waist, usually by darts"
+    CAPE = "cape", "a sector of a circle round the neck"
+    PONCHO = "poncho", "a rectangle or circle of cloth with a neck opening"
+    MINI = "mini", f"the hem at most {HEMS[0]} of the way from hips to floor"
+    KNEE = "knee-length", f"the hem over {HEMS[0]} and at most {HEMS[1]} of the way from hips to floor"
+    MIDI = "midi", f"the hem over {HEMS[1]} and at most {HEMS[2]} of the way from hips to floor"
+    MAXI = "maxi", f"the hem over {HEMS[2]} of the way from hips to floor"
+    A_LINE = "a-line skirt", "a skirt that widens from waist or hips to hem, by less than three eighths of a circle"
+    HALF_CIRCLE = "half-circle skirt", "from three eighths to less than three quarters of a circle"
+    CIRCLE = "circle skirt", "three quarters of a circle or more, or an off-centre circle"
+    PENCIL = "pencil skirt", "a skirt fitted to the hips, usually by darts, its hem no wider"
+    STRAIGHT = "straight skirt", "a rectangle in front and behind, hardly flared or gathered"
+    GATHERED = "gathered skirt", f"a rectangle or trapezoid, gathered by {RUFFLES} or more at the waist"
+    PANELLED = "panelled skirt", "four or more panels round the body"
+    GODETS = "godet skirt", "triangular inserts in the hem"
+    TIERED = "tiered skirt", "skirts sewn one under the other"
+    SLIT = "slit", "a skirt with an open seam or a notch in its hem"
+    WAISTBAND = "with waistband", "a band at the top of a skirt or trousers"
+    STRAPLESS = "strapless", "a bodice that ends above the bust on both sides"
+    ONE_SHOULDER = "one-shoulder", "a bodice that ends above the bust on one side, and has a shoulder on the other"
+    SLEEVELESS = "sleeveless", "no sleeve on either side"
+    SHORT_SLEEVES = "short sleeves", "two sleeves that end at the elbow or above, with their cuffs"
+    LONG_SLEEVES = "long sleeves", "two sleeves that end below the elbow, with their cuffs"
+    UNEVEN_SLEEVES = "uneven sleeves", "a sleeve on one side only, or a short and a long one"
+    CUFFS = "with cuffs", "a cuff at a sleeve or a trouser leg"
+    ROUND_NECK = "round neck", "a round neckline in front"
+    V_NECK = "v-neck", "a pointed neckline in front, with straight sides"
+    SQUARE_NECK = "square neck", "a neckline with corners in front, square or trapezoid"
+    CURVED_NECK = "curved neck", "a neckline in front that is a free curve, or an arc that bulges inwards"
+    UNEVEN_NECK = "uneven neck", "a front neckline with halves of different shapes"
+    TURTLENECK = "turtleneck", "a standing collar"
+    LAPEL = "lapel", "a turned collar"
+    HOODED = "hooded", "a hood"
+    ASYMMETRIC = "asymmetric", "halves of a shirt that differ, a slanted hem, or an off-centre skirt or tier"
+    RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
+
+
+TAGS: tuple[str, ...] = tuple(tag.value for tag in Tag)
+"""All words that ``Sample.tags`` of a generated garment can hold, in their order there."""
+
 
 Words = tuple[str, ...]
 """Wordings of one fact; a caption chooses one of them."""
@@ -86,7 +148,7 @@ class Description:
     traits: tuple[Words, ...] = ()
     """Adjectives for the outfit that it is part of: "sleeveless"."""
     tags: tuple[Tag, ...] = ()
-    """The tags of the same facts; ``style.outfit_tags`` adds those of the outfit as a whole."""
+    """The tags of the same facts; ``outfit_tags`` adds those of the outfit as a whole."""
 
     def adding(self, *details: Detail) -> Self:
         """The description with more details."""

@@ -1,10 +1,19 @@
 """The design of an outfit: all its parameters, in the order and under the names of GarmentCode's design files."""
 
+import logging
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import islice
+from pathlib import Path
+from reprlib import repr as short
 from typing import Any
 
-from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
+import yaml
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT, FlareSkirtDesign
 from gcd_dataset.generator.garments.garment import Garment, one_of, section_of
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT, GatheredSkirtDesign
 from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT, GodetSkirtDesign
@@ -12,14 +21,28 @@ from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT, LevelsSkir
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, NecklineDesign
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
+from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
-from gcd_dataset.generator.garments.space import Design, choice, flag, part, with_parts
+from gcd_dataset.generator.garments.space import (
+    Design,
+    DesignSpace,
+    choice,
+    flag,
+    part,
+    read_values,
+    require_no_fault,
+    to_dict,
+    unknown_parameters,
+    with_parts,
+)
 from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
+from gcd_dataset.jsonfile import read_toml
+from gcd_dataset.yamlfile import read_yaml
 
 
 @dataclass(frozen=True)
@@ -104,3 +127,150 @@ class OutfitDesign(Design):
         if not self.left.enable_asym:
             return None
         return self.left.shirt.beside(self.shirt), self.left.collar.beside(self.collar), self.left.sleeve
+
+
+log = logging.getLogger(__name__)
+
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+MOST_UNKNOWN = 100  # names that are looked at: aliases of YAML can stand for more than any memory holds
+DEEPEST = 4  # points in the path of a parameter
+LISTED = 12  # ignored parameters in a message
+
+
+def read_design(path: Path | str) -> OutfitDesign:
+    """The design in a YAML, JSON or TOML file: a tree as ``design_from_dict`` takes it. Raises ``ConfigError``."""
+    is_toml = Path(path).suffix.lower() == ".toml"
+    content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
+    sections = {entry.key for entry in DesignSpace.declared(OutfitDesign).entries}
+    if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
+        names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
+        raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
+    try:
+        return _design(content, f"{path}: ")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
+    """The design from nested plain values or from GarmentCode's tree, below ``design`` or not; others are defaults.
+
+    Logs and ignores parameters of another version of GarmentCode (the tree states their range or type) that change
+    nothing: false, zero, null, or of a section that the outfit does not use. Raises ``ConfigError`` with the paths of
+    all other unknown parameters and of all values outside their ranges.
+
+    >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
+    <Bottom.CIRCLE: 'SkirtCircle'>
+    """
+    return _design(values, "")
+
+
+def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
+    """The design as nested plain values, under GarmentCode's names."""
+    return to_dict(design)
+
+
+def write_design(design: OutfitDesign, path: Path | str) -> None:
+    """Write the design as a ``design_params.yaml``, numbers at full precision. Raises ``OutputError``."""
+    write_whole(path, yaml.dump({"design": design_tree(design)}, Dumper=DUMPER, sort_keys=False).encode())
+
+
+def design_tree(design: OutfitDesign) -> dict[str, Any]:
+    """The tree of parameters: each leaf has its value ``v``, its ``range``, ``type`` and ``default_prob``."""
+    return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
+
+
+def _design(values: Mapping[str, Any], source: str) -> OutfitDesign:
+    tree, space = values.get("design", values), DesignSpace.declared(OutfitDesign)
+    if not isinstance(tree, Mapping):
+        raise ConfigError(f"design is {short(tree)}, not a table of parameters")
+    design, faults = read_values(space, tree)
+    used = {entry.key for entry in space.entries if entry.name in design.sections_used()}
+    refused, ignored = [], []
+    unknown = list(islice(unknown_parameters(space, tree), MOST_UNKNOWN))
+    for one in unknown:
+        found = list(islice(_changes(one.path, one.node, used), MOST_UNKNOWN))
+        if MOST_UNKNOWN in (len(unknown), len(found)) or any(changes for _, changes in found):
+            refused.append(one.fault(space))
+        else:
+            ignored += [text for text, _ in found]
+    require_no_fault([*refused, *faults])
+    if ignored:
+        more = f" and {len(ignored) - LISTED} more" if len(ignored) > LISTED else ""
+        log.warning("%signored, as gcd_dataset lacks them: %s%s", source, ", ".join(ignored[:LISTED]), more)
+    return design
+
+
+def _changes(path: str, node: Any, used: set[str]) -> Iterator[tuple[str, bool]]:
+    """The parameters below an unknown name, each with whether it may change the garment, or may be misspelt."""
+    if isinstance(node, Mapping) and "v" not in node and node and path.count(".") < DEEPEST:
+        for key, inner in node.items():
+            yield from _changes(f"{path}.{key}", inner, used)
+        return
+    value = node.get("v") if isinstance(node, Mapping) else node
+    is_foreign = isinstance(node, Mapping) and not node.keys().isdisjoint(("range", "type"))
+    is_neutral = value is None or value == 0 or path.partition(".")[0] not in used
+    yield f"{path[:60]} = {short(value)}", not (is_foreign and is_neutral)
+
+
+def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    return {entry.key: _leaf(entry.space, values[entry.key]) for entry in space.entries if entry.key in values}
+
+
+def _leaf(space: Space | DesignSpace[Any], value: Any) -> dict[str, Any]:
+    if isinstance(space, DesignSpace):
+        return _leaves(space, value)
+    leaf = {"v": plain(space.read(value)), "range": space.range, "type": space.kind}
+    return leaf if space.keep is None else leaf | {"default_prob": space.keep}
+
+
+class Kind(Enum):
+    """Kind of a garment by the part of the body that it covers."""
+
+    UPPER = "upper"
+    LOWER = "lower"
+    FULL = "full-body"
+
+
+HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
+    Kind.UPPER: (True, False),
+    Kind.LOWER: (False, True),
+    Kind.FULL: (True, True),
+}
+"""Whether a garment of each kind has an upper, and whether it has a bottom."""
+
+
+def kind_of(meta: MetaDesign) -> Kind:
+    """The kind of a garment with an upper or a bottom."""
+    parts = (meta.upper is not None, meta.bottom is not None)
+    return next(kind for kind, has in HAS_UPPER_AND_BOTTOM.items() if has == parts)
+
+
+def choice_of(space: DesignSpace[Any], name: str) -> Choice:
+    """The space of the choice parameter with this name."""
+    return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
+
+
+def possible_kinds(meta: DesignSpace[MetaDesign]) -> list[Kind]:
+    """The kinds of garment that the ``meta`` section of a design space allows."""
+    bottoms = choice_of(meta, "bottom").weighted_options
+    return [
+        kind
+        for kind, (_, has_bottom) in HAS_UPPER_AND_BOTTOM.items()
+        if _uppers(meta, kind) and any((bottom is not None) == has_bottom for bottom in bottoms)
+    ]
+
+
+def upper_choice(meta: DesignSpace[MetaDesign], kind: Kind) -> Choice:
+    """The uppers of a kind of garment, without uppers that cannot carry its bottom or waistband."""
+    space = choice_of(meta, "upper")
+    return space.narrowed([plain(upper) for upper in _uppers(meta, kind)])
+
+
+def _uppers(meta: DesignSpace[MetaDesign], kind: Kind) -> list[Upper | None]:
+    has_upper, has_bottom = HAS_UPPER_AND_BOTTOM[kind]
+    hangs_alone = not has_bottom and None in choice_of(meta, "wb").weighted_options
+    return [
+        upper
+        for upper in choice_of(meta, "upper").weighted_options
+        if (upper is not None) == has_upper and (upper is None or upper.garment.carries or hangs_alone)
+    ]

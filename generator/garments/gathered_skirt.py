@@ -3,13 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Place, Setting, Tag
 from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.panel_shapes import skirt_panel
-from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
+from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, skirt_panel, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
-from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements

@@ -6,7 +6,7 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word
+from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
 from gcd_dataset.generator.garments.garment import (
     CombinedBottom,
     Cutting,
@@ -19,7 +19,6 @@ from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
 from gcd_dataset.records import Measurements

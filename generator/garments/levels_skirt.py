@@ -7,7 +7,16 @@ from math import radians
 from typing import Any, TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, number_word, with_article
+from gcd_dataset.generator.garments.description import (
+    RUFFLES,
+    Description,
+    Detail,
+    Place,
+    Setting,
+    Tag,
+    number_word,
+    with_article,
+)
 from gcd_dataset.generator.garments.garment import (
     CombinedBottom,
     Cutting,
@@ -21,7 +30,6 @@ from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.skirt import SHORTEST
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
-from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 

@@ -16,7 +16,7 @@ from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
 GRAVITY = 9.81  # m/s²
-STIFFNESS = 500.0  # N·m/kg: tensile stiffness over density of the default fabric, ``drape.fabric.STIFFEST``
+STIFFNESS = 500.0  # N·m/kg: tensile stiffness over density of the default fabric, ``drape.fabrics.STIFFEST``
 FRICTION = 0.5  # Coulomb coefficient of cloth against skin, as in ``Fabric``
 M2 = 1e-4  # m² per cm²
 STRAPS_GIVE = 1.4  # largest stretch at shoulder seams: a panel of a clean garment is stretched by 1.5 at most

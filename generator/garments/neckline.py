@@ -10,8 +10,8 @@ from typing import NamedTuple
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.collar import STYLES, Collar, CollarDesign
+from gcd_dataset.generator.garments.description import Tag
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import blend
 from gcd_dataset.generator.pattern import Stroke
 from gcd_dataset.records import EdgeRole, Measurements

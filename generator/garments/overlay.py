@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, shown
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.kind import choice_of, possible_kinds
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, choice_of, possible_kinds
 from gcd_dataset.generator.garments.parameter import NONE, Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_no_fault, unknown_parameters
 from gcd_dataset.jsonfile import read_toml

@@ -14,12 +14,11 @@ import numpy as np
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
-from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting, Tag
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import (
     back_at_rise,
     drawn_rise,

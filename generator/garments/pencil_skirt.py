@@ -9,12 +9,11 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting, Tag
 from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.trunk import (
     back_at_rise,
     drawn_rise,

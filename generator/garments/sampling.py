@@ -26,8 +26,16 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments.design import LeftDesign, MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.kind import HAS_UPPER_AND_BOTTOM, Kind, choice_of, possible_kinds, upper_choice
+from gcd_dataset.generator.garments.design import (
+    HAS_UPPER_AND_BOTTOM,
+    Kind,
+    LeftDesign,
+    MetaDesign,
+    OutfitDesign,
+    choice_of,
+    possible_kinds,
+    upper_choice,
+)
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw

@@ -10,6 +10,7 @@ from gcd_dataset.generator.garments.description import (
     Detail,
     Place,
     Setting,
+    Tag,
     Words,
     with_article,
 )
@@ -22,7 +23,6 @@ from gcd_dataset.generator.garments.neckline import (
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tag, sleeve_words
-from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
 from gcd_dataset.records import Measurements
 

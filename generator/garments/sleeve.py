@@ -1,20 +1,63 @@
 """Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is a mirrored right sleeve."""
 
+from bisect import bisect_left
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import lru_cache
 from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
+import shapely
+import shapely.affinity
 
-from gcd_dataset.curves import Point
-from gcd_dataset.generator.garments.armhole import Armhole
+from gcd_dataset.curves import Cubic, Point
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
-from gcd_dataset.generator.garments.description import UNGATHERED, CuffGathers
+from gcd_dataset.generator.garments.description import RUFFLES, UNGATHERED, CuffGathers, Tag
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
-from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
-from gcd_dataset.records import Measurements, PanelRole
+from gcd_dataset.records import EdgeRole, Measurements, PanelRole
+
+CURVE = Cubic((0.2, -0.35), (0.5, -0.2))  # edge frame, from underarm to shoulder, GarmentCode
+
+
+class Armhole(Enum):
+    """Shape of an armhole, by GarmentCode's name."""
+
+    SQUARE = "ArmholeSquare"
+    ANGLE = "ArmholeAngle"
+    CURVE = "ArmholeCurve"
+
+
+def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tuple[Stroke, ...]:
+    """The edge from the underarm at (0, 0) to the shoulder, ``width`` inwards and ``depth`` upwards [cm].
+
+    ``corner``: position of the corner of an angled armhole, as a fraction of its width and height.
+    """
+    drawn = DRAWINGS[kind](width, depth, corner)
+    return tuple(replace(stroke, name="armhole", label=EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
+
+
+def _square(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).line(width, 0).line(width, depth)
+
+
+def _angle(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).line((1 - corner) * width, corner * depth).line(width, depth)
+
+
+def _curve(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).curve(width, depth, CURVE)
+
+
+DRAWINGS: Mapping[Armhole, Callable[[float, float, float], Outline]] = {
+    Armhole.SQUARE: _square,
+    Armhole.ANGLE: _angle,
+    Armhole.CURVE: _curve,
+}
+"""Drawing functions of width [cm], depth [cm] and corner."""
+
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
@@ -233,3 +276,51 @@ def _gathered(strokes: tuple[Stroke, ...], factor: float) -> tuple[Stroke, ...]:
         return (x0 + factor * (point[0] - x0), y0 + factor * (point[1] - y0))
 
     return tuple(replace(stroke, start=enlarged(stroke.start), end=enlarged(stroke.end)) for stroke in strokes)
+
+
+SLEEVE_GAP = 1.0  # cm by which a sleeve starts inside its armhole, GarmentCode
+SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre per degree, GarmentCode
+OVERLAP = 150.0  # cm²: largest overlap of sleeve and trunk, seen from the front; plain shirts with it drape cleanly
+DRAWN_OUT = 24  # cm: upper bound of a sleeve's shift along the arm
+
+
+def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
+    """The right half of an upper body with a sleeve sewn to its armhole; needs ``ArmholeCurve`` in front and behind."""
+    front, back = half.piece("right_ftorso"), half.piece("right_btorso")
+    half = half.offering(armhole=front.along("armhole") + back.against("armhole"))
+    gap = SLEEVE_GAP + SLEEVE_GAP_BY_ANGLE * size.arm_pose_angle
+    arm = sleeve_of(size, design, half, mends=mends)
+    arm = arm.placed_by("opening", half, "armhole", gap=-gap, top=True)
+    if Mend.SLEEVE_START in mends:
+        arm = _clear_of(half, arm, size.arm_pose_angle)
+    band = {name: ring for name, ring in arm.interfaces.items() if name == "band"}
+    sewn = Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole"))
+    return sewn.offering(**half.interfaces, **band)
+
+
+def sleeve_of(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
+    """The right sleeve for the armhole of a half, with its cuff, not yet placed: see ``sleeve``."""
+    front, back = (half.piece(name).outline.edge("armhole") for name in ("right_ftorso", "right_btorso"))
+    return sleeve(size, design, front, back, mends=mends)
+
+
+def _clear_of(half: Component, arm: Component, angle: float) -> Component:
+    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as on a plain shirt.
+
+    Without the shift, shirts with wide sides or gathered sleeves tangle while their seams close.
+    """
+    trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
+    silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
+    along = (-cos(angle), -sin(angle))
+
+    def is_clear(step: int) -> bool:
+        moved = shapely.affinity.translate(silhouette, step * along[0], step * along[1])
+        return bool(moved.intersection(trunk).area <= OVERLAP)
+
+    step = 0 if is_clear(0) else bisect_left(range(DRAWN_OUT), True, lo=1, key=is_clear)
+    return arm.moved((step * along[0], step * along[1], 0.0)) if step else arm
+
+
+def _silhouette(piece: Piece) -> shapely.Polygon:
+    """A piece as seen from the front [cm]."""
+    return shapely.Polygon(piece.points()[:, :2]).buffer(0)

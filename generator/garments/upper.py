@@ -1,4 +1,4 @@
-"""Shirts, straight or fitted: two halves, mirror images unless the design is asymmetric."""
+"""Uppers: straight and fitted shirts, sewn of two halves, and their records."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,7 +10,10 @@ from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.shirt_words import describe_shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half
-from gcd_dataset.generator.pattern import Component, backwards
+from gcd_dataset.generator.pattern import (
+    Component,
+    backwards,
+)
 from gcd_dataset.records import Measurements
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum
 
-from gcd_dataset.generator.garments.panel_shapes import band, sector
+from gcd_dataset.generator.garments.skirt import band, sector
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Piece

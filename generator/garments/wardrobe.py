@@ -2,16 +2,14 @@
 
 from typing import Any
 
-from gcd_dataset.generator.garments.cape import CAPE
-from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
+from gcd_dataset.generator.garments.capes import CAPE, PONCHO
+from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT, PANEL_SKIRT
 from gcd_dataset.generator.garments.garment import BottomGarment, Garment, GarmentChoice, UpperGarment
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT
 from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT
-from gcd_dataset.generator.garments.panel_skirt import PANEL_SKIRT
 from gcd_dataset.generator.garments.pants import PANTS
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
-from gcd_dataset.generator.garments.poncho import PONCHO
 from gcd_dataset.generator.garments.upper import FITTED_SHIRT, STRAIGHT_SHIRT
 
 

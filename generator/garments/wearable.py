@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.kind import choice_of
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, choice_of
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import (

@@ -20,8 +20,7 @@ from gcd_dataset.generator.pattern.component import Component
 from gcd_dataset.generator.pattern.cubic_fit import s_shaped_cubic, smooth_cubic
 from gcd_dataset.generator.pattern.dart import cut_corner, cut_end, cut_into, dart, notch
 from gcd_dataset.generator.pattern.outline import Outline
-from gcd_dataset.generator.pattern.piece import Piece
-from gcd_dataset.generator.pattern.seam import Interface, backwards
+from gcd_dataset.generator.pattern.piece import Interface, Piece, backwards
 from gcd_dataset.generator.pattern.stroke import Stroke, chain_from, rotate
 from gcd_dataset.generator.pattern.tangent import tangent_quadratic
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.component import Component
-from gcd_dataset.generator.pattern.piece import Piece
-from gcd_dataset.generator.pattern.seam import Interface, Join, shared_breaks
+from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, shared_breaks
 from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.piece import Piece, Vector
-from gcd_dataset.generator.pattern.seam import Interface, Join
+from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, Vector
 from gcd_dataset.records import EdgeRole, PanelRole
 
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
-    from gcd_dataset.generator.render.depth_noise import KINECT, NOISELESS, DepthNoise
     from gcd_dataset.generator.render.draw import Ranges, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.environment import (
         Environment,
@@ -59,7 +58,16 @@ if TYPE_CHECKING:
         render_sample,
         render_view,
     )
-    from gcd_dataset.generator.render.scans import PointScan, ScanRanges, draw_scan_cameras, scan, scan_cameras
+    from gcd_dataset.generator.render.scans import (
+        KINECT,
+        NOISELESS,
+        DepthNoise,
+        PointScan,
+        ScanRanges,
+        draw_scan_cameras,
+        scan,
+        scan_cameras,
+    )
     from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
     from gcd_dataset.generator.render.sketches import FLAT, HAND, SketchStyle, sketch, sketch_camera
 

@@ -2,26 +2,54 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
 import warp as wp
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.render import plain_kernels
+from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import Cloth, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.plain_batch import thresholds
-from gcd_dataset.generator.render.points import Points, points_of
-from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
 from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
+from gcd_dataset.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Record):
+    """Panel corners, then landmarks, as one camera sees them."""
+
+    positions: Float[np.ndarray, "n 3"]
+    """[cm]"""
+    pixels: Float[np.ndarray, "n 2"]
+    """Column and row; NaN behind the camera."""
+    in_picture: Bool[np.ndarray, " n"]
+    corners: int
+    """Number of panel corners."""
+    panel_corners: Int[np.ndarray, "k 2"]
+    landmark_names: tuple[str, ...]
+
+
+def points_of(scene: Scene, camera: Camera, size: int) -> Points:
+    """The points of a scene in a picture of ``size`` pixels."""
+    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
+    marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
+    positions = np.concatenate([corners, marks])
+    pixels = camera.project(positions, size)
+    inside = np.asarray((np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1))
+    return Points(positions, pixels, inside, len(corners), scene.panel_corners, tuple(scene.landmarks))
+
 
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU
@@ -69,7 +97,6 @@ def start_pictures(
     size: int,
     maps: Sequence[MapName] = (),
     device: str = "auto",
-    profile: Profile | None = None,
 ) -> "PendingPictures":
     """Start ``render`` of all views at once; a GPU works in the background.
 
@@ -79,7 +106,7 @@ def start_pictures(
     device = resolve_device(device)
     load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
     keep_some_memory(device)
-    return PendingPictures(scenes, views, size, maps, device, profile)
+    return PendingPictures(scenes, views, size, maps, device)
 
 
 class PendingPictures:
@@ -92,12 +119,10 @@ class PendingPictures:
         size: int,
         maps: Sequence[MapName],
         device: str,
-        profile: Profile | None = None,
     ) -> None:
-        self._views, self._size, self._maps, self._profile = views, size, tuple(maps), profile
+        self._views, self._size, self._maps = views, size, tuple(maps)
         self._staging = StagingBuffers(device)
-        with in_stage(profile, "points"):
-            self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
+        self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
@@ -105,21 +130,14 @@ class PendingPictures:
             return
         used = sorted({view.scene for view in views})
         kept = [scenes[row] for row in used]
-        with in_stage(profile, "borders, hair"):
-            solids = [solid_of(scene) for scene in kept]
-        with in_stage(profile, "staging"):
-            staged = stage(kept, solids, self._staging)
-        with in_stage(profile, "materials"):
-            materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
-            inputs = self._stage_views(materials)
-        uploaded_bytes = self._staging.bytes
+        solids = [solid_of(scene) for scene in kept]
+        staged = stage(kept, solids, self._staging)
+        materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
+        inputs = self._stage_views(materials)
         with launch_lock:
-            uploaded = upload(staged, profile)
+            uploaded = upload(staged)
             self._kept = uploaded, self._launch(uploaded, materials, inputs, device)
             self._rendered = self._staging.event()
-        if profile is not None:
-            profile.add_bytes("to device", uploaded_bytes)
-            profile.add_bytes("to host", self._staging.bytes - uploaded_bytes)
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""
@@ -129,18 +147,16 @@ class PendingPictures:
     def pictures(self) -> list[Picture]:
         """Wait for the pictures. Call once: this releases the buffers."""
         lent = self.lend()
-        with in_stage(self._profile, "pictures"):
-            if not self._staging.locked:  # no other rendering gets these buffers
-                return lent
-            self._results = {name: array.copy() for name, array in self._results.items()}
-            self._staging.release()
-            return list(self._finished())
+        if not self._staging.locked:  # no other rendering gets these buffers
+            return lent
+        self._results = {name: array.copy() for name, array in self._results.items()}
+        self._staging.release()
+        return list(self._finished())
 
     def lend(self) -> list[Picture]:
         """Wait for the pictures; for a GPU their arrays are staging memory, valid until ``release``."""
-        with in_stage(self._profile, "wait"):
-            while not self.ready():  # other threads launch meanwhile
-                time.sleep(POLL)
+        while not self.ready():  # other threads launch meanwhile
+            time.sleep(POLL)
         with launch_lock:
             self._kept = None  # frees the meshes
         return list(self._finished())
@@ -191,22 +207,18 @@ class PendingPictures:
         self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
     ) -> list[wp.array]:
         """Launch all passes and the copies of their results; returns the arrays that these read."""
-        profile = self._profile
-        with in_stage(profile, "upload"):
-            given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
+        given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
         sheer = np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist()
-        outputs = {"rgb": _shade(up, given, sheer, self._size, device, profile)}
-        with in_stage(profile, "truths"):
-            outputs |= _truths(up, given["shots"], self._maps, self._size, device)
-            seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
-            outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
-            wp.launch(truths.see_points, len(given["owner"]), inputs=seen, outputs=[outputs["visible"]], device=device)
-        with in_stage(profile, "download"):
-            for name, array in outputs.items():
-                kind = wp.dtype_to_numpy(array.dtype)
-                self._results[name] = self._staging.array(array.shape, kind)
-                if array.size:
-                    wp.copy(wrapped(self._results[name], array.dtype), array)
+        outputs = {"rgb": _shade(up, given, sheer, self._size, device)}
+        outputs |= _truths(up, given["shots"], self._maps, self._size, device)
+        seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
+        outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
+        wp.launch(truths.see_points, len(given["owner"]), inputs=seen, outputs=[outputs["visible"]], device=device)
+        for name, array in outputs.items():
+            kind = wp.dtype_to_numpy(array.dtype)
+            self._results[name] = self._staging.array(array.shape, kind)
+            if array.size:
+                wp.copy(wrapped(self._results[name], array.dtype), array)
         return [*given.values(), *outputs.values()]
 
 
@@ -239,9 +251,7 @@ def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
         yield batch
 
 
-def _shade(
-    up: Uploaded, given: dict[str, wp.array], sheer: Sequence[int], size: int, device: str, profile: Profile | None
-) -> wp.array:
+def _shade(up: Uploaded, given: dict[str, wp.array], sheer: Sequence[int], size: int, device: str) -> wp.array:
     """The pictures (shot, h, w, 3); ``sheer`` are the scenes with sheer cloth."""
     shots = given["shots"]
     rays = (len(shots), size, size, SIDE**2)
@@ -255,17 +265,13 @@ def _shade(
     cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
     floor = wp.empty(cells, dtype=float, device=device)
     picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
-    with in_stage(profile, "cast"):
-        inputs = [up.scenes, shots, SIDE]
-        wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
-    with in_stage(profile, "sky"):
-        wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
-    with in_stage(profile, "floor"):
-        wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+    inputs = [up.scenes, shots, SIDE]
+    wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
+    wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
+    wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
     materials = [given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow")]
     inputs = [up.scenes, shots, *materials, up.middle, sky, floor, SIDE, hit_face, hit_uv, thresholds(device)]
-    with in_stage(profile, "shade"):
-        wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
     return picture
 
 

@@ -21,7 +21,7 @@ class EnvironmentKind(IntEnum):
     SWEEP = 1
     """A studio's paper sweep: floor and wall in one curve, with the figure's shadow."""
     ROOM = 2
-    """A room with floor boards or tiles, walls, a window and simple furniture."""
+    """A room with a tiled floor, and walls with windows and pictures."""
     NOISE = 3
     """Blurred blobs of colour, as a place out of focus."""
     PHOTOGRAPH = 4
@@ -36,7 +36,7 @@ class Environment(Record):
 
     kind: EnvironmentKind = EnvironmentKind.SWEEP
     colours: tuple[RGB, RGB, RGB] = ((0.86, 0.86, 0.86), (0.80, 0.80, 0.80), (0.7, 0.7, 0.7))
-    """sRGB, 0 to 1. Gradient: top and bottom. Sweep: wall, floor. Room: walls, floor, furniture. Noise: all three."""
+    """sRGB, 0 to 1. Gradient: top and bottom. Sweep: wall, floor. Room: walls, floor, pictures. Noise: all three."""
     light: tuple[RGB, RGB, RGB] = ((1.0, 1.0, 1.0), (0.9, 0.9, 0.9), (0.55, 0.55, 0.55))
     """Linear light from above, from the sides and from below; a panorama's own light replaces it."""
     size: float = 320.0
@@ -46,7 +46,7 @@ class Environment(Record):
     image: Photograph | None = field(default=None)
     """Linear colours of a photograph or panorama, row by row from the top."""
     seed: int = 0
-    """Key of boards, furniture and blobs."""
+    """Key of tiles, windows and blobs."""
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.render.plain_batch import Picture, Scene, View, start_render
 from gcd_dataset.records import Body, BoxMesh, Sample
 

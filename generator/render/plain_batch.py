@@ -10,9 +10,9 @@ import warp as wp
 from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.lay_plan import PAPER
 from gcd_dataset.generator.render import plain_kernels
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.plain_kernels import (

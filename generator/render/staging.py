@@ -23,13 +23,10 @@ class StagingBuffers:
         self.device = device
         self.locked = wp.get_device(device).is_cuda
         self._in_use: list[wp.array] = []
-        self.bytes = 0
-        """Sum of all arrays so far."""
 
     def array(self, shape: tuple[int, ...], kind: type | np.dtype) -> Shaped[np.ndarray, "*shape"]:
         """An uninitialised array, valid until ``release``."""
         needed = math.prod(shape) * np.dtype(kind).itemsize
-        self.bytes += needed
         size = buffer_size(needed)
         if not self.locked:
             return np.empty(shape, kind)

@@ -12,7 +12,6 @@ from gcd_dataset.generator.render.geometry import Solid
 from gcd_dataset.generator.render.kernels.prepare import border_distances
 from gcd_dataset.generator.render.kernels.records import Scenes
 from gcd_dataset.generator.render.plain_batch import vertex_normals
-from gcd_dataset.generator.render.profile import Profile, in_stage
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device
 
@@ -78,27 +77,24 @@ def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuff
     return staged
 
 
-def upload(staged: Staged, profile: Profile | None = None) -> Uploaded:
+def upload(staged: Staged) -> Uploaded:
     """Copy the scenes to the device, in few large copies; a GPU works asynchronously."""
     device, up = staged.staging.device, Scenes()
-    with in_stage(profile, "upload"):
-        for name, (values, dtype) in staged.fields.items():
-            setattr(up, name, to_device(values, dtype, device))
-        others = {name: to_device(values, dtype, device) for name, (values, dtype) in staged.others.items()}
-    with in_stage(profile, "normals, borders"):
-        up.normal, rows = vertex_normals(up.corner, up.position, device), len(up.uv)
-        up.border, up.seam = wp.empty(rows, dtype=wp.vec4, device=device), wp.empty(rows, dtype=int, device=device)
-        inputs = [others["segments"], others["panel_of_row"], up.uv, others["ends"], others["seam"], others["along"]]
-        wp.launch(border_distances, rows, inputs=inputs, outputs=[up.border, up.seam], device=device)
+    for name, (values, dtype) in staged.fields.items():
+        setattr(up, name, to_device(values, dtype, device))
+    others = {name: to_device(values, dtype, device) for name, (values, dtype) in staged.others.items()}
+    up.normal, rows = vertex_normals(up.corner, up.position, device), len(up.uv)
+    up.border, up.seam = wp.empty(rows, dtype=wp.vec4, device=device), wp.empty(rows, dtype=int, device=device)
+    inputs = [others["segments"], others["panel_of_row"], up.uv, others["ends"], others["seam"], others["along"]]
+    wp.launch(border_distances, rows, inputs=inputs, outputs=[up.border, up.seam], device=device)
     # One BVH for each scene: the BVH decides which of two faces a ray through their common edge hits, so a shared BVH
     # would make the picture of a scene depend on the other scenes.
     leaf, tree = (LEAF, TREE) if staged.staging.locked else (None, None)
-    with in_stage(profile, "trees"):
-        meshes = [
-            wp.Mesh(up.position, up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf, bvh_constructor=tree)
-            for begin, end in pairwise(staged.first_face)
-        ]
-        up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
+    meshes = [
+        wp.Mesh(up.position, up.corner[3 * begin : 3 * end], bvh_leaf_size=leaf, bvh_constructor=tree)
+        for begin, end in pairwise(staged.first_face)
+    ]
+    up.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
     return Uploaded(up, others["middle"], meshes, staged.first_vertex)
 
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.cases.render import _stages, embree_maps
+from benchmarks.cases.render import embree_maps
 from benchmarks.peers.pyrender_egl import pyrender_depths, require_pyrender, vertex_normals
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render import look_at
-from gcd_dataset.generator.render.profile import Profile
 
 
 def test_embrees_depth_and_shadow_of_a_ball() -> None:
@@ -47,22 +46,3 @@ def test_pyrenders_depth_of_a_ball() -> None:
     seen = np.isfinite(expected)
     assert (seen == (depth > 0)).mean() > 0.99
     assert np.median(np.abs(depth - expected)[seen & (depth > 0)]) < 0.2
-
-
-def test_stages_are_of_one_garment_and_add_up() -> None:
-    profile = Profile("cpu")
-    profile.host |= {"cast": 0.8, "shade": 1.2}
-    profile.cpu |= {"cast": 0.4, "shade": 1.2}
-    profile.add_bytes("to host", 8 << 20)
-    figures = {figure.metric: figure.value for figure in _stages(profile, "256_", 4)}
-    assert figures == pytest.approx(
-        {
-            "256_cast_host_ms": 200.0,
-            "256_cast_cpu_ms": 100.0,
-            "256_shade_host_ms": 300.0,
-            "256_shade_cpu_ms": 300.0,
-            "256_sum_host_ms": 500.0,
-            "256_sum_cpu_ms": 400.0,
-            "256_copied_to_host": 2.0,
-        }
-    )

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r'^```(\w+) title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 BLOCKS = BLOCK.findall((ROOT / "CONTRIBUTING.md").read_text())
-COPIED = ("gcd_dataset", "generator", "loaders", "benchmarks", "tests/generator", "tests/benchmarks")
+COPIED = ("gcd_dataset", "generator", "loaders", "benchmarks", "tools", "tests/generator", "tests/benchmarks")
 EXAMPLES = ("garment", "measure", "fabric", "rule", "benchmark")
 TESTS = [title for _, title, _ in BLOCKS if title.startswith("tests/")]
 

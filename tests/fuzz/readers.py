@@ -31,7 +31,7 @@ from gcd_dataset.faults import check_pattern, require_valid
 from gcd_dataset.generator.body import named_body, read_body
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.dressing import dress
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml

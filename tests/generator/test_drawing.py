@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
+from gcd_dataset.generator.lay_plan import PAPER
 from tests.helpers import napkins
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.quality import sample_surface
 
 
 def test_points_of_a_ball_lie_on_it_with_outward_normals() -> None:

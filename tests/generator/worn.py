@@ -1,6 +1,7 @@
 """Designs with their patterns: drawn from values, or sampled, on a woman, a man and a stout woman in turn."""
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,12 +43,13 @@ def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
                 yield Worn(size, design, pattern)
 
 
+@cache
 def sampled_wardrobe() -> list[Worn]:
     """Sampled designs, with capes and ponchos, which only overlays choose."""
     alone = {"wb": "none", "bottom": "none"}
     rare = [{"meta": {"upper": name, **alone}} for name in ("Cape", "Poncho")]
     levels = {"meta": {"upper": "none", "bottom": "SkirtLevels"}}
-    return [*sampled(180), *sampled(8, *rare), *sampled(25, levels)]
+    return [*sampled(114), *sampled(5, *rare), *sampled(12, levels)]
 
 
 def edges(pattern: Pattern) -> set[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.records import Outcome
 from gcd_dataset.viewer.design_desk import Desk, controls, measure_controls
 

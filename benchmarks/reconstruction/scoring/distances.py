@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from gcd_dataset.errors import SpecError
 from gcd_dataset.files import open_regular
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.quality import sample_surface
 
 WORST = 100.0  # cm: the distance of a failed prediction, and the largest that is reported
 SAMPLES = 4096  # points of a surface

@@ -1,1 +1,1 @@
-"""The drape's Warp kernels; ``drape.reference`` computes elastic energies and intersection tests in NumPy."""
+"""The drape's Warp kernels; the tests compute elastic energies and intersection tests again in NumPy."""

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
+from gcd_dataset.generator.drape.fabrics import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
 
 wp.set_module_options({"enable_backward": False})
 

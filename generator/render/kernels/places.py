@@ -14,7 +14,6 @@ NOISE = wp.constant(3)
 PHOTOGRAPH = wp.constant(4)
 PANORAMA = wp.constant(5)
 CEILING = 275.0  # cm
-BOXES = 4  # pieces of furniture
 
 
 @wp.struct
@@ -114,7 +113,7 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
     normal[wall] = -wp.sign(d[wall])
     b.colour = shot.wall
     if wall == 1 and d[1] < 0.0:
-        b.colour = floor_boards(shot, p)
+        b.colour = floor_tiles(shot, p)
         b.floor = 1.0
     elif wall == 1:
         b.colour = wp.vec3(0.8, 0.8, 0.78)
@@ -136,85 +135,9 @@ def room(b: Behind, shot: Shot, middle: wp.vec3, direction: wp.vec3) -> Behind:
         edge = wp.min(edge, half - wp.abs(p[2]))
     # Before a camera outside, floor and walls go on.
     b.colour = b.colour * (1.0 - 0.35 * b.lit * wp.exp(-wp.max(edge, 0.0) / 35.0))
-    for k in range(BOXES):
-        lower = furniture(shot, k, 0, half)
-        upper = furniture(shot, k, 1, half)
-        near = float(-1.0e5)
-        far = float(1.0e5)
-        face = int(0)
-        for axis in range(3):
-            inverse = 1.0 / (d[axis] + 1.0e-7)
-            first = (lower[axis] - eye[axis]) * inverse
-            second = (upper[axis] - eye[axis]) * inverse
-            if wp.min(first, second) > near:
-                near = wp.min(first, second)
-                face = axis
-            far = wp.min(far, wp.max(first, second))
-        if near < far and near > 0.9 * wp.length(eye) and near < t:  # not before the figure
-            t = near
-            p = eye + d * t
-            normal = wp.vec3(0.0, 0.0, 0.0)
-            normal[face] = -wp.sign(d[face])
-            shade = 0.6 + 0.5 * random2(k, 3, shot.place_seed, 5)
-            b.colour = wp.lerp(shot.accent, shot.floor, 0.7 * random2(k, 4, shot.place_seed, 5)) * shade
-            b.colour = cabinet_front(shot, b.colour, p, lower, upper, face, k)
-            b.lit = 1.0
-            b.floor = 0.0
     b.normal = unturned(shot, normal)
     b.point = unturned(shot, p) + wp.vec3(middle[0], 0.0, middle[2])
     return b
-
-
-@wp.func
-def cabinet_front(shot: Shot, colour: wp.vec3, p: wp.vec3, lower: wp.vec3, upper: wp.vec3, face: int,
-                  k: int) -> wp.vec3:  # fmt: skip
-    """A piece of furniture at a point of its surface: a top that overhangs, a plinth, doors or drawers with handles."""
-    grain = 1.0 + 0.08 * fractal2(wp.vec2(p[1] * 0.06, (p[0] + p[2]) * 0.5), 3, shot.place_seed + k)
-    wood = colour * grain
-    if face == 1:
-        return wood * 1.1
-    under = upper[1] - p[1]
-    if under < 3.0:
-        return wood * 1.08
-    shadow = 1.0 - 0.45 * wp.exp(-(under - 3.0) / 2.5)
-    if p[1] < 7.0:
-        return wood * 0.35
-    along = p[2] - lower[2]
-    length = upper[2] - lower[2]
-    if face == 2:
-        along = p[0] - lower[0]
-        length = upper[0] - lower[0]
-    columns = wp.max(1.0, wp.floor(length / 48.0))
-    rows = 1.0 + wp.floor(3.9 * random2(k, 5, shot.place_seed, 5))
-    wide = length / columns
-    high = (upper[1] - 10.0) / rows
-    x = fraction(along / wide) * wide
-    y = fraction((p[1] - 7.0) / high) * high
-    gap = wp.min(wp.min(x, wide - x), wp.min(y, high - y))
-    wood = wood * (shadow * (0.45 + 0.55 * ramp(0.2, 0.9, gap)))
-    handle = wp.max(wp.abs(x - 0.5 * wide) / 7.0, wp.abs(y - 0.75 * high) / 0.7)
-    if rows < 2.0:  # doors: a knob at the edge
-        handle = wp.length(wp.vec2(x - wide + 5.0, y - 0.6 * high)) / 1.6
-    if handle < 1.0:
-        return wp.vec3(0.25, 0.24, 0.22)
-    return wood
-
-
-@wp.func
-def furniture(shot: Shot, k: int, corner: int, half: float) -> wp.vec3:
-    """Lower or upper corner of a piece of furniture: one beside each wall, at random along it."""
-    along = (random2(k, 0, shot.place_seed, 1) - 0.5) * 1.3 * half
-    wide = 25.0 + 60.0 * random2(k, 0, shot.place_seed, 2)
-    deep = 20.0 + 35.0 * random2(k, 0, shot.place_seed, 3)
-    high = 38.0 + 90.0 * random2(k, 0, shot.place_seed, 4) * random2(k, 1, shot.place_seed, 4)
-    sign = 2.0 * float(corner) - 1.0
-    wall = half - deep
-    if k % 2 == 1:
-        wall = -wall
-    y = high * float(corner)
-    if k < 2:
-        return wp.vec3(wall + sign * deep, y, along + sign * wide)
-    return wp.vec3(along + sign * wide, y, wall + sign * deep)
 
 
 @wp.func
@@ -243,22 +166,8 @@ def wall_colour(shot: Shot, x: float, y: float, number: int) -> wp.vec3:
 
 
 @wp.func
-def floor_boards(shot: Shot, p: wp.vec3) -> wp.vec3:
-    """Boards with grain, or tiles, by the place's seed; a rug on some floors."""
-    rug = random2(1, 1, shot.place_seed, 7)
-    if rug < 0.4 and wp.abs(p[0]) < 130.0 and wp.abs(p[2]) < 95.0:
-        edge = wp.min(130.0 - wp.abs(p[0]), 95.0 - wp.abs(p[2]))
-        if edge > 6.0 and edge < 10.0:
-            return shot.wall * 0.7
-        return shot.accent * (0.85 + 0.1 * noise2(wp.vec2(p[0], p[2]) * 1.5, shot.place_seed))
-    if random2(2, 1, shot.place_seed, 7) < 0.7:
-        board = int(wp.floor(p[0] / 14.0))
-        shift = 90.0 * random2(board, 0, shot.place_seed, 8)
-        piece = int(wp.floor((p[2] + shift) / 110.0))
-        tone = 0.78 + 0.35 * random2(board, piece, shot.place_seed, 9)
-        grain = 1.0 + 0.10 * fractal2(wp.vec2(p[0] * 0.5, p[2] * 0.03 + 7.0 * float(board)), 3, shot.place_seed)
-        gap = wp.min(fraction(p[0] / 14.0), 1.0 - fraction(p[0] / 14.0)) * 14.0
-        return shot.floor * (tone * grain * (0.6 + 0.4 * ramp(0.0, 0.5, gap)))
+def floor_tiles(shot: Shot, p: wp.vec3) -> wp.vec3:
+    """Tiles of slightly different tones."""
     tile = 45.0
     x = fraction(p[0] / tile)
     z = fraction(p[2] / tile)

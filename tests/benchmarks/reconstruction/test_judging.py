@@ -16,7 +16,7 @@ from benchmarks.reconstruction.scoring.bodies import wearers_of
 from benchmarks.reconstruction.scoring.distances import read_shape
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.vertex_labels import VertexLabels
-from gcd_dataset.generator.colours import PALETTE
+from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern

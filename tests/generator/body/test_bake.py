@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.body.anny_bodies import rotation_between
-from gcd_dataset.generator.body.bake import COMPONENTS, _regressed, principal
+from tools.body_model.anny_bodies import rotation_between
+from tools.body_model.bake import COMPONENTS, _regressed, principal
 
 
 def test_principal_components_recover_planted_ones() -> None:

@@ -9,10 +9,8 @@ import trimesh
 
 from gcd_dataset.bodyfiles import read_body_parts
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import build_body, female_shape, read_body
-from gcd_dataset.generator.body.closing import WIDEST_HOLE, ClosedSkin
-from gcd_dataset.generator.drape.body_field import body_field
-from gcd_dataset.records import Body, BodyPart
+from gcd_dataset.generator.body.repair import WIDEST_HOLE, ClosedSkin
+from gcd_dataset.records import Body
 from tests.helpers import body_from
 
 
@@ -33,10 +31,6 @@ def without_cap(body: Body, radius: float) -> np.ndarray:
     """The faces with no vertex within ``radius`` of the vertex with the largest z."""
     near = np.linalg.norm(body.vertices - body.vertices[body.vertices[:, 2].argmax()], axis=1) < radius
     return body.faces[~near[body.faces].any(axis=1)]
-
-
-def nearest(body: Body, point: list[float]) -> int:
-    return int(np.linalg.norm(body.vertices - point, axis=1).argmin())
 
 
 def test_a_closed_skin_is_unchanged() -> None:
@@ -109,22 +103,3 @@ def test_inner_walls_are_an_error() -> None:
     wall = np.concatenate([body.faces, [[*body.faces[0, :2], body.vertices[:, 2].argmax()]]])
     with pytest.raises(BodyError, match=r"ball: .* sides of faces are shared by three or more"):
         closed(body, wall)
-
-
-def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A hole in the shin, a loose scrap and inconsistent winding change the distance field by less than 1.5 cm."""
-    woman = build_body(female_shape())
-    shin = np.linalg.norm(woman.vertices - woman.vertices[nearest(woman, [12.0, 35.0, 20.0])], axis=1) < 2.0
-    faces = woman.faces[~shin[woman.faces].any(axis=1)]
-    faces = np.where((np.arange(len(faces)) % 7 == 0)[:, None], faces[:, ::-1], faces)
-    scrap = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
-    scrap.apply_translation([0.0, 150.0, 60.0])
-    path = tmp_path / "scan.obj"
-    both = trimesh.util.concatenate([trimesh.Trimesh(woman.vertices, faces, process=False), scrap])
-    both.export(path)
-    body, _ = read_body(path)
-    assert "were closed with flat patches" in caplog.text
-    assert (body.parts[len(woman.vertices) : len(both.vertices)] == BodyPart.INTERNAL.value).all()
-    whole, mended = body_field(woman, "cpu"), body_field(body, "cpu")
-    assert whole.distance.shape == mended.distance.shape
-    assert np.abs(whole.distance.numpy() - mended.distance.numpy()).max() < 1.5

@@ -12,7 +12,7 @@ import trimesh
 from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from benchmarks.skin import skin_crossings
-from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
+from benchmarks.stand_ins import SMPLX_VERTICES, like_smplx
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
@@ -24,7 +24,7 @@ from gcd_dataset.generator.body import (
 )
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -68,7 +68,7 @@ def test_raised_arms_are_moved_to_the_a_pose_to_be_measured() -> None:
     assert np.degrees(lifted_woman().arm_turn) == pytest.approx(45.0, abs=2.0)
 
 
-@pytest.mark.parametrize("angle", [-32.0, 25.0, 45.0, 60.0])
+@pytest.mark.parametrize("angle", [-32.0, 60.0])
 def test_raised_arms_of_the_models_mesh_are_moved_exactly(angle: float, tmp_path: Path) -> None:
     """The woman is slim: on other bodies a lowered arm folds the armpit, and untangling changes the skin."""
     shape = draw_shape(rng(5, 18, Stage.BODY), group="female")
@@ -101,17 +101,6 @@ def test_moved_arms_of_a_body_unlike_the_model_are_reported_as_doubtful(examples
     assert any(remark.startswith("doubtful: shoulder") and "shoulder_w" in remark for remark in remarks)
     by = off(result.measurements, read_measurements(examples / "bodies" / "mean_all.yaml"))
     assert max(abs(by[key]) for key in SURE_ANYWHERE) < 1.0
-
-
-def test_a_body_like_smpls(tmp_path: Path) -> None:
-    """6,890 vertices in metres, arms level, the origin at the pelvis."""
-    shape = BodyShape(draw_shape(rng(4, 5, Stage.BODY), group="female").weights)
-    vertices, faces = like_smpl(shape)
-    assert len(vertices) == SMPL_VERTICES
-    result, remarks = measure_file(written(tmp_path / "smpl.obj", vertices, faces))
-    check_in_t_pose(result.measurements, shape)
-    assert "metres" in remarks[0]
-    assert not any("doubtful" in remark for remark in remarks)
 
 
 @pytest.fixture
@@ -147,28 +136,6 @@ def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path) -> None:
     mouth = (body.parts == BodyPart.INTERNAL.value).sum() - len(np.unique(eyes))
     assert mouth > 50
     assert not (body_field(body, "cpu").part.numpy() == BodyPart.INTERNAL.value).any()
-
-
-def test_a_coarse_mesh_of_a_body_of_another_model(examples: Path, tmp_path: Path) -> None:
-    """The published mean woman, decimated to SMPL's number of vertices, y down; outside the model's shape space."""
-    mean = trimesh.load(examples / "bodies" / "mean_female.obj", process=False)
-    vertices, faces = coarser(100.0 * np.asarray(mean.vertices), np.asarray(mean.faces), SMPL_VERTICES)
-    path = written(tmp_path / "woman.obj", vertices * [1.0, -1.0, -1.0] / 100.0, faces)
-    result, remarks = measure_file(path)
-    by = off(result.measurements, read_measurements(examples / "bodies" / "mean_female.yaml"))
-    assert max(abs(by[key]) for key in SURE_ANYWHERE) < 1.0
-    assert abs(by["underbust"]) < 2.5
-    assert any(remark.startswith("doubtful: underbust may be up to") for remark in remarks)
-
-
-def test_a_widened_body_is_measured_or_reported_as_doubtful(tmp_path: Path) -> None:
-    """Seed 0, number 156 of the benchmark's broken bodies: 38 % wider, its underbust 0.6 cm off."""
-    made = broken_body("squashed", rng(0, 156, Stage.BODY, 1))
-    assert made.truth is not None
-    result, remarks = measure_file(made.write(tmp_path))
-    too_far = {key for key, by in off(result.measurements, made.truth).items() if abs(by) > tolerance(key)}
-    assert too_far <= {"underbust"}
-    assert any(remark.startswith("doubtful: underbust") for remark in remarks)
 
 
 def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:

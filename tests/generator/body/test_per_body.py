@@ -6,7 +6,7 @@ from unittest.mock import Mock
 
 import trimesh
 
-from gcd_dataset.generator.body.per_body import kept_per_body
+from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.records import Body
 from tests.helpers import body_from
 

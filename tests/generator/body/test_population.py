@@ -8,11 +8,20 @@ import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.calibrate import flank_stretch, nearest_covariance
-from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, weights_of
-from gcd_dataset.generator.body.pose import T_POSE
-from gcd_dataset.generator.body.shape import draw_from, named_shape
-from gcd_dataset.generator.body.survey import (
+from gcd_dataset.generator.body.shape import (
+    MAX_DEVIATION,
+    T_POSE,
+    Adults,
+    adults_of,
+    draw_from,
+    named_shape,
+    weights_of,
+)
+from gcd_dataset.records import MEASURES, Body
+from gcd_dataset.seeding import Stage, rng
+from tests.helpers import body_from
+from tools.body_model.calibrate import flank_stretch, nearest_covariance
+from tools.body_model.survey import (
     HANGING,
     body_weight,
     shoulder_breadths,
@@ -20,34 +29,35 @@ from gcd_dataset.generator.body.survey import (
     survey_measures,
     survey_of,
 )
-from gcd_dataset.records import MEASURES, Body
-from gcd_dataset.seeding import Stage, rng
-from tests.helpers import body_from
 
-PEOPLE = 200
+PEOPLE = 50  # 200 in tests/extras/test_population.py
 
 
-def measured(group: str) -> dict[str, np.ndarray]:
-    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), group=group)) for index in range(PEOPLE)]
+def measured(group: str, people: int) -> dict[str, np.ndarray]:
+    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), group=group)) for index in range(people)]
     rows = [survey_measures(body, measure(body)) for body in bodies]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 @pytest.mark.parametrize("group", ["random", "female", "male"])
 def test_drawn_adults_have_the_surveys_statistics(group: str) -> None:
-    """Within the targets plus the sampling error of 200 people."""
-    survey, found = survey_of(group), measured(group)
+    require_the_surveys_statistics(group, PEOPLE)
+
+
+def require_the_surveys_statistics(group: str, people: int) -> None:
+    """Within the targets plus the sampling error of a number of people."""
+    survey, found = survey_of(group), measured(group, people)
     assert tuple(found) == survey.measures
     means = np.array([found[name].mean() for name in survey.measures])
     sds = np.array([found[name].std() for name in survey.measures])
-    chance = 3 * survey.sd / np.sqrt(PEOPLE)
+    chance = 3 * survey.sd / np.sqrt(people)
     close = np.abs(means - survey.mean) < 0.02 * survey.mean + chance
     assert close[np.isfinite(survey.tolerance)].sum() >= 12
-    assert (np.abs(sds / survey.sd - 1) < 0.1 + 3 / np.sqrt(2 * PEOPLE)).sum() >= 12
+    assert (np.abs(sds / survey.sd - 1) < 0.1 + 3 / np.sqrt(2 * people)).sum() >= 12
     for name in ("weight", "navel_girth", "hips"):
         published = survey.correlation[0, survey.correlated.index(name)]
         assert np.corrcoef(found["height"], found[name])[0, 1] == pytest.approx(
-            published, abs=0.1 + 3 / np.sqrt(PEOPLE)
+            published, abs=0.1 + 3 / np.sqrt(people)
         )
 
 
@@ -61,7 +71,7 @@ def test_no_adult_has_a_ledge_at_the_hips(sex: str) -> None:
 
 
 def test_every_drawn_adult_can_be_measured() -> None:
-    for index in range(20):
+    for index in range(6):
         for sex in ("female", "male"):
             size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), group=sex, legs_apart=True)))
             assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
@@ -69,12 +79,12 @@ def test_every_drawn_adult_can_be_measured() -> None:
 
 def test_random_bodies_are_the_women_and_men_of_their_streams() -> None:
     kinds = []
-    for index in range(120):
+    for index in range(60):
         kind, shape = draw_from("random", rng(3, index, Stage.BODY))
         assert shape == draw_shape(rng(3, index, Stage.BODY)) == draw_shape(rng(3, index, Stage.BODY), group=kind)
         kinds.append(kind)
     assert set(kinds) == {"female", "male"}
-    assert kinds.count("female") == pytest.approx(60, abs=3 * np.sqrt(120) / 2)
+    assert kinds.count("female") == pytest.approx(30, abs=3 * np.sqrt(60) / 2)
 
 
 def test_the_groups_draw_different_bodies_from_one_stream() -> None:

@@ -19,7 +19,7 @@ from gcd_dataset.generator.body import (
     neutral_shape,
 )
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.records import Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 

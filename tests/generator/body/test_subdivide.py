@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.generator.body.subdivide import refine
+from gcd_dataset.generator.body.surface import refine
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

@@ -6,9 +6,9 @@ import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import measures
-from gcd_dataset.generator.body.find import narrowest_ring
 from gcd_dataset.generator.body.geodesic import graph_between
-from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.measuring import narrowest_ring
+from gcd_dataset.generator.body.repair import Scan
 from gcd_dataset.generator.body.section import contour_length, girth, loops, section
 from gcd_dataset.generator.body.surface import SkinSurface
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from benchmarks.skin import skin_crossings
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.untangle import ROUNDS, SkinMesh
+from gcd_dataset.generator.body.repair import ROUNDS, SkinMesh
 from gcd_dataset.records import BodyPart
 from gcd_dataset.seeding import Stage, rng
 

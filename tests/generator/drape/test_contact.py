@@ -20,10 +20,10 @@ from gcd_dataset.generator.body import build_body, neutral_shape, read_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields, host_field
 from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BodyPart, EdgeRole
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
+from tests.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
@@ -194,7 +194,7 @@ def test_eyes_and_mouth_of_the_published_bodies_are_closed_to_cloth(name: str, e
     check_closed_to_cloth(body)
 
 
-@pytest.mark.parametrize(("friction", "stays"), [(0.7, True), (0.52, True), (0.42, False), (0.1, False)])
+@pytest.mark.parametrize(("friction", "stays"), [(0.52, True), (0.42, False)])
 def test_cloth_on_a_slope_slides_where_friction_is_too_small(friction: float, stays: bool) -> None:
     """On a slope of 25° cloth stays for friction above tan 25° = 0.47."""
     acceleration = 981.0 * (np.sin(np.radians(25.0)) - friction * np.cos(np.radians(25.0)))
@@ -229,8 +229,7 @@ def slid_down(job: DrapeJob, config: DrapeConfig) -> float:
     return float((job.box_mesh.vertices.mean(axis=0) - solver.state.x.numpy().mean(axis=0)) @ SLOPE[:3, 0])
 
 
-@pytest.mark.parametrize("spacing", [1.0, 2.0, 4.0, 5.7])
-@pytest.mark.parametrize("friction", [0.5, 0.1])
+@pytest.mark.parametrize(("spacing", "friction"), [(2.0, 0.5), (5.7, 0.1)])
 def test_a_tight_band_holds_on_a_pillar_at_any_spacing(spacing: float, friction: float) -> None:
     """A band stretched by e = 5 % round a radius r presses on the pillar with k e / r.
 

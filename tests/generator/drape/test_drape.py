@@ -9,12 +9,11 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.coarse_start import start_from_coarse
+from gcd_dataset.generator.drape.batches import drape_unordered, start_from_coarse
 from gcd_dataset.generator.drape.holds import find_keepers, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
-from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start, coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome
@@ -78,12 +77,9 @@ def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
     assert (too_fast.outcome, too_fast.frames) == (Outcome.NOT_SETTLED, 60)
 
 
-@pytest.mark.parametrize("few", [1, 10_000])
-def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
-    few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With and without coarse passes: garments move to new batches and continue from coarse drapes."""
-    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", few)
+def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Garments move to new batches and continue from coarse drapes."""
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
     config = DrapeConfig(max_frames=60)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
@@ -95,7 +91,7 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
 
 
-@pytest.mark.parametrize("at_once", [1, 2, 3])
+@pytest.mark.parametrize("at_once", [1, 3])
 def test_an_error_of_the_jobs_is_raised_after_the_drapes_before_it(at_once: int) -> None:
     def jobs() -> Iterator[DrapeJob]:
         yield from (on_a_ball(4), on_a_ball(5), on_a_ball(4))

@@ -9,10 +9,10 @@ import warp as wp
 
 from gcd_dataset.generator.drape import Bending, DrapeConfig, DrapeJob, Fabric, Tensile
 from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.reference import bending_energy, stretch_energy
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import BoxMesh
 from tests.generator.drape.probes import elastic_kernel
+from tests.generator.drape.reference import bending_energy, stretch_energy
 from tests.helpers import SIZE, far_ball, patch
 
 FABRIC = Fabric(tensile=50.0, bending=2e-5)

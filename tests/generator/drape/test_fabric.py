@@ -22,7 +22,7 @@ from benchmarks.strips import (
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, Bending, DrapeConfig, Fabric, Tensile, fabric_named
 from gcd_dataset.generator.drape.config import GRAVITY
-from gcd_dataset.generator.drape.fabric import POISSON, bias_stiffness, shear_stiffness
+from gcd_dataset.generator.drape.fabrics import POISSON, bias_stiffness, shear_stiffness
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import BoxMesh

@@ -10,9 +10,9 @@ import pytest
 
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
-from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
 from gcd_dataset.generator.garments.pants import PantsDesign
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import untangle
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.drape.untangling import untangle
 from tests.helpers import SIZE, far_ball, joined, patch
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])

@@ -8,15 +8,12 @@ import pytest
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
 from gcd_dataset.generator.dressing.wearer import wearer_of
-from gcd_dataset.generator.fitting import Fitting, drape_patterns
 from gcd_dataset.generator.garments import design_from_dict, outfit
-from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Outcome, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from tests.generator.dressing.test_openings import rectangle, tube
 
@@ -99,19 +96,6 @@ def test_a_complete_pattern_is_unchanged(examples: Path, wearer: tuple[Body, Mea
     assert dress(pattern, *wearer).assumed == ()
 
 
-def test_a_shirt_without_placements_and_labels_drapes(examples: Path, wearer: tuple[Body, Measurements]) -> None:
-    shirt = read_pattern(examples / "patterns" / "shirt_mean_specification.json")
-    spec = spec_from_pattern(bared(shirt, placed=False))
-    for panel in spec["pattern"]["panels"].values():
-        del panel["translation"], panel["rotation"]
-    dressed = dress(pattern_from_spec(spec, "shirt"), *wearer)
-    assert [panel.label for panel in dressed.pattern.panels].count("arm") == 4
-    mesh = build_box_mesh(dressed.pattern, spacing=3.5)
-    [drape] = drape_batch([DrapeJob(mesh, *wearer)], DrapeConfig(max_frames=150), device="cpu")
-    assert drape.outcome is Outcome.SETTLED
-    assert drape.vertices[:, 1].mean() > wearer[1].waist_level
-
-
 def test_panels_in_the_body_are_moved_out_of_it(wearer: tuple[Body, Measurements]) -> None:
     near = tube(50.0, 40.0, y=wearer[1].waist_level - 40.0)
     inside = replace(
@@ -159,27 +143,6 @@ def test_trousers_are_recognised_by_their_openings(examples: Path) -> None:
         assert has_legs(pattern_from_spec(spec, name)) is (name in ("jumpsuit", "pants_cuff"))
 
 
-def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
-    """``has_legs`` recognises such trousers only after their panels have been placed."""
-    lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
-    names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
-    panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
-    seams = tuple(
-        replace(
-            seam,
-            left=replace(seam.left, panel=names[seam.left.panel]),
-            right=replace(seam.right, panel=names[seam.right.panel]),
-        )
-        for seam in lying.seams
-    )
-    wearers = {apart: named_body("neutral", legs_apart=apart)[:2] for apart in (False, True)}
-    pattern = Pattern("piece", panels, seams)
-    assert not has_legs(pattern)
-    [fitting] = drape_patterns([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
-    assert isinstance(fitting, Fitting)
-    assert fitting.body is wearers[True][0]
-
-
 def test_a_skirt_with_panels_centred_about_a_seam_is_placed(wearer: tuple[Body, Measurements]) -> None:
     """The outer panels of the skirt are taken for sleeves with the zero vector as direction."""
     section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
@@ -193,18 +156,18 @@ def _at_depth(panel: Panel, z: float) -> Panel:
     return replace(panel, placement=Placement(np.array([x, y, z]), panel.placement.rotation))
 
 
-def test_a_net_of_hundreds_of_openings_is_placed(wearer: tuple[Body, Measurements]) -> None:
-    """Two hundred strips in a row, each sewn to the next above and below a slit."""
+def test_a_net_of_a_hundred_openings_is_placed(wearer: tuple[Body, Measurements]) -> None:
+    """A hundred strips in a row, each sewn to the next above and below a slit."""
     corners = np.array([[0, 0], [1, 0], [1, 4], [1, 6], [1, 10], [0, 10], [0, 6], [0, 4]], float)
     edges = tuple(Edge(i, (i + 1) % 8) for i in range(8))
-    panels = tuple(Panel(f"strip_{i}", corners, edges, UNPLACED) for i in range(200))
+    panels = tuple(Panel(f"strip_{i}", corners, edges, UNPLACED) for i in range(100))
     seams = tuple(
         Seam(EdgeRef(f"strip_{i}", right), EdgeRef(f"strip_{i + 1}", left))
-        for i in range(199)
+        for i in range(99)
         for right, left in ((1, 7), (3, 5))
     )
     net = Pattern("net", panels, seams)
     hung, _ = hang_from_lay_plan(net, wearer_of(*wearer))
-    assert len(openings_of(hung)) > 190
+    assert len(openings_of(hung)) > 90
     places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
     assert np.isfinite(places).all()

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.draping.other_bodies import FORWARD, OTHER_BODIES, arms_forward
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.body.pose import T_POSE
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.dressing.openings import panel_outline
 from gcd_dataset.generator.garments import sample_design, try_on

@@ -62,60 +62,29 @@ def test_every_garment_of_the_wardrobe_is_in_the_battery() -> None:
     assert worn == {garment.name for garment in GARMENTS}
 
 
-def test_loops_are_closed_and_seen_from_outside(wearer: Measurements, design: OutfitDesign) -> None:
-    for panel in outfit(wearer, design).panels:
+def loops_are_closed_and_seen_from_outside(pattern: Pattern) -> None:
+    for panel in pattern.panels:
         ends = [(edge.start, edge.end) for edge in panel.edges]
         assert ends == [(i, (i + 1) % len(ends)) for i in range(len(ends))]
         x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
         assert signed_area(panel) * (panel.placement.matrix[:, 2] @ (x, 0.0, z)) > 0
 
 
-def test_no_rule_of_validate_is_broken(wearer: Measurements, design: OutfitDesign) -> None:
-    assert require_valid(outfit(wearer, design))
-
-
-def test_seams_sew_each_edge_once_right_sides_together(wearer: Measurements, design: OutfitDesign) -> None:
-    pattern = outfit(wearer, design)
+def seams_sew_each_edge_once_right_sides_together(pattern: Pattern) -> None:
     sewn = [ref for seam in pattern.seams for ref in (seam.left, seam.right)]
     assert len(sewn) == len(set(sewn))
     assert not any(seam.right_wrong for seam in pattern.seams)
 
 
-def test_seams_that_do_not_gather_join_equal_lengths(wearer: Measurements, design: OutfitDesign) -> None:
+def seams_that_do_not_gather_join_equal_lengths(pattern: Pattern) -> None:
     # The halves of a sleeve may differ by a gathered surplus that is too short to move.
-    pattern = outfit(wearer, design)
     plain = [seam for seam in pattern.seams if not may_gather(pattern, seam)]
     assert plain
     for seam in plain:
         assert length(pattern, seam.left) == pytest.approx(length(pattern, seam.right), abs=1.6 * SEWABLE)
 
 
-def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -> None:
-    # Before sewing, a swapped or twisted seam would cross the garment.
-    pattern = outfit(woman, design)
-    for seam in pattern.seams:
-        left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
-        assert abs(left[0] - right[0]) < 21.0  # the largest gap, between the halves of a hood
-        assert abs(left[1] - right[1]) < 25.0
-
-
-def test_panels_are_placed_on_their_side_of_the_body(woman: Measurements, design: OutfitDesign) -> None:
-    pattern = outfit(woman, design)
-    for panel in pattern.panels:
-        x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
-        if (side := FRONT_OR_BACK.search(panel.name)) is not None:
-            assert z > 10.0 if side[1].startswith("f") else z < -10.0
-        assert "left" not in panel.name or x > 0
-        assert "right" not in panel.name or x < 0
-        if panel.label == "leg":
-            edges = {edge.name: middle(pattern, EdgeRef(panel.name, i))[1] for i, edge in enumerate(panel.edges)}
-            low, high = edges.get("bottom", edges.get("hem")), edges.get("top", -np.inf)
-            assert low is not None
-            assert low < high <= woman.waist_level or panel.name.startswith("ins_")
-
-
-def test_a_spec_holds_the_whole_pattern(wearer: Measurements, design: OutfitDesign) -> None:
-    pattern = outfit(wearer, design)
+def a_spec_holds_the_whole_pattern(pattern: Pattern) -> None:
     read = pattern_from_spec(json.loads(json.dumps(spec_from_pattern(pattern))), pattern.name)
     assert [panel.name for panel in read.panels] == [panel.name for panel in pattern.panels]
     assert read.seams == pattern.seams
@@ -128,25 +97,7 @@ def test_a_spec_holds_the_whole_pattern(wearer: Measurements, design: OutfitDesi
         assert theirs.placement.apply(ours.vertices) == pytest.approx(ours.placement.apply(ours.vertices), abs=1e-9)
 
 
-def test_a_spec_holds_no_negative_zeros(woman: Measurements, design: OutfitDesign) -> None:
-    if design.meta.bottom is Bottom.PANTS:
-        pytest.xfail("the hem of trousers without flare begins at -0.0, in the bytes of published data sets too")
-    panels = spec_from_pattern(outfit(woman, design))["pattern"]["panels"].values()
-    numbers = [x for panel in panels for key in ("translation", "rotation", "vertices") for x in np.ravel(panel[key])]
-    assert not any(np.signbit(x) and x == 0 for x in numbers)
-
-
-def test_the_same_design_gives_the_same_bytes(woman: Measurements, design: OutfitDesign) -> None:
-    first, second = (json.dumps(spec_from_pattern(outfit(woman, design))) for _ in range(2))
-    assert first == second
-
-
-def test_a_design_survives_its_file(design: OutfitDesign) -> None:
-    assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
-
-
-def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: OutfitDesign) -> None:
-    pattern = outfit(wearer, design)
+def labels_that_a_drape_needs_are_present(pattern: Pattern, design: OutfitDesign) -> None:
     labels = {edge.label for panel in pattern.panels for edge in panel.edges if edge.label}
     assert labels <= HOLDERS
     assert ("right_collar" in labels) == (design.meta.upper is not None)
@@ -160,7 +111,57 @@ def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: Out
     assert ("leg" in parts.values()) == (design.meta.bottom is not None)
 
 
+def test_a_garment_can_be_sewn_and_draped_on_every_wearer(wearer: Measurements, design: OutfitDesign) -> None:
+    pattern = outfit(wearer, design)
+    loops_are_closed_and_seen_from_outside(pattern)
+    assert require_valid(pattern)
+    seams_sew_each_edge_once_right_sides_together(pattern)
+    seams_that_do_not_gather_join_equal_lengths(pattern)
+    a_spec_holds_the_whole_pattern(pattern)
+    labels_that_a_drape_needs_are_present(pattern, design)
+
+
+def sewn_edges_face_each_other(pattern: Pattern) -> None:
+    # Before sewing, a swapped or twisted seam would cross the garment.
+    for seam in pattern.seams:
+        left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
+        assert abs(left[0] - right[0]) < 21.0  # the largest gap, between the halves of a hood
+        assert abs(left[1] - right[1]) < 25.0
+
+
+def panels_are_placed_on_their_side_of_the_body(pattern: Pattern, woman: Measurements) -> None:
+    for panel in pattern.panels:
+        x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
+        if (side := FRONT_OR_BACK.search(panel.name)) is not None:
+            assert z > 10.0 if side[1].startswith("f") else z < -10.0
+        assert "left" not in panel.name or x > 0
+        assert "right" not in panel.name or x < 0
+        if panel.label == "leg":
+            edges = {edge.name: middle(pattern, EdgeRef(panel.name, i))[1] for i, edge in enumerate(panel.edges)}
+            low, high = edges.get("bottom", edges.get("hem")), edges.get("top", -np.inf)
+            assert low is not None
+            assert low < high <= woman.waist_level or panel.name.startswith("ins_")
+
+
+def a_spec_holds_no_negative_zeros(pattern: Pattern) -> None:
+    panels = spec_from_pattern(pattern)["pattern"]["panels"].values()
+    numbers = [x for panel in panels for key in ("translation", "rotation", "vertices") for x in np.ravel(panel[key])]
+    assert not any(np.signbit(x) and x == 0 for x in numbers)
+
+
+def test_a_garment_is_placed_round_a_woman_and_its_files_repeat(woman: Measurements, design: OutfitDesign) -> None:
+    pattern = outfit(woman, design)
+    sewn_edges_face_each_other(pattern)
+    panels_are_placed_on_their_side_of_the_body(pattern, woman)
+    if design.meta.bottom is not Bottom.PANTS:
+        # The hem of trousers without flare begins at -0.0, in the bytes of published data sets too.
+        a_spec_holds_no_negative_zeros(pattern)
+    first, second = (json.dumps(spec_from_pattern(drawn)) for drawn in (pattern, outfit(woman, design)))
+    assert first == second
+    assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
+
+
 def test_at_most_a_tenth_of_random_designs_is_rejected(wearer: Measurements) -> None:
     """Designs are sampled for their wearer, who may be a doll or a giant."""
-    drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
-    assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3
+    drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(20)]
+    assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 2

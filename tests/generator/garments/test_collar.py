@@ -14,9 +14,8 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, curve_length, curve_points
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
-from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design_file import read_design
-from gcd_dataset.generator.garments.hood import RAISED, hood_outline
+from gcd_dataset.generator.garments.collar import RAISED, Collar, hood_outline
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.pattern import s_shaped_cubic
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import read_pattern
@@ -113,8 +112,7 @@ def test_seams_join_matching_ends(woman: Measurements, style: str, standing: boo
         assert len(set(met)) == len(met)
 
 
-@pytest.mark.parametrize("depth", [2, 5, 8])
-@pytest.mark.parametrize("width", [-0.5, 0.0, 1.0])
+@pytest.mark.parametrize(("depth", "width"), [(2, -0.5), (5, 0.0), (8, 1.0)])
 def test_a_turtleneck_is_a_band_closed_all_round(wearer: Measurements, depth: int, width: float) -> None:
     pattern = top(wearer, "Turtle", collar={"width": width}, depth=depth)
     for part in ("front", "back"):
@@ -162,9 +160,10 @@ def test_a_lying_collar_lies_flat_with_its_outside_up(woman: Measurements) -> No
         assert area * collar.placement.matrix[1, 2] > 0
 
 
-@pytest.mark.parametrize("hood_depth", [1.0, 2.0])
-@pytest.mark.parametrize("hood_length", [1.0, 1.5])
-@pytest.mark.parametrize(("width", "fc_depth"), [(-0.5, 0.3), (0.0, 0.3), (0.0, 1.2), (1.0, 0.3), (1.0, 2.0)])
+@pytest.mark.parametrize(
+    ("hood_depth", "hood_length", "width", "fc_depth"),
+    [(1.0, 1.0, -0.5, 0.3), (2.0, 1.5, 0.0, 1.2), (1.0, 1.5, 1.0, 0.3), (2.0, 1.0, 1.0, 2.0)],
+)
 def test_hoods_from_the_smallest_to_the_largest(
     wearer: Measurements, hood_depth: float, hood_length: float, width: float, fc_depth: float
 ) -> None:

@@ -9,8 +9,7 @@ import pytest
 import yaml
 
 from gcd_dataset.errors import ConfigError, OutputError
-from gcd_dataset.generator.garments.design import OutfitDesign
-from gcd_dataset.generator.garments.design_file import design_from_dict, design_tree, read_design, write_design
+from gcd_dataset.generator.garments.design import OutfitDesign, design_from_dict, design_tree, read_design, write_design
 from gcd_dataset.generator.garments.space import draw, from_dict
 from gcd_dataset.generator.garments.wardrobe import Upper
 

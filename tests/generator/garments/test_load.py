@@ -11,7 +11,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.section import girth, section
 from gcd_dataset.generator.drape import DrapeConfig
-from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
+from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
 from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, outfit
 from gcd_dataset.generator.garments.load import FRICTION, STIFFNESS, hip_load, strap_stretch
 from gcd_dataset.generator.garments.rules import broken_by_weight, is_too_tight
@@ -25,7 +25,7 @@ from tests.generator.garments.conftest import WEARERS
 
 DRESS = {"upper": "Shirt", "bottom": "SkirtManyPanels"}
 BANDED = {"upper": None, "wb": "StraightWB", "bottom": "SkirtCircle"}
-SAMPLED = 150
+SAMPLED = 60
 
 
 def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> OutfitDesign:

@@ -14,7 +14,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import outfit
 from gcd_dataset.generator.garments.collar import Collar, CollarDesign
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.neckline import (
     LeftNecklineDesign,
     Neckline,

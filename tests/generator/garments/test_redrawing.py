@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.garments import OutfitDesign, Redraw, attempted_design, drafted_design, try_on
-from gcd_dataset.generator.garments.kind import Kind, kind_of
+from gcd_dataset.generator.garments.design import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy
@@ -76,7 +76,7 @@ def test_a_section_drawn_again_keeps_its_garments(redrawing: Redrawing) -> None:
 # ------------------------------------------------------------------------------------------------------ whole designs
 
 
-@pytest.mark.parametrize("number", range(40))
+@pytest.mark.parametrize("number", range(8))
 def test_only_counted_parameters_differ_from_the_draft(woman: Measurements, number: int) -> None:
     drawn, draft = attempted_design(3, number, 0, [woman]), drafted_design(3, number, 0)
     paths = [redraw.path for redraw in drawn.redraws]
@@ -89,10 +89,10 @@ def test_only_counted_parameters_differ_from_the_draft(woman: Measurements, numb
     assert drawn.by_rule().total() == sum(drawn.redraws.values())
 
 
-@pytest.mark.parametrize("number", range(20))
-def test_the_next_attempts_keep_the_choices_of_the_draft(number: int) -> None:
-    drafts = [drafted_design(3, number, attempt) for attempt in range(5)]
-    assert all(draft == drafts[0] for draft in drafts)
+def test_the_next_attempts_keep_the_choices_of_the_draft() -> None:
+    for number in range(8):
+        drafts = [drafted_design(3, number, attempt) for attempt in range(5)]
+        assert all(draft == drafts[0] for draft in drafts)
 
 
 def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
@@ -104,7 +104,7 @@ def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
 
 def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
     """First those that the attempts before did not have; so each of them comes, however chance has it."""
-    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(60)]
+    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(15)]
     possible = defaultdict[tuple[str, Kind], set[Any]](set)
     for metas in drafts:
         for part in ("upper", "bottom"):
@@ -118,12 +118,12 @@ def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
             assert set(seen[4 : 4 + len(untried)]) == untried
             assert set(seen[4 : 4 + len(options)]) == set(seen[-len(options) :]) == options
             renewed += bool(untried)
-    assert renewed > 40
+    assert renewed >= 8
 
 
 def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -> None:
     skirts = Overlay.from_dict({"meta": {"upper": "none"}})
-    for number in range(10):
+    for number in range(6):
         first, second = (attempted_design(3, number, attempt, [woman], skirts).design for attempt in (0, 1))
         assert first.meta.bottom is second.meta.bottom
         bottom = first.meta.bottom
@@ -135,14 +135,12 @@ def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -
                 assert len({value_at(SPACE, draft, leaf.path) for draft in drafts}) == 1
 
 
-def test_accepted_designs_have_the_declared_shares(woman: Measurements) -> None:
+def test_first_attempts_have_the_declared_shares_and_nearly_all_can_be_worn(woman: Measurements) -> None:
     """No rule redraws ``sleeveless``, ``enable_asym``, upper or bottom: each design has those of its draft."""
-    for number in range(120):
+    worn = 0
+    for number in range(60):
         draft, design = drafted_design(5, number, 0), attempted_design(5, number, 0, [woman]).design
         assert (draft.sleeve.sleeveless, draft.left.enable_asym) == (design.sleeve.sleeveless, design.left.enable_asym)
         assert (draft.meta.upper, draft.meta.bottom) == (design.meta.upper, design.meta.bottom)
-
-
-def test_nearly_all_first_attempts_can_be_worn(woman: Measurements) -> None:
-    found = [try_on(woman, attempted_design(5, number, 0, [woman]).design) for number in range(150)]
-    assert sum(isinstance(pattern, Pattern) for pattern in found) >= 148
+        worn += isinstance(try_on(woman, design), Pattern)
+    assert worn >= 59

@@ -18,7 +18,7 @@ from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
 
-COUNT = 240
+COUNT = 120
 
 
 @cache
@@ -129,7 +129,7 @@ def test_a_sleeve_that_ends_narrower_than_the_arm_is_widened_and_else_unchanged(
         }
     )
     widened = 0
-    for number in range(12):
+    for number in range(8):
         sizes, draft = (wearers()[number % 8],), drafted_design(5, number, 0, tapered).sleeve
         drawn = attempted_design(5, number, 0, sizes, tapered)
         sleeve = drawn.design.sleeve
@@ -138,7 +138,7 @@ def test_a_sleeve_that_ends_narrower_than_the_arm_is_widened_and_else_unchanged(
         assert sleeve.end_width >= draft.end_width
         widened += drawn.redraws.get(Redraw("tight_cuff", "sleeve.end_width"), 0) > 0
         assert (sleeve == draft) == (Redraw("tight_cuff", "sleeve.end_width") not in drawn.redraws)
-    assert 3 <= widened < 12
+    assert 2 <= widened < 8
 
 
 @pytest.mark.parametrize(("hips", "with_band"), [(6.0, True), (1.0, False)])
@@ -147,7 +147,7 @@ def test_a_skirt_alone_needs_hips_wider_than_the_waist(hips: float, with_band: b
     size = measure(build_body(neutral_shape()))
     straight = replace(size, waist=size.hips - hips)
     held = 0
-    for number in range(80):
+    for number in range(40):
         drawn = attempted_design(5, number, 0, (straight,))
         meta, before = drawn.design.meta, attempted_design(5, number, 0, (size,)).design.meta
         if meta.upper or before.bottom is None:

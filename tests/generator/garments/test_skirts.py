@@ -14,8 +14,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, read_design
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise

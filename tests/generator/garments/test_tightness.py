@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.tightness import rings, trunk_rings
 from gcd_dataset.records import Measurements, Pattern
 
-SAMPLED = 400
+SAMPLED = 60
 GODETS = {"insert_w": 11, "insert_depth": 19, "num_inserts": 4, "cuts_distance": 5}
 TIGHT: dict[str, dict[str, Any]] = {
     "a hem with godets": {

@@ -15,7 +15,7 @@ from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
-from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam

@@ -19,7 +19,7 @@ from gcd_dataset.generator.garments import (
     sample_kind,
     try_on,
 )
-from gcd_dataset.generator.garments.design_file import read_design, write_design
+from gcd_dataset.generator.garments.design import read_design, write_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper

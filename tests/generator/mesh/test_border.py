@@ -5,7 +5,7 @@ import pytest
 
 from gcd_dataset.curves import Arc, Cubic, Curve
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.border import edge_counts, sample_border
+from gcd_dataset.generator.mesh.stitch import edge_counts, sample_border
 from gcd_dataset.records import Edge, EdgeRef, Panel, Placement
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 

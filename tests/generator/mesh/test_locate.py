@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from gcd_dataset.generator.mesh.locate import barycentric, locate
+from gcd_dataset.generator.mesh.coarse import barycentric, locate
 
 
 def scattered(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.collar import Collar
 from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
-from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.records import BoxMesh
 from tests.generator.garments.conftest import DRESS, OUTFITS, WOMAN
 from tests.generator.mesh.shapes import areas, directed_edges, panel, rectangle, seam, sewn, tube

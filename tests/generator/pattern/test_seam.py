@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcd_dataset.generator.pattern.seam import shared_breaks
+from gcd_dataset.generator.pattern.piece import shared_breaks
 
 LENGTHS = st.lists(st.floats(0.1, 100.0), min_size=1, max_size=5)
 

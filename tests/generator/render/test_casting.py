@@ -41,8 +41,12 @@ RED, WHITE, BLACK = (0.8, 0.1, 0.1), (0.95, 0.95, 0.95), (0.02, 0.02, 0.02)
 
 
 def shot(scene: Scene, view: View, size: int = 64) -> np.ndarray:
-    [picture] = render([scene], [view], size=size, device="cpu")
-    return picture.rgb.astype(int)
+    [picture] = shots(scene, [view], size)
+    return picture
+
+
+def shots(scene: Scene, views: list[View], size: int = 64) -> list[np.ndarray]:
+    return [picture.rgb.astype(int) for picture in render([scene], views, size=size, device="cpu")]
 
 
 def bytes_of(picture: Picture) -> bytes:
@@ -112,12 +116,14 @@ def test_sheer_cloth_shows_what_lies_behind_it() -> None:
     both = joined(front, back)
     scene = scene_of(both, np.concatenate([front.vertices + [0, 0, 10.0], back.vertices]), far_ball())
 
-    def seen(sheerness: float, behind: tuple[float, float, float]) -> np.ndarray:
-        voile = cloth_of(plain(WHITE), translucency=sheerness)
-        return shot(scene, view_of(scene, voile, cloth_of(plain(behind))))[32, 32]
-
-    assert np.abs(seen(0.0, RED) - seen(0.0, BLACK)).max() <= 3
-    through = seen(0.5, RED) - seen(0.5, BLACK)
+    views = [
+        view_of(scene, cloth_of(plain(WHITE), translucency=sheerness), cloth_of(plain(behind)))
+        for sheerness in (0.0, 0.5)
+        for behind in (RED, BLACK)
+    ]
+    over_red, over_black, through_red, through_black = (picture[32, 32] for picture in shots(scene, views))
+    assert np.abs(over_red - over_black).max() <= 3
+    through = through_red - through_black
     assert through[0] > 20
     assert through[0] > 3 * abs(through[2])
 
@@ -126,12 +132,11 @@ def test_a_stripe_covers_its_share_of_the_cloth() -> None:
     """The mean light is that of the colours, weighted by their shares, whatever the size of the pixels."""
     scene = patch_scene()
     motif = Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=2.0, fill=0.25)
-    for size in (16, 128):
+    colours = [view_of(scene, cloth_of(plain(colour))) for colour in (WHITE, BLACK)]
+    white, black = ((picture[32, 32] / 255) ** 2.2 for picture in shots(scene, colours))
+    for size in (16, 64):
         picture = shot(scene, view_of(scene, cloth_of(motif), camera=ahead(focal=6.0)), size) / 255
         middle = picture[size // 4 : -size // 4, size // 4 : -size // 4]
-        white, black = (
-            (shot(scene, view_of(scene, cloth_of(plain(colour))))[32, 32] / 255) ** 2.2 for colour in (WHITE, BLACK)
-        )
         mean = (middle**2.2).mean(axis=(0, 1))
         # On the coarse picture pixels hold several stripes: their light is averaged before the film's response.
         assert mean == pytest.approx(0.25 * white + 0.75 * black, abs=0.06)
@@ -147,17 +152,15 @@ def test_stripes_are_measured_in_centimetres_along_the_grain() -> None:
     assert np.ptp(picture[30:170, 105]) < 30
 
 
-@pytest.mark.parametrize("kind", [PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN, PrintKind.DOTS])
-def test_prints_repeat_to_the_left_of_the_panels_origin(kind: PrintKind) -> None:
+def test_prints_repeat_to_the_left_of_the_panels_origin() -> None:
     """Moved by 20 periods to either side, cloth looks the same."""
-    motif = Print(kind, ((0.05, 0.05, 0.05), WHITE, RED, GREY), period=4.0, fill=0.3, matched=True)
+    kinds = (PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN, PrintKind.DOTS)
+    motifs = [Print(kind, ((0.05, 0.05, 0.05), WHITE, RED, GREY), period=4.0, fill=0.3, matched=True) for kind in kinds]
     mesh = hung_patch()
-    pictures = [
-        shot(scene, view_of(scene, cloth_of(motif)))
-        for scene in (patch_scene(replace(mesh, uv=mesh.uv + shift)) for shift in (0.0, 80.0, -80.0))
-    ]
-    assert np.abs(pictures[0] - pictures[1]).max() <= 6
-    assert np.abs(pictures[0] - pictures[2]).max() <= 6
+    scenes = [patch_scene(replace(mesh, uv=mesh.uv + shift)) for shift in (0.0, 80.0, -80.0)]
+    here, right, left = (shots(scene, [view_of(scene, cloth_of(motif)) for motif in motifs]) for scene in scenes)
+    for kind, *pictures in zip(kinds, here, right, left, strict=True):
+        assert max(np.abs(pictures[0] - moved).max() for moved in pictures[1:]) <= 6, kind
 
 
 def test_prints_break_between_panels_that_are_not_matched() -> None:
@@ -195,26 +198,26 @@ def test_an_image_tile_lies_upright_and_unmirrored() -> None:
     assert right.max() < left.min() - 60
 
 
-@pytest.mark.parametrize("kind", list(PrintKind))
-def test_every_print_is_drawn(kind: PrintKind) -> None:
+def test_every_print_is_drawn() -> None:
     """On cloth of one colour no motif shows; in four colours all but the plain one do."""
     scene = patch_scene()
     tile = np.linspace(0.0, 0.9, 48).reshape(4, 4, 3)
     colours = ((0.1, 0.1, 0.1), (0.9, 0.2, 0.2), (0.2, 0.9, 0.2), (0.2, 0.2, 0.9))
-    motif = Print(kind, colours, period=12.0 if kind is not PrintKind.DOTS else 5.0, image=tile)
-    picture = shot(scene, view_of(scene, cloth_of(motif)))[14:50, 14:50]
-    varied = picture.std(axis=(0, 1)).max() > 6
-    assert varied == (kind not in (PrintKind.PLAIN, PrintKind.PANELS))
+    motifs = [Print(kind, colours, period=5.0 if kind is PrintKind.DOTS else 12.0, image=tile) for kind in PrintKind]
+    for kind, picture in zip(PrintKind, shots(scene, [view_of(scene, cloth_of(one)) for one in motifs]), strict=True):
+        varied = picture[14:50, 14:50].std(axis=(0, 1)).max() > 6
+        assert varied == (kind not in (PrintKind.PLAIN, PrintKind.PANELS)), kind
 
 
-@pytest.mark.parametrize("kind", list(EnvironmentKind))
-def test_every_place_fills_the_picture(kind: EnvironmentKind) -> None:
+def test_every_place_fills_the_picture() -> None:
     scene = ball_scene()
     image = np.full((8, 16, 3), 0.4)
-    place = Environment(kind, ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4)), image=image)
-    picture = shot(scene, replace(view_of(scene, camera=ahead(400.0, focal=1.5)), environment=place))
-    assert picture.min() > 8
-    assert picture[:3].std() < 60
+    colours = ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4))
+    view = view_of(scene, camera=ahead(400.0, focal=1.5))
+    views = [replace(view, environment=Environment(kind, colours, image=image)) for kind in EnvironmentKind]
+    for kind, picture in zip(EnvironmentKind, shots(scene, views), strict=True):
+        assert picture.min() > 8, kind
+        assert picture[:3].std() < 60, kind
 
 
 def test_a_room_seen_from_outside_has_a_floor() -> None:

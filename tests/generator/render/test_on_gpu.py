@@ -104,7 +104,7 @@ def test_scans_agree(items: list[Item]) -> None:
 
 
 def test_noiseless_depths_agree(items: list[Item]) -> None:
-    from gcd_dataset.generator.render.depth_noise import NOISELESS
+    from gcd_dataset.generator.render.scans import NOISELESS
 
     for gpu, cpu in both(items, lambda device: Scan(points=2000, size=SIZE, noise=NOISELESS, device=device)):
         assert np.mean(nearest(gpu["scan"][:, :3], cpu["scan"][:, :3]) < 1.0) > 0.99

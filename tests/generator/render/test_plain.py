@@ -9,7 +9,7 @@ import trimesh
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.colours import PAPER
+from gcd_dataset.generator.lay_plan import PAPER
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import (

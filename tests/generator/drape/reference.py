@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
+from gcd_dataset.generator.drape.fabrics import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
 from gcd_dataset.generator.drape.kernels.sheet import SLIVER
 from gcd_dataset.records import BoxMesh
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, refinement, stored_half
-from gcd_dataset.generator.body.pose import stand
+from gcd_dataset.generator.body.shape import stand
 from gcd_dataset.records import BodyPart
 
 TOPOLOGY = "anny-noeyes-notongue"  # one closed skin of 13,348 vertices

@@ -1,0 +1,58 @@
+"""Drapes from start positions that the quick tests of dressing check alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gcd_dataset.generator.body import named_body
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.fitting import Fitting, drape_patterns
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import Outcome, Pattern
+from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
+from tests.generator.drape.garments import wear
+from tests.generator.dressing.test_dressing import bared, pattern_of
+from tests.generator.dressing.test_sewing_start import LEVELS
+
+
+def test_a_shirt_without_placements_and_labels_drapes(examples: Path) -> None:
+    wearer = named_body("neutral")[:2]
+    shirt = read_pattern(examples / "patterns" / "shirt_mean_specification.json")
+    spec = spec_from_pattern(bared(shirt, placed=False))
+    for panel in spec["pattern"]["panels"].values():
+        del panel["translation"], panel["rotation"]
+    dressed = dress(pattern_from_spec(spec, "shirt"), *wearer)
+    assert [panel.label for panel in dressed.pattern.panels].count("arm") == 4
+    mesh = build_box_mesh(dressed.pattern, spacing=3.5)
+    [drape] = drape_batch([DrapeJob(mesh, *wearer)], DrapeConfig(max_frames=150), device="cpu")
+    assert drape.outcome is Outcome.SETTLED
+    assert drape.vertices[:, 1].mean() > wearer[1].waist_level
+
+
+def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
+    """``has_legs`` recognises such trousers only after their panels have been placed."""
+    lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
+    names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
+    panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
+    seams = tuple(
+        replace(
+            seam,
+            left=replace(seam.left, panel=names[seam.left.panel]),
+            right=replace(seam.right, panel=names[seam.right.panel]),
+        )
+        for seam in lying.seams
+    )
+    wearers = {apart: named_body("neutral", legs_apart=apart)[:2] for apart in (False, True)}
+    pattern = Pattern("piece", panels, seams)
+    assert not has_legs(pattern)
+    [fitting] = drape_patterns([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
+    assert isinstance(fitting, Fitting)
+    assert fitting.body is wearers[True][0]
+
+
+def test_a_skirt_of_many_levels_settles_nearly_without_crossings() -> None:
+    """Up to five edges still cross: the mesh is as coarse as its folds."""
+    worn = wear(LEVELS, spacing=3.5)
+    assert worn.drape.self_crossings <= 5
+    assert worn.drape.body_crossings + worn.drape.body_through == 0
+    assert worn.drape.stretch_p99 < 1.3
