@@ -1,0 +1,72 @@
+"""Each model of patterns learns four garments by heart: up to a minute a model."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from benchmarks.reconstruction.garments import generated, pattern_of
+from benchmarks.reconstruction.models import load_model, stitches
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
+from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.scores import score_stitches
+from benchmarks.reconstruction.stitching.sewing import sew
+from benchmarks.reconstruction.tasks import NAMED, task_named
+from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.loaders import GeneratedGarments
+from gcd_dataset.metrics import mean_scores, score_pattern
+from tests.benchmarks.reconstruction.conftest import SKIRTS
+
+CPU = torch.device("cpu")
+COUNT = 4
+DRAPED: dict[str, Any] = {"points": 64, "extra": task_named("T2").extra, "resolution": 6.0}
+FLAT: dict[str, Any] = {"points": 1024, "extra": NAMED, "drape": None, "resolution": 4.0}
+FAST: dict[str, Any] = {"lr": 3e-3, "weight_decay": 0.0, "ema": 0.9}
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "config", "least_iou"),
+    [
+        ("parameters", FLAT, {"steps": 200}, 0.85),
+        ("panel_set", FLAT, {"steps": 400, **FAST}, 0.9),
+        ("edge_tokens", FLAT, {"steps": 400, **FAST}, 0.9),
+        ("picture_set", DRAPED, {"steps": 300, "checks": 1}, 0.85),
+        ("picture_parameters", DRAPED, {"steps": 300, "checks": 1}, 0.85),
+    ],
+)
+def test_the_patterns_of_four_garments(
+    model: str, options: dict[str, Any], config: dict[str, Any], least_iou: float
+) -> None:
+    torch.manual_seed(0)
+    torch.set_num_threads(1)
+    module, garments = load_model(model), generated(COUNT, 0, design=SKIRTS, **options)
+    learner = module.build(smoke=True, options={})
+    examples = learner.prepare(garments, device=CPU)
+    trained = train(learner, examples, TrainConfig(**{**module.SMOKE, "batch": COUNT, **config}), device=CPU)
+    assert trained.curve[-1]["loss"] < trained.curve[0]["loss"] / 4
+    answers = trained.learner.predict(examples.batch(torch.arange(COUNT)))
+    score = mean_scores([score_pattern(answer, garments.pattern(k)) for k, answer in enumerate(answers)])
+    assert (score.valid, score.panel_count_acc, score.stitch_f1) == (1, 1, 1)
+    assert score.iou > least_iou
+
+
+DRAWN, MOST_EDGES = 48, 30  # attention takes time as the square of the edges
+
+
+def test_all_stitches_of_four_patterns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All are right, up to the symmetries of the panels."""
+    torch.set_num_threads(1)
+    monkeypatch.setattr(stitches, "VARIANTS", (1.0, 1.0))  # as drawn: these are the patterns that are asked for
+    names = ("panels", "edges", "stitches")
+    garments = GeneratedGarments(DRAWN, 0, drape=None, stage="pattern", fields=names, dtype=None)
+    drawn = ([garments[k][name].numpy() for name in names] for k in range(DRAWN))
+    arrays = [(panels, edges, sewn) for panels, edges, sewn in drawn if len(edges) <= MOST_EDGES][:COUNT]
+    torch.manual_seed(0)
+    learner = StitchLearner(StitchConfig(width=64, heads=4, layers=3, pair_width=32))
+    config = TrainConfig(steps=700, batch=COUNT, lr=1.5e-3, ema=0.98)
+    trained = train(learner, learner.examples(arrays, device=CPU), config, device=CPU).learner
+    assert isinstance(trained, StitchLearner)
+    for k, pattern in enumerate(sew(trained.net, [pattern_of(entry) for entry in arrays])):
+        rows = {ref: row for row, ref in enumerate(edge_refs(pattern))}
+        found = [(rows[seam.left], rows[seam.right]) for seam in pattern.seams]
+        assert score_stitches(graph_of(pattern_of(arrays[k])), found).perfect_symmetric == 1.0, k
