@@ -153,7 +153,7 @@ def _drape(job: DrapeJob, names: list[str], device: str) -> list[tuple[Drape, fl
     return drapes
 
 
-TARGETS = Path(__file__).resolve().parent / "data" / "fabric_targets.csv"
+TARGETS = Path(__file__).resolve().parents[1] / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "relation", "set", "none")
 SPECIMENS = 2  # discs whose drape coefficients are averaged; one without a target
 FINE = 0.75  # cm: below this spacing only one disc is draped, and none without a target
