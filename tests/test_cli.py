@@ -357,7 +357,7 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
     """Pattern, measures, meshes and pictures lie together; broken rules are named with their figures."""
     file, out = tmp_path / "mini_design_params.yaml", tmp_path / "out"
     file.write_text("design:\n  meta: {bottom: {v: SkirtCircle}}\n  flare-skirt: {length: {v: 0.1}, suns: {v: 1.2}}\n")
-    options = ["--body", "female:7", "--resolution", "6", "--device", "cpu", "--quiet"]
+    options = ["--body", "female:7", "--resolution", "8", "--device", "cpu", "--quiet"]
     assert main(["fit", str(file), "--out", str(out), *options, "--allow-unsettled"]) == 0
     said = capsys.readouterr()
     assert "mini: SETTLED" in said.out
@@ -410,7 +410,7 @@ def test_a_garment_that_slides_off_ends_with_1(
         return iter(drapes[:1])
 
     monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", kept)
-    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "6", "--device", "cpu", "--quiet"]
+    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "8", "--device", "cpu", "--quiet"]
     assert main(options) == 1
     assert "SLID_OFF" in capsys.readouterr().out
     [row] = json.loads((tmp_path / "report.json").read_text())["garments"]
