@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -292,11 +291,7 @@ class Draped:
     files: list[Path]
     errors: str
     log: str
-
-    @cached_property
-    def report(self) -> dict[str, Any]:
-        content: dict[str, Any] = json.loads((self.out / "report.json").read_text())
-        return content
+    report: dict[str, Any]
 
     @property
     def rows(self) -> dict[str, dict[str, Any]]:
@@ -344,7 +339,7 @@ def draped(tmp_path_factory: pytest.TempPathFactory) -> Draped:
     with contextlib.redirect_stderr(io.StringIO()) as errors, contextlib.redirect_stdout(io.StringIO()):
         assert main(["drape", *map(str, files), "--out", str(out), *options]) == 1
     logging.getLogger("gcd_dataset").removeHandler(handler)
-    return Draped(out, files, errors.getvalue(), log.getvalue())
+    return Draped(out, files, errors.getvalue(), log.getvalue(), json.loads((out / "report.json").read_text()))
 
 
 def test_drape_leaves_meshes_pictures_and_a_report(draped: Draped) -> None:
@@ -360,7 +355,7 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
     """Pattern, measures, meshes and pictures lie together; broken rules are named with their figures."""
     file, out = tmp_path / "mini_design_params.yaml", tmp_path / "out"
     file.write_text("design:\n  meta: {bottom: {v: SkirtCircle}}\n  flare-skirt: {length: {v: 0.1}, suns: {v: 1.2}}\n")
-    options = ["--body", "female:7", "--resolution", "6", "--device", "cpu", "--quiet"]
+    options = ["--body", "female:7", "--resolution", "8", "--device", "cpu", "--quiet"]
     assert main(["fit", str(file), "--out", str(out), *options, "--allow-unsettled"]) == 0
     said = capsys.readouterr()
     assert "mini: SETTLED" in said.out
@@ -413,7 +408,7 @@ def test_a_garment_that_slides_off_ends_with_1(
         return iter(drapes[:1])
 
     monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", kept)
-    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "6", "--device", "cpu", "--quiet"]
+    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "8", "--device", "cpu", "--quiet"]
     assert main(options) == 1
     assert "SLID_OFF" in capsys.readouterr().out
     [row] = json.loads((tmp_path / "report.json").read_text())["garments"]
@@ -487,29 +482,16 @@ def test_a_file_that_cannot_be_draped_costs_no_other(draped: Draped, tmp_path: P
     assert [row["outcome"] for row in json.loads((tmp_path / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_unusable_options_are_reported_before_any_drape(
+def test_an_unusable_body_is_reported_before_any_drape(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ["--out", str(tmp_path / "out")]
-    assert main(["drape", str(spec), *out, "--fabric", "denin"]) == 2
-    assert "unknown fabric 'denin': choose one of default" in one_line(capsys.readouterr().err)
-    assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2
-    assert "unknown device 'cuda:99'" in one_line(capsys.readouterr().err)
-    assert exit_code(["drape", str(spec), *out, "--body", "nobody"]) == 2
-    assert "nobody" in one_line(capsys.readouterr().err)
     body = tmp_path / "body.obj"
     body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
     assert "body.obj" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--height", "170"]) == 1
     assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
-
-
-def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in (["generate"], ["generate", "x", "--count", "-1"], ["sew"], []):
-        with pytest.raises(SystemExit) as caught:
-            main(arguments)
-        assert caught.value.code == 2
 
 
 def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -526,11 +508,6 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
     assert "garment 5 of 1" in one_line(capsys.readouterr().err)
     assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
     assert "end the name in .png" in one_line(capsys.readouterr().err)
-
-
-def test_a_specification_of_the_pipeline_is_valid(spec: Path) -> None:
-    written = json.loads(spec.read_text())
-    assert written == json.loads(json.dumps(spec_from_pattern(make(1, 0, SKIRT).pattern)))
 
 
 def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -155,14 +155,14 @@ def test_shards_to_the_published_layout_and_back(published: Path, exported: Path
 
 def generated(index: int, outcome: Outcome) -> Sample:
     """A generated garment whose drape is faked: the vertices are the start positions."""
-    made = make(3, index, MakeConfig(bodies="both", stage="mesh", resolution=4.0, points=16))
+    made = make(3, index, MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16))
     assert made.box_mesh is not None
     moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
     return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
 
 
 def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Path) -> None:
-    config = MakeConfig(bodies="both", stage="mesh", resolution=4.0, points=16)
+    config = MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16)
     outcomes = (Outcome.SETTLED, Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.SETTLED)
     samples = [generated(index, outcome) for index, outcome in enumerate(outcomes)]
     with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:

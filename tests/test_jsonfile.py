@@ -65,8 +65,11 @@ def test_more_than_the_limit_is_refused_before_it_is_parsed(tmp_path: Path) -> N
         read_json(tmp_path / "sparse.json", "segmentation", error=BodyError)
 
 
-def test_a_byte_order_mark_is_skipped() -> None:
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     assert parse_json(b"\xef\xbb\xbf[1]", source="x") == [1]
+    assert strict_yaml(b"\xef\xbb\xbfa: 1") == {"a": 1}
+    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1")
+    assert read_toml(tmp_path / "c.toml") == {"a": 1}
 
 
 KINDS: dict[str, tuple[str | bytes, str]] = {
@@ -129,17 +132,13 @@ def test_a_repeated_key_is_named_among_many() -> None:
     assert caught.value.problem_mark is not None and caught.value.problem_mark.line == 5_000
 
 
-def test_a_byte_order_mark_of_yaml_is_skipped() -> None:
-    assert strict_yaml(b"\xef\xbb\xbfa: 1") == {"a": 1}
-
-
 def test_a_page_of_lists_is_read() -> None:
     page = yaml.safe_dump({"labels": {name: list(range(3000)) for name in "abc"}, "ranges": [[1, [2]]] * 2000})
     require_shallow(page.encode())
     assert strict_yaml(page)["labels"]["b"][-1] == 2999
 
 
-BROKEN = {
+BROKEN_TOML = {
     "points = " + "9" * 5000: "Exceeds the limit (4300 digits) for integer string conversion",
     "points = 0x" + "f" * 100 + "g": "correct the TOML",
     "a = " + "[" * 100_000: "nested too deep: flatten the TOML",
@@ -152,19 +151,14 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("text", BROKEN, ids=lambda text: text[:12])
+@pytest.mark.parametrize("text", BROKEN_TOML, ids=lambda text: text[:12])
 def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text(text)
     with pytest.raises(ConfigError) as caught:
         read_toml(tmp_path / "c.toml")
     assert str(caught.value).startswith(f"{tmp_path / 'c.toml'}: ")
-    assert BROKEN[text] in str(caught.value)
+    assert BROKEN_TOML[text] in str(caught.value)
     assert str(caught.value).isprintable()
-
-
-def test_a_byte_order_mark_of_toml_is_skipped(tmp_path: Path) -> None:
-    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1")
-    assert read_toml(tmp_path / "c.toml") == {"a": 1}
 
 
 def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:

@@ -570,6 +570,18 @@ def test_the_verb_prints_findings_in_order_of_harm_and_exits_1(
     assert report["findings"][1]["examples"] == ["gcd_000000003"]
 
 
+def test_warnings_fail_a_strict_check_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def repeated(train: Samples, test: Samples) -> None:
+        train[20] = twin(train[7], train[20])
+
+    edited(tmp_path, repeated)
+    assert main(["check", str(tmp_path), "--quiet"]) == 0
+    assert main(["check", str(tmp_path), "--quiet", "--strict"]) == 1
+    assert capsys.readouterr().out.count("(duplicates)") == 2
+    assert main(["check", str(tmp_path), "--quiet", "--errors"]) == 0
+    assert "(duplicates)" not in capsys.readouterr().out
+
+
 def test_the_verb_exits_0_for_a_good_data_set(shards: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(shards), "--quiet"]) == 0
     assert capsys.readouterr().out.endswith("nothing harmful found\n")

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import webdataset as wds
 
-from gcd_dataset import export, exporting
+from gcd_dataset import export
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports import datasets
 from gcd_dataset.shards import ShardReader, decode_fields
 from gcd_dataset.shards.codec import WIDTHS
 from tests.shards.folders import fill
@@ -20,7 +21,7 @@ COUNT = 5
 
 
 def test_every_field_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporting, "SAMPLES", 3)
+    monkeypatch.setattr(datasets, "SAMPLES", 3)
     data = fill(tmp_path / "data", range(2, 2 + COUNT))
     assert export(data, tmp_path / "out", "plain").done == COUNT
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["train-00000.tar", "train-00001.tar"]
