@@ -132,9 +132,17 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
-    "depth_noise": ("KINECT", "NOISELESS", "DepthNoise"),
     "sketches": ("FLAT", "HAND", "SketchStyle", "sketch", "sketch_camera"),
-    "scans": ("PointScan", "ScanRanges", "draw_scan_cameras", "scan", "scan_cameras"),
+    "scans": (
+        "KINECT",
+        "NOISELESS",
+        "DepthNoise",
+        "PointScan",
+        "ScanRanges",
+        "draw_scan_cameras",
+        "scan",
+        "scan_cameras",
+    ),
     "appearance": (
         "Appearance",
         "Cloth",

@@ -20,6 +20,7 @@ from tests.generator.body.test_coarse_bodies import clustered, person, require_t
 from tests.generator.body.test_find import off as errors_of
 from tests.generator.body.test_find import require_the_measures_in_spite_of, scene
 from tests.generator.body.test_foreign_bodies import SURE_ANYWHERE, check_in_t_pose, off, written
+from tests.generator.drape.test_contact import check_closed_to_cloth
 
 
 def test_a_body_like_smpls(tmp_path: Path) -> None:
@@ -101,3 +102,10 @@ def test_our_mesh_is_set_upright_from_a_deep_lean(tmp_path: Path) -> None:
 def test_errors_of_a_finer_mesh_are_within_the_stated_bounds(tmp_path: Path) -> None:
     clustered(person(), 2.7).export(tmp_path / "coarse.obj")
     require_the_stated_bounds(measured_text(str(tmp_path / "coarse.obj")))
+
+
+@pytest.mark.parametrize("name", ["all", "male"])
+def test_eyes_and_mouth_of_the_published_bodies_are_closed_to_cloth(name: str, examples: Path) -> None:
+    mesh = examples / "bodies" / f"mean_{name}.obj"
+    body, _ = read_body(mesh, mesh.with_suffix(".yaml"), examples / "bodies" / "ggg_body_segmentation.json")
+    check_closed_to_cloth(body)

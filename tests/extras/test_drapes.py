@@ -1,18 +1,36 @@
-"""Drapes from start positions that the quick tests of dressing check alone."""
+"""Drapes of more garments than the quick tests wait for."""
 
 from dataclasses import replace
 from pathlib import Path
+
+import pytest
 
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.fitting import Fitting, drape_patterns
+from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments.cuff import Cuff
+from gcd_dataset.generator.garments.design import MetaDesign
+from gcd_dataset.generator.garments.pants import PantsDesign
+from gcd_dataset.generator.garments.sleeve import SleeveDesign
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Outcome, Pattern
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
-from tests.generator.drape.garments import wear
+from tests.generator.drape.garments import SIDES, neutral, wear
+from tests.generator.drape.test_named_failures import (
+    assert_hem_is_free,
+    require_arms_outside_the_shirt,
+    require_hands_out_of_cuffs,
+    require_sliding_off,
+)
 from tests.generator.dressing.test_dressing import bared, pattern_of
 from tests.generator.dressing.test_sewing_start import LEVELS
+
+WIDE_TROUSERS = OutfitDesign(
+    meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, width=1.5, flare=1.2)
+)
 
 
 def test_a_shirt_without_placements_and_labels_drapes(examples: Path) -> None:
@@ -56,3 +74,27 @@ def test_a_skirt_of_many_levels_settles_nearly_without_crossings() -> None:
     assert worn.drape.self_crossings <= 5
     assert worn.drape.body_crossings + worn.drape.body_through == 0
     assert worn.drape.stretch_p99 < 1.3
+
+
+def test_trousers_longer_than_the_legs_are_not_caught_on_the_feet() -> None:
+    """Each foot is inside its own hem; the trousers are cut for a wearer 12 cm taller."""
+    _, size = neutral()
+    worn = wear(WIDE_TROUSERS, cut_for=replace(size, height=size.height + 12.0))
+    assert worn.drape.outcome is Outcome.SETTLED
+    for side, sign in SIDES.items():
+        [hem] = worn.openings(f"{side} leg")
+        assert (sign * worn.drape.vertices[hem, 0]).min() > 0.0
+        assert_hem_is_free(worn, hem)
+
+
+def test_hands_come_out_of_plain_cuffs() -> None:
+    require_hands_out_of_cuffs(Cuff.BAND, 2.5)
+
+
+def test_arms_are_not_under_a_loose_shirt_with_sleeves() -> None:
+    require_arms_outside_the_shirt(SleeveDesign(sleeveless=False, length=0.2, connecting_width=1.5))
+
+
+@pytest.mark.parametrize("kind", ["circle", "trousers"])
+def test_a_garment_cut_too_wide_slides_off_early(kind: str) -> None:
+    require_sliding_off(kind)

@@ -49,7 +49,7 @@ def sampled_wardrobe() -> list[Worn]:
     alone = {"wb": "none", "bottom": "none"}
     rare = [{"meta": {"upper": name, **alone}} for name in ("Cape", "Poncho")]
     levels = {"meta": {"upper": "none", "bottom": "SkirtLevels"}}
-    return [*sampled(114), *sampled(5, *rare), *sampled(12, levels)]
+    return [*sampled(180), *sampled(8, *rare), *sampled(25, levels)]
 
 
 def edges(pattern: Pattern) -> set[str]:

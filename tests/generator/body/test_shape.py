@@ -1,6 +1,7 @@
-"""Bodies of the shape space: closed, symmetric, posed, linear in their weights."""
+"""Bodies of the shape space: closed, symmetric, posed, linear in their weights, with a gap under the arms."""
 
 import hashlib
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -19,7 +20,7 @@ from gcd_dataset.generator.body import (
     neutral_shape,
 )
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.shape import T_POSE
+from gcd_dataset.generator.body.shape import T_POSE, arm_clearance
 from gcd_dataset.records import Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 
@@ -147,3 +148,25 @@ def test_men_are_taller_and_women_have_wider_hips_than_waists() -> None:
     assert man.height > woman.height + 8.0
     assert man.shoulder_w > woman.shoulder_w
     assert woman.hips - woman.waist > man.hips - man.waist + 5.0
+
+
+def test_clearance_grows_by_the_shift_of_the_arms() -> None:
+    body = build_body(BodyShape(neutral_shape().weights, np.radians(10.0)))
+    arms = np.isin(body.parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value])
+    beside = (np.sign(body.vertices[:, 0]) * arms)[:, None] * [4.0, 0.0, 0.0]
+    moved = arm_clearance(replace(body, vertices=body.vertices + beside)) - arm_clearance(body)
+    assert 3.9 < moved < 4.0 + 1e-9  # the shortest gap is not exactly along x
+
+
+def test_raised_arms_have_more_clearance() -> None:
+    weights = neutral_shape().weights
+    gaps = [arm_clearance(build_body(BodyShape(weights, np.radians(angle)))) for angle in (-15.0, 0.0, 15.0)]
+    assert 0.0 < gaps[0] < gaps[1] < gaps[2]
+
+
+def test_arms_of_drawn_bodies_are_clear_by_a_centimetre() -> None:
+    for index in range(8):
+        for group in ("female", "male", "pooled"):
+            shape = draw_shape(rng(13, index, Stage.BODY), group=group)
+            assert arm_clearance(build_body(shape)) > 1.0
+            assert abs(shape.arm_angle) <= np.radians(15.0)

@@ -1,4 +1,8 @@
-"""Nearest points, patched holes and loops of sections, on shapes with known results."""
+"""Nearest points on surfaces, Loop subdivision, and data kept as long as their body."""
+
+import gc
+import weakref
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,7 +14,9 @@ from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.measuring import narrowest_ring
 from gcd_dataset.generator.body.repair import Scan
 from gcd_dataset.generator.body.section import contour_length, girth, loops, section
-from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.generator.body.surface import SkinSurface, kept_per_body, refine
+from gcd_dataset.records import Body
+from tests.helpers import body_from
 
 
 def torus() -> trimesh.Trimesh:
@@ -114,3 +120,60 @@ def test_an_empty_scan_is_an_error() -> None:
         Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
     with pytest.raises(BodyError, match="names vertex 3 of 3"):
         Scan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
+
+
+def ball(radius: float) -> Body:
+    return body_from(trimesh.creation.icosphere(subdivisions=1, radius=radius))
+
+
+def test_it_is_computed_once_for_each_body() -> None:
+    height = Mock(side_effect=lambda body: float(body.vertices[:, 1].max()))
+    kept = kept_per_body(lambda body: height(body))
+    small, large = ball(1.0), ball(2.0)
+    assert [kept(body) for body in (small, large, small, large)] == [1.0, 2.0, 1.0, 2.0]
+    assert height.call_count == 2
+
+
+def test_it_is_dropped_with_the_body() -> None:
+    kept = kept_per_body(lambda body: Mock())
+    body = ball(1.0)
+    derived = weakref.ref(kept(body))
+    assert derived() is not None
+    del body
+    gc.collect()
+    assert derived() is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    marked = np.random.default_rng(0).random(len(ball.faces)) < share
+    matrix, faces = refine(np.asarray(ball.faces), marked, len(ball.vertices))
+    finer = trimesh.Trimesh(matrix @ ball.vertices, faces, process=False)
+    assert finer.is_watertight
+    assert finer.is_winding_consistent
+    assert finer.volume == pytest.approx(ball.volume, rel=0.02)
+    assert np.abs(finer.vertices[: len(ball.vertices)] - ball.vertices).max() < 0.1
+    assert len(faces) >= len(ball.faces) + 3 * marked.sum()
+
+
+def test_every_new_vertex_is_a_weighted_mean() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    matrix, _ = refine(np.asarray(ball.faces), np.ones(len(ball.faces), bool), len(ball.vertices))
+    assert matrix @ np.ones(len(ball.vertices)) == pytest.approx(np.ones(matrix.shape[0]))
+    assert matrix.shape[0] == len(ball.vertices) + len(ball.edges_unique)
+
+
+def test_a_flat_sheet_is_refined_evenly() -> None:
+    """In a regular flat lattice Loop's weights keep the plane and put new vertices at the midpoints of edges."""
+    rows = np.array([(i + 0.5 * j, j * np.sqrt(3) / 2) for j in range(7) for i in range(7)])
+    vertices = np.column_stack([rows, np.zeros(49)])
+    cell = np.array([7 * j + i for j in range(6) for i in range(6)])
+    faces = np.concatenate([np.stack([cell, cell + 1, cell + 7], 1), np.stack([cell + 1, cell + 8, cell + 7], 1)])
+    inner = ((vertices[faces].mean(axis=1)[:, 1] > 1.5) & (vertices[faces].mean(axis=1)[:, 1] < 3.5)).nonzero()[0]
+    marked = np.zeros(len(faces), bool)
+    marked[inner[len(inner) // 2]] = True
+    matrix, _ = refine(faces, marked, 49)
+    face = faces[marked][0]
+    middles = (vertices[face] + vertices[np.roll(face, -1)]) / 2
+    assert {tuple(p) for p in (matrix @ vertices)[49:].round(9)} == {tuple(p) for p in middles.round(9)}

@@ -92,6 +92,7 @@ def stouter(size: Measurements, factor: float) -> Measurements:
     return replace(size, **{girth: factor * getattr(size, girth) for girth in GIRTHS})
 
 
+@cache
 def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
     """Drape a design on the neutral body. A garment cut for other measures (``cut_for``) is moved to its waist."""
     legs_apart = design.meta.bottom is Bottom.PANTS

@@ -187,9 +187,8 @@ def test_eyes_and_mouth_of_our_body_are_closed_to_cloth() -> None:
     check_closed_to_cloth(build_body(neutral_shape()))
 
 
-@pytest.mark.parametrize("name", ["all", "female", "male"])
-def test_eyes_and_mouth_of_the_published_bodies_are_closed_to_cloth(name: str, examples: Path) -> None:
-    mesh = examples / "bodies" / f"mean_{name}.obj"
+def test_eyes_and_mouth_of_a_published_body_are_closed_to_cloth(examples: Path) -> None:
+    mesh = examples / "bodies" / "mean_female.obj"
     body, _ = read_body(mesh, mesh.with_suffix(".yaml"), examples / "bodies" / "ggg_body_segmentation.json")
     check_closed_to_cloth(body)
 

@@ -15,8 +15,10 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.mesh import coarse_start, coarsen
-from gcd_dataset.records import BoxMesh, Drape, Outcome
+from gcd_dataset.records import BodyPart, BoxMesh, Drape, Outcome
+from tests.generator.drape.garments import wear
 from tests.helpers import SIZE, body_from, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
@@ -292,3 +294,15 @@ def test_an_unknown_device_is_named() -> None:
 def test_a_fabric_without_weight_is_refused() -> None:
     with pytest.raises(ConfigError, match="density"):
         Fabric(density=0.0)
+
+
+@pytest.mark.parametrize("upper", ["Cape", "Poncho"])
+def test_an_overgarment_settles_without_crossings_and_covers_both_shoulders(upper: str) -> None:
+    worn = wear(design_from_dict({"meta": {"upper": upper}}), spacing=5.0)
+    assert worn.drape.outcome is Outcome.SETTLED
+    assert (worn.drape.self_crossings, worn.drape.body_crossings) == (0, 0)
+    top = worn.drape.vertices[:, 1].max()
+    for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM):
+        arm = worn.body.vertices[worn.body.parts == part.value]
+        assert arm[:, 1].max() < top < worn.body.vertices[:, 1].max()
+        assert worn.drape.vertices[:, 0].min() < arm[:, 0].mean() < worn.drape.vertices[:, 0].max()

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, neutral_shape
-from gcd_dataset.generator.body.limbs import leg_of, limbs_of
+from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
+from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
@@ -24,7 +27,21 @@ from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, PanelRole
+from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import (
+    Body,
+    BodyPart,
+    BoxMesh,
+    Edge,
+    EdgeRef,
+    EdgeRole,
+    Panel,
+    PanelRole,
+    Pattern,
+    Placement,
+    Seam,
+)
 from tests.generator.drape.garments import neutral
 from tests.helpers import patch
 
@@ -249,3 +266,163 @@ def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
     forward = standing.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     start = sewing_start(mesh_of(design), replace(standing, vertices=forward))
     assert np.isfinite(start).all()
+
+
+DEPTH = 0.3  # cm under the skin: rounding decides on which side of the skin a cuff lies that touches it
+
+
+def faces_through_limbs(mesh: BoxMesh, vertices: np.ndarray, body: Body) -> dict[str, int]:
+    """The number of edges of the body, ``DEPTH`` under its skin, that pass through each panel."""
+    cloth = trimesh.Trimesh(vertices, mesh.faces, process=False)
+    skin = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    under, edges = body.vertices - DEPTH * skin.vertex_normals, skin.edges_unique
+    start = under[edges[:, 0]]
+    along = under[edges[:, 1]] - start
+    length = np.linalg.norm(along, axis=1)
+    hits, ray, face = cloth.ray.intersects_location(start, along / length[:, None], multiple_hits=False)
+    pierced = mesh.panel_id[face[np.linalg.norm(hits - start[ray], axis=1) < length[ray]]]
+    return {name: int((pierced == number).sum()) for number, name in enumerate(mesh.panel_names)}
+
+
+@pytest.mark.parametrize(
+    ("index", "cuff"),
+    [
+        (320, "sl_left_cuff_"),  # a wide sleeve gathered into a narrow cuff
+        (742, "sl_left_cuff_"),
+        (254, "pant_l_cuff_"),  # flared cuffs that reach past the other leg
+        (255, "pant_l_cuff_"),
+    ],
+)
+def test_cuffs_start_round_their_limbs(index: int, cuff: str) -> None:
+    design = prepare(90125, index // 2, MakeConfig(bodies="both", resolution=2.0, device="cpu"))
+    wearer = design.dressed[index % 2]
+    assert wearer.start is not None
+    assert wearer.coarse is not None
+    through = faces_through_limbs(wearer.coarse.mesh, wearer.start, wearer.body)
+    assert any(name.startswith(cuff) for name in through)
+    assert not {name: count for name, count in through.items() if name.startswith(cuff) and count}
+
+
+def test_trousers_with_a_narrow_cuff_end_before_the_foot() -> None:
+    """The flare below the cuff is loose, but the cuff would not slip off the foot."""
+    design = prepare(31415, 126, MakeConfig(bodies="both", resolution=2.0, device="cpu"))
+    wearer = design.dressed[1]
+    assert wearer.start is not None
+    assert wearer.coarse is not None
+    mesh = wearer.coarse.mesh
+    flare = [number for number, name in enumerate(mesh.panel_names) if name.startswith("pant_l_cuff_skirt")]
+    cloth = np.unique(mesh.faces[np.isin(mesh.panel_id, flare)])
+    assert wearer.start[cloth, 1].min() > 0.0
+
+
+WIDTH, LENGTH = 40.0, 50.0  # cm
+ABOVE = 8.0  # cm between the arm's axis and the flat sleeve
+
+
+def rectangle(name: str, height: float, placement: Placement, role: PanelRole) -> Panel:
+    """A rectangle of ``WIDTH``, whose top and bottom have two edges each: the ends of a ring's seam must differ."""
+    half = 0.5 * WIDTH
+    corners = np.array([[-half, 0.0], [0.0, 0.0], [half, 0.0], [half, height], [0.0, height], [-half, height]])
+    return Panel(name, corners, tuple(Edge(i, (i + 1) % 6) for i in range(6)), placement, role)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> BoxMesh:
+    """A sleeve of one panel above a horizontal arm, sewn to itself along its length and by its top to a strip."""
+    flat = Placement(np.array([60.0, 100.0 + ABOVE, 0.0]), np.array([0.0, 0.0, 0.0]))
+    down = np.array([-np.pi / 2, 0.0, 0.0])
+    turned = Placement(flat.translation, np.array([down[0], np.pi / 2, 0.0]))
+    sleeve = rectangle("sleeve", LENGTH, turned, PanelRole.ARM)
+    strip = rectangle("strip", 10.0, Placement(np.array([5.0, 100.0, 0.0]), turned.rotation), PanelRole.BODY)
+    pairs = [(("sleeve", 2), ("sleeve", 5)), (("strip", 2), ("strip", 5))]
+    pairs += [(("sleeve", 3), ("strip", 1)), (("sleeve", 4), ("strip", 0))]
+    seams = tuple(Seam(EdgeRef(*left), EdgeRef(*right)) for left, right in pairs)
+    return build_box_mesh(Pattern("sleeve", (sleeve, strip), seams), spacing=2.0)
+
+
+def arm(radius: float) -> Limb:
+    """A cylinder along x, from x = 0 to 80, at a height of 100 cm."""
+    along, turn = np.meshgrid(np.linspace(0.0, 80.0, 41), np.linspace(0.0, 2 * np.pi, 32, endpoint=False))
+    skin = np.stack([along, 100.0 + radius * np.cos(turn), radius * np.sin(turn)], axis=-1).reshape(-1, 3)
+    return Limb(skin, np.array([1.0, 0.0, 0.0]), np.array([40.0, 100.0, 0.0]), radius, radius)
+
+
+def rolled(mesh: BoxMesh, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions about the arm's axis of the sleeve's vertices beyond 10 cm from its root, and their vertex numbers."""
+    own = np.array(mesh.panel_labels)[mesh.panel_id] == PanelRole.ARM
+    placed = np.array(mesh.vertices, float)
+    assert roll_round_limb(mesh, own, arm(radius), placed)
+    rows = np.unique(mesh.faces[own])
+    beyond = rows[np.abs(placed[rows, 0] - placed[rows, 0].max()) < LENGTH - 12.0]
+    return placed[beyond, 1:] - [100.0, 0.0], beyond
+
+
+def test_sleeve_surrounds_the_arm_with_its_own_girth(mesh: BoxMesh) -> None:
+    around, _ = rolled(mesh, 4.0)
+    assert np.linalg.norm(around, axis=1) == pytest.approx(WIDTH / (2 * np.pi), rel=0.02)
+    angles = np.sort(np.arctan2(around[:, 1], around[:, 0]))
+    assert np.diff(angles).max() < np.radians(30)
+
+
+def test_sleeve_narrower_than_the_arm_is_widened_beyond_the_skin(mesh: BoxMesh) -> None:
+    around, _ = rolled(mesh, 9.0)
+    assert np.linalg.norm(around, axis=1).min() > 9.0
+
+
+def test_middle_stays_above_and_the_seam_comes_below(mesh: BoxMesh) -> None:
+    around, rows = rolled(mesh, 4.0)
+    vertex, count = np.unique(mesh.uv_vertex, return_counts=True)
+    assert around[np.isin(rows, vertex[count > 1]), 0].max() < -0.9 * WIDTH / (2 * np.pi)
+    assert around[:, 0].max() == pytest.approx(WIDTH / (2 * np.pi), rel=0.02)
+
+
+def test_right_side_of_the_cloth_is_outside(mesh: BoxMesh) -> None:
+    own = np.array(mesh.panel_labels)[mesh.panel_id] == PanelRole.ARM
+    placed = np.array(mesh.vertices, float)
+    roll_round_limb(mesh, own, arm(4.0), placed)
+    a, b, c = placed[mesh.faces[own]].transpose(1, 0, 2)
+    normals, centres = np.cross(b - a, c - a), (a + b + c) / 3
+    beyond = centres[:, 0] > centres[:, 0].max() - LENGTH + 12.0
+    outward = centres[beyond] - [0.0, 100.0, 0.0]
+    assert (normals[beyond, 1:] * outward[:, 1:]).sum(axis=1).min() > 0.0
+
+
+def test_sleeve_of_two_panels_is_left_alone(mesh: BoxMesh) -> None:
+    everything = np.ones(len(mesh.faces), bool)
+    placed = np.array(mesh.vertices, float)
+    assert not roll_round_limb(mesh, everything, arm(4.0), placed)
+    assert np.array_equal(placed, mesh.vertices)
+
+
+def strip() -> tuple[BoxMesh, FlatCloth]:
+    """A strip of 12 cm by 5 cm."""
+    mesh = patch(12, 5)
+    return mesh, FlatCloth.of(mesh, np.ones(len(mesh.faces), bool))
+
+
+def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear() -> None:
+    """Up to 0.003: the cotangent weights of right angles are 0, and are raised to ``LEAST_WEIGHT``."""
+    mesh, cloth = strip()
+    along = mesh.uv[:, 0]
+    ends = np.flatnonzero((along == along.min()) | (along == along.max()))
+    values = cloth.harmonic(ends, (along[ends] > along.mean()).astype(float))
+    assert values == pytest.approx((along - along.min()) / np.ptp(along), abs=0.003)
+
+
+def test_a_harmonic_function_keeps_the_bounds_of_its_border() -> None:
+    _, cloth = strip()
+    border = cloth.border
+    assert len(border) == 2 * (12 + 5)
+    values = cloth.harmonic(border, np.sin(np.arange(len(border))))
+    assert np.abs(values).max() == pytest.approx(np.abs(np.sin(np.arange(len(border)))).max())
+
+
+def test_distances_run_along_edges() -> None:
+    mesh, cloth = strip()
+    corner = int(np.argmin(mesh.uv.sum(axis=1)))
+    distance = cloth.distance_from(np.array([corner]))
+    straight = np.linalg.norm(mesh.uv - mesh.uv[corner], axis=1)
+    assert (distance >= straight - 1e-9).all()
+    on_side = mesh.uv[:, 1] == mesh.uv[corner, 1]
+    assert distance[on_side] == pytest.approx(straight[on_side])
+    assert cloth.area == pytest.approx(60.0)

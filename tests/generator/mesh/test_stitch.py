@@ -1,12 +1,103 @@
-"""Points merged along seams."""
+"""Borders of panels as points, and their merging along the seams."""
 
 import numpy as np
 import pytest
 
+from gcd_dataset.curves import Arc, Cubic, Curve
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.stitch import SewnPoints, mean_positions, merge_points, stitch_points
-from gcd_dataset.records import Seam
-from tests.generator.mesh.shapes import seam
+from gcd_dataset.generator.mesh.stitch import (
+    SewnPoints,
+    edge_counts,
+    mean_positions,
+    merge_points,
+    sample_border,
+    stitch_points,
+)
+from gcd_dataset.records import Edge, EdgeRef, Panel, Placement, Seam
+from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
+
+
+def test_edges_get_points_at_most_a_spacing_apart() -> None:
+    """At a spacing of 1 cm an edge of 10 cm has 11 points, an edge of 10.01 cm has 12."""
+    counts = edge_counts(sewn(panel("a", rectangle(10.0, 10.01))), 1.0)
+    assert [counts[EdgeRef("a", edge)] for edge in range(4)] == [11, 12, 11, 12]
+
+
+def test_an_edge_that_rounding_made_longer_keeps_its_points() -> None:
+    width = 0.1 + 0.2 + 0.7  # a little over 1
+    assert edge_counts(sewn(panel("a", rectangle(10 * width, 5.0))), width / 1.0)[EdgeRef("a", 0)] == 11
+
+
+@pytest.mark.parametrize("curve", [Arc(20.0, large=False, right=True), Cubic((0.1, 0.6), (0.3, -0.4))])
+def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
+    """To two thousandths: the arc length is a quadrature, and steps are measured as chords."""
+    bent = panel("a", rectangle(30.0, 30.0), curves={0: curve})
+    border = sample_border(bent, edge_counts(sewn(bent), 0.25))
+    steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)
+    assert steps == pytest.approx(steps.mean(), rel=2e-3)
+    assert steps.mean() <= 0.25
+
+
+def test_the_points_of_an_arc_lie_on_its_circle() -> None:
+    quarter = panel("a", [(10.0, 0.0), (0.0, 10.0), (0.0, 0.0)], curves={0: Arc(10.0, large=False, right=True)})
+    border = sample_border(quarter, edge_counts(sewn(quarter), 1.0))
+    arc = border.points[border.edge(0)]
+    assert len(arc) == 17  # a quarter of 2π · 10 cm is 15.7
+    assert np.linalg.norm(arc, axis=1) == pytest.approx(10.0)
+
+
+def test_neighbouring_edges_share_their_corner() -> None:
+    square = panel("a", rectangle(10.0, 10.0))
+    border = sample_border(square, edge_counts(sewn(square), 1.0))
+    assert len(border.points) == 40
+    assert border.edge(0)[-1] == border.edge(1)[0] == 10
+    assert border.edge(3)[-1] == border.edge(0)[0] == 0
+
+
+def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
+    pattern = sewn(
+        panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(25.0, 5.0)), seams=(seam(("a", 0), ("b", 2)),)
+    )
+    counts = edge_counts(pattern, 1.0)
+    assert counts[EdgeRef("a", 0)] == counts[EdgeRef("b", 2)] == 26
+    assert counts[EdgeRef("a", 2)] == 11
+
+
+def test_an_edge_in_two_seams_is_an_error() -> None:
+    a, b = panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(10.0, 5.0))
+    pattern = sewn(a, b, seams=(seam(("a", 0), ("b", 0)), seam(("b", 0), ("a", 2))))
+    with pytest.raises(MeshError, match="panel b, edge 0 is in seams 0 and 1: split the edge"):
+        edge_counts(pattern, 1.0)
+
+
+def test_a_seam_of_a_missing_edge_is_an_error() -> None:
+    with pytest.raises(MeshError, match="seam 0: there is no edge 4 of panel a"):
+        edge_counts(sewn(panel("a", rectangle(10.0, 5.0)), seams=(seam(("a", 0), ("a", 4)),)), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("end", "length"), [((0.0, 0.0), "0.0"), ((np.nan, 0.0), "nan"), ((np.inf, 0.0), "inf")], ids=["0", "nan", "inf"]
+)
+def test_an_edge_without_a_finite_length_is_an_error(end: tuple[float, float], length: str) -> None:
+    with pytest.raises(MeshError, match=f"panel a, edge 0 has a length of {length} cm"):
+        edge_counts(sewn(panel("a", [(0.0, 0.0), end, (5.0, 5.0)])), 1.0)
+
+
+def test_an_arc_too_small_for_its_chord_is_an_error() -> None:
+    flat = panel("a", rectangle(10.0, 5.0), curves={2: Arc(3.0, large=False, right=True)})
+    with pytest.raises(MeshError, match="panel a, edge 2: arc of radius 3 cm cannot span a chord of 10 cm"):
+        edge_counts(sewn(flat), 1.0)
+
+
+def test_an_open_or_empty_outline_is_an_error() -> None:
+    corners = np.array(rectangle(10.0, 5.0))
+    placement = Placement(np.zeros(3), np.zeros(3))
+    gap = Panel("a", corners, (Edge(0, 1), Edge(2, 3), Edge(3, 0)), placement)
+    with pytest.raises(MeshError, match="panel a: edge 0 does not end where the next begins"):
+        sample_border(gap, edge_counts(sewn(gap), 1.0))
+    with pytest.raises(MeshError, match="panel a has no edges"):
+        sample_border(Panel("a", corners, (), placement), {})
+
 
 A, B = ("a", 0), ("b", 0)
 
