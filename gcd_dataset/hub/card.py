@@ -158,7 +158,7 @@ def _origin(manifest: Manifest) -> str:
     lines = [f"- seed {plan.seed}, recipe `{options}`"]
     if named is not None:
         hashes = f"- recipe `{named.name}` of sha256 `{named.sha256}`, patterns `{named.patterns}`"
-        lines.append(f"{hashes}: `gcd verify FOLDER --recipe {named.name}` compares")
+        lines.append(f"{hashes}: `gcd check FOLDER --recipe {named.name}` compares")
     return "\n".join(lines)
 
 

@@ -523,7 +523,7 @@ class GarmentTags:
     def _metas(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
         try:
             return [_parsed(members[META]) for members in self._reader.read_many(chunk, [META])]
-        except ShardError:  # ``gcd verify`` reports damage; the garment's own page does too
+        except ShardError:  # ``gcd check`` reports damage; the garment's own page does too
             return self._readable(chunk)
 
     def _readable(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:

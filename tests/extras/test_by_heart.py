@@ -59,8 +59,9 @@ def test_all_stitches_of_four_patterns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stitches, "VARIANTS", (1.0, 1.0))  # as drawn: these are the patterns that are asked for
     names = ("panels", "edges", "stitches")
     garments = GeneratedGarments(DRAWN, 0, drape=None, stage="pattern", fields=names, dtype=None)
-    drawn = ([garments[k][name].numpy() for name in names] for k in range(DRAWN))
-    arrays = [(panels, edges, sewn) for panels, edges, sewn in drawn if len(edges) <= MOST_EDGES][:COUNT]
+    items = (garments[k] for k in range(DRAWN))
+    drawn = [(item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy()) for item in items]
+    arrays = [entry for entry in drawn if len(entry[1]) <= MOST_EDGES][:COUNT]
     torch.manual_seed(0)
     learner = StitchLearner(StitchConfig(width=64, heads=4, layers=3, pair_width=32))
     config = TrainConfig(steps=700, batch=COUNT, lr=1.5e-3, ema=0.98)
