@@ -11,23 +11,23 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, check_pattern
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
 from gcd_dataset.generator.garments.space import DesignSpace, draw
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
 
-SPACE = DesignSpace.declared(OutfitDesign)
+SPACE = DesignSpace.declared(GarmentDesign)
 FLOOR_SLACK = 1.0  # cm by which a garment may be longer than from the neck to the floor
 THIN_BAND = 0.25
 
 
-def reference_design(rng: np.random.Generator) -> OutfitDesign:
+def reference_design(rng: np.random.Generator) -> GarmentDesign:
     """A design drawn like GarmentCode's, before any test."""
     return draw(SPACE, rng)
 
 
-def reject_reason(design: OutfitDesign, sizes: Sequence[Measurements]) -> str:
+def reject_reason(design: GarmentDesign, sizes: Sequence[Measurements]) -> str:
     """The first test of GarmentCode's sampler that a design fails; empty if it is accepted."""
     if design.meta.upper is None and design.meta.bottom is None:
         return "empty"
@@ -38,12 +38,12 @@ def reject_reason(design: OutfitDesign, sizes: Sequence[Measurements]) -> str:
     return next((reason for size in sizes if (reason := _unfit(design, size))), "")
 
 
-def _slides(design: OutfitDesign) -> bool:
+def _slides(design: GarmentDesign) -> bool:
     loose = design.meta.wb is None or design.waistband.waist > 1
     return design.meta.upper is None and is_gathered(design) and design.skirt.ruffle > 1 and loose
 
 
-def _is_heavy(design: OutfitDesign) -> bool:
+def _is_heavy(design: GarmentDesign) -> bool:
     band = design.waistband
     thin = design.meta.wb is None or band.waist > 1 or band.width <= THIN_BAND
     levels = design.meta.bottom is Bottom.LEVELS
@@ -52,7 +52,7 @@ def _is_heavy(design: OutfitDesign) -> bool:
     return design.meta.upper is None and is_flared(design) and thin and heavy
 
 
-def _unfit(design: OutfitDesign, size: Measurements) -> str:
+def _unfit(design: GarmentDesign, size: Measurements) -> str:
     if garment_length(size, design, frozenset()) > size.height - size.head_l + FLOOR_SLACK:
         return "too long"
     try:

@@ -10,7 +10,7 @@ from gcd_dataset.lazy import lazy_names
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
-    from gcd_dataset.generator.garments import OutfitDesign, read_design, sample_design
+    from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.maker import make, produce
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
@@ -22,8 +22,8 @@ __all__ = [
     "DrapeConfig",
     "DrapeJob",
     "Fabric",
+    "GarmentDesign",
     "MakeConfig",
-    "OutfitDesign",
     "Overlay",
     "build_body",
     "build_box_mesh",
@@ -48,7 +48,7 @@ __all__ = [
 _NAMES_OF_MODULE = {
     "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
     "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_all", "drape_batch", "fabric_named"),
-    "garments": ("OutfitDesign", "read_design", "sample_design"),
+    "garments": ("GarmentDesign", "read_design", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh", "coarse_start"),
     "people": ("make_person",),

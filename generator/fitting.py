@@ -23,7 +23,7 @@ from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
-from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, Reject, check_outfit
+from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.svg import pattern_svg
@@ -111,7 +111,7 @@ def _file_key(name: str) -> str:
 
 
 def write_drawn(
-    design: OutfitDesign, size: Measurements, folder: Path, *, source: Path
+    design: GarmentDesign, size: Measurements, folder: Path, *, source: Path
 ) -> tuple[Path, tuple[Reject, ...]]:
     """Write specification, SVG and measures of a design for a wearer, named after its file ``source``.
 
@@ -120,10 +120,10 @@ def write_drawn(
     """
     name = safe_name(source.stem.removesuffix("_design_params"))
     try:
-        drawn = DrawnOutfit.of(size, design, name=name)
+        drawn = DrawnGarment.of(size, design, name=name)
     except PatternError as error:
         raise PatternError(f"{source}: {error}") from error
-    rejects = check_outfit(drawn)
+    rejects = check_design(drawn)
     if any(fault.severity is Severity.ERROR for fault in drawn.faults):
         raise PatternError(f"{source}: cannot be sewn for this body: {'; '.join(map(str, rejects))}")
     spec, svg, measures = (make_folder(folder) / f"{name}{ENDINGS[kind]}" for kind in ("spec", "svg", "measures"))

@@ -21,11 +21,11 @@ from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import (
-    OutfitDesign,
+    GarmentDesign,
     Reject,
     attempted_design,
     design_to_dict,
-    outfit_tags,
+    garment_tags,
     try_on,
 )
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
@@ -56,7 +56,7 @@ NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 
 
-def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
+def build_pattern(size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Pattern:
     """The pattern of a design for a wearer. Raises ``PatternError`` if it cannot be drawn or a rule rejects it."""
     pattern = try_on(size, design, name=name)
     if isinstance(pattern, Reject):
@@ -64,7 +64,7 @@ def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outf
     return pattern
 
 
-def fit(design: OutfitDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, ...]:
+def fit(design: GarmentDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, ...]:
     """The patterns of one design for many wearers, one for each entry of ``sizes``.
 
     Raises ``PatternError`` with the number of the first wearer for whom it cannot be drawn or a rule rejects it.
@@ -115,7 +115,7 @@ class DressedDesign:
     rejects: tuple[Rejected, ...]
     redraws: Mapping[str, int]
     """Rule to the number of parameter redraws, summed over all attempts."""
-    design: OutfitDesign
+    design: GarmentDesign
     dressed: tuple[DressedWearer, ...]
 
     def all_redraws(self) -> dict[str, int]:
@@ -202,7 +202,7 @@ def _neutral_with_legs_apart() -> Body:
 
 
 def _dress_all(
-    seed: int, wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig
+    seed: int, wearers: Iterable[_Wearer], design: GarmentDesign, config: MakeConfig
 ) -> tuple[DressedWearer, ...] | Rejected:
     """All wearers dressed in the design, or the rejection for the first wearer who cannot wear it."""
     dressed = []
@@ -214,7 +214,7 @@ def _dress_all(
     return tuple(dressed)
 
 
-def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> DressedWearer | Reject:
+def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
@@ -336,7 +336,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         back=back,
         views=() if reply is None else _views(reply, config),
         gathers=dressed.pattern.gather_ratios(),
-        tags=outfit_tags(dressed.size, design.design, dressed.pattern),
+        tags=garment_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
         caption=_caption(design, dressed) if config.captions else None,

@@ -26,7 +26,7 @@ from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.fitting import drape_patterns
-from gcd_dataset.generator.garments import OutfitDesign, outfit, read_design
+from gcd_dataset.generator.garments import GarmentDesign, outfit, read_design
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -396,7 +396,7 @@ def test_a_garment_that_slides_off_ends_with_1(
 ) -> None:
     """The files are written too; with ``--allow-unsettled`` the exit code is 0."""
     size = measure(build_body(neutral_shape()))
-    design = OutfitDesign(
+    design = GarmentDesign(
         meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
     )
     spec = tmp_path / "wide_specification.json"

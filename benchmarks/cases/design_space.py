@@ -51,7 +51,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import (
     DrawnDesign,
-    OutfitDesign,
+    GarmentDesign,
     Redraw,
     Reject,
     attempted_design,
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> Measured:
     ours = _ours(options.seed, options.count)
     reasons: Counter[str] = Counter()
     theirs = _theirs(options.seed, options.reference_count, reasons)
-    rows = [_row(leaf, ours, theirs) for leaf in leaves(OutfitDesign)]
+    rows = [_row(leaf, ours, theirs) for leaf in leaves(GarmentDesign)]
     if options.plot:
         write_whole(options.plot, _plot(ours, theirs))
     moved = [row["moved"] for row in rows if isinstance(row["moved"], float)]
@@ -149,8 +149,8 @@ def _accepted(seed: int, number: int) -> DrawnDesign:
 
 def _theirs(seed: int, count: int, reasons: Counter[str]) -> Selection:
     """GarmentCode's sampler; ``reasons`` counts all its verdicts."""
-    proposed: list[OutfitDesign] = []
-    accepted: list[OutfitDesign] = []
+    proposed: list[GarmentDesign] = []
+    accepted: list[GarmentDesign] = []
     while len(accepted) < count:
         number = len(proposed)
         design = reference_design(rng(seed, number, Stage.DESIGN))
@@ -162,8 +162,8 @@ def _theirs(seed: int, count: int, reasons: Counter[str]) -> Selection:
     return Selection(_values(proposed), _values(accepted), {}, paired=False)
 
 
-def _values(designs: Iterable[OutfitDesign]) -> Values:
-    found: dict[str, list[Any]] = {leaf.path: [] for leaf in leaves(OutfitDesign)}
+def _values(designs: Iterable[GarmentDesign]) -> Values:
+    found: dict[str, list[Any]] = {leaf.path: [] for leaf in leaves(GarmentDesign)}
     for design in designs:
         tree, sections = design_to_dict(design), design.sections_used()
         for path, values in found.items():
@@ -242,7 +242,7 @@ def _plot(ours: Selection, theirs: Selection) -> bytes:
 
     drawn = {
         leaf: [used(values[leaf.path]) for values in (ours.accepted, theirs.accepted, ours.proposed)]
-        for leaf in leaves(OutfitDesign)
+        for leaf in leaves(GarmentDesign)
     }
     shown = {leaf: values for leaf, values in drawn.items() if min(map(len, values)) >= FEWEST}
     columns = 8

@@ -20,7 +20,7 @@ from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import BodyError, ConfigError, PatternError, SpecError
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import OutfitDesign, read_design
+from gcd_dataset.generator.garments.design import GarmentDesign, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import EdgeRef, Measurements, Pattern
@@ -136,7 +136,7 @@ def _subsets(mends: Iterable[Mend]) -> list[tuple[Mend, ...]]:
 
 
 def _verdict(
-    name: str, size: Measurements, design: OutfitDesign, theirs: Pattern, left_out: tuple[Mend, ...]
+    name: str, size: Measurements, design: GarmentDesign, theirs: Pattern, left_out: tuple[Mend, ...]
 ) -> Verdict:
     try:
         ours = outfit(size, design, mends=ALL_MENDS - set(left_out))
@@ -172,7 +172,7 @@ def _tolerance(panel: str) -> float:
     return FRONT_OUTLINE if panel.endswith("ftorso") else OUTLINE
 
 
-def _cap_differences(pattern: Pattern, design: OutfitDesign) -> list[Difference]:
+def _cap_differences(pattern: Pattern, design: GarmentDesign) -> list[Difference]:
     """Sleeves whose cap, without gathers, differs in length from the armhole."""
     found = []
     for side, arm in (("right", design.sleeve), ("left", design.left.sleeve)):

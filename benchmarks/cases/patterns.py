@@ -21,7 +21,7 @@ from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drawing import design_sheet, jpeg_bytes
-from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, attempted_design, try_on
+from gcd_dataset.generator.garments import GarmentDesign, Kind, Reject, attempted_design, try_on
 from gcd_dataset.generator.garments.design import kind_of
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
@@ -101,7 +101,7 @@ def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[Ac
     raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
 
 
-def _worn_by_all(sizes: Sequence[Measurements], design: OutfitDesign) -> tuple[Pattern, ...] | Reject:
+def _worn_by_all(sizes: Sequence[Measurements], design: GarmentDesign) -> tuple[Pattern, ...] | Reject:
     patterns = []
     for size in sizes:
         pattern = try_on(size, design)

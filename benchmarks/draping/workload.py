@@ -15,7 +15,7 @@ from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
@@ -89,7 +89,7 @@ def _dressed(seed: int, config: MakeConfig, number: int) -> list[Worn]:
     ]
 
 
-def kind_of(design: OutfitDesign) -> dict[str, str]:
+def kind_of(design: GarmentDesign) -> dict[str, str]:
     """The fields ``upper``, ``wb`` and ``bottom`` of ``Worn``: names of a design's parts, empty for none."""
     parts = {"upper": design.meta.upper, "wb": design.meta.wb, "bottom": design.meta.bottom}
     return {name: part.value if part else "" for name, part in parts.items()}

@@ -1,4 +1,4 @@
-"""Designs as rows of numbers: a number for each parameter of ``OutfitDesign``, and which of them have an effect."""
+"""Designs as rows of numbers: a number for each parameter of ``GarmentDesign``, and which of them have an effect."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.space import Leaf, leaves
 
@@ -32,7 +32,7 @@ OWN = {
 }  # fmt: skip
 """Section and parameters of skirts, without length and rise."""
 
-PARAMETERS: tuple[Leaf, ...] = tuple(leaves(OutfitDesign, added=True))
+PARAMETERS: tuple[Leaf, ...] = tuple(leaves(GarmentDesign, added=True))
 """All parameters, in the order of a row."""
 
 
@@ -44,7 +44,7 @@ def encode_design(values: Mapping[str, Any]) -> Float[np.ndarray, " d"]:
     return np.array([_code(leaf.space, _at(values, leaf.path)) for leaf in PARAMETERS], np.float32)
 
 
-def decode_design(row: Float[np.ndarray, " d"]) -> OutfitDesign:
+def decode_design(row: Float[np.ndarray, " d"]) -> GarmentDesign:
     """The design of a row; numbers are moved into their ranges, NaN becomes the default."""
     tree: dict[str, Any] = {}
     for leaf, code in zip(PARAMETERS, row.tolist(), strict=True):
@@ -96,13 +96,13 @@ def _value(space: Space, code: float) -> Any:
 # ---------------------------------------------------------------------------------------------------------- the effects
 
 
-def have_effect(design: OutfitDesign) -> Bool[np.ndarray, " d"]:
+def have_effect(design: GarmentDesign) -> Bool[np.ndarray, " d"]:
     """Which parameters the pattern of a design depends on; a parameter without effect can take any value."""
     found = set(_effective(design))
     return np.array([leaf.path in found for leaf in PARAMETERS])
 
 
-def _effective(design: OutfitDesign) -> Iterator[str]:
+def _effective(design: GarmentDesign) -> Iterator[str]:
     meta = design.meta
     yield from ("meta.upper", "meta.wb", "meta.bottom")
     if meta.wb is not None:
@@ -116,7 +116,7 @@ def _effective(design: OutfitDesign) -> Iterator[str]:
         yield from _of_bottom(design)
 
 
-def _of_shirt(design: OutfitDesign) -> Iterator[str]:
+def _of_shirt(design: GarmentDesign) -> Iterator[str]:
     fitted = getattr(design.meta.upper.garment, "fitted") if design.meta.upper else False  # noqa: B009
     yield "left.enable_asym"
     yield from () if fitted else ("shirt.length",)
@@ -182,7 +182,7 @@ def _of_cuff(section: str, kind: str | None) -> Iterator[str]:
         yield from (f"{section}.skirt_flare", f"{section}.skirt_ruffle")
 
 
-def _of_bottom(design: OutfitDesign) -> Iterator[str]:
+def _of_bottom(design: GarmentDesign) -> Iterator[str]:
     bottom = plain(design.meta.bottom)
     free = design.meta.upper is None or not design.meta.upper.garment.at_waist  # otherwise it begins at the waist
     if bottom == "Pants":
@@ -202,7 +202,7 @@ def _of_bottom(design: OutfitDesign) -> Iterator[str]:
 
 
 def _of_skirt(
-    design: OutfitDesign,
+    design: GarmentDesign,
     kind: str,
     *,
     length: bool = False,

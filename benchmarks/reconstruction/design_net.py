@@ -1,6 +1,6 @@
 """Decode tokens into design parameters and body measures, from which the generator's programs draw the answer.
 
-Each of the parameters of ``OutfitDesign``, and each of the 26 measures, has a query that attends to the tokens. A
+Each of the parameters of ``GarmentDesign``, and each of the 26 measures, has a query that attends to the tokens. A
 choice has a logit for each option; a number has a value, and, where random designs often keep the default, a logit that
 it is the default. Parameters without effect on the garment, such as the width of trouser legs of a skirt, are left out
 of the loss.
@@ -30,7 +30,7 @@ from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.generator.garments import OutfitDesign, design_to_dict, outfit
+from gcd_dataset.generator.garments import GarmentDesign, design_to_dict, outfit
 from gcd_dataset.generator.garments.outfit import BACKS
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
@@ -302,10 +302,10 @@ def drawn(answer: Answer) -> Pattern:
     raise ConfigError("no circle skirt can be drawn for the mean body of the training set: give other garments")
 
 
-def _tried(design: OutfitDesign, size: Measurements, usual: Measurements, number: int) -> Pattern | None:
+def _tried(design: GarmentDesign, size: Measurements, usual: Measurements, number: int) -> Pattern | None:
     try:
         if number == 1:
-            design = wearable(design, [size], np.random.default_rng(0), DesignSpace.declared(OutfitDesign)).design
+            design = wearable(design, [size], np.random.default_rng(0), DesignSpace.declared(GarmentDesign)).design
         if number in (2, 3):
             design = _with_defaults(design)
         if number == 4:
@@ -316,7 +316,7 @@ def _tried(design: OutfitDesign, size: Measurements, usual: Measurements, number
     return None if any(fault.severity is Severity.ERROR for fault in check_pattern(pattern)) else pattern
 
 
-def _with_defaults(design: OutfitDesign) -> OutfitDesign:
+def _with_defaults(design: GarmentDesign) -> GarmentDesign:
     """The design with its choices alone."""
     codes = encode_design(design_to_dict(design))
     is_number = np.array([not isinstance(leaf.space, Choice) for leaf in PARAMETERS])

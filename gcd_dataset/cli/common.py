@@ -15,7 +15,7 @@ from gcd_dataset import files
 from gcd_dataset.errors import ConfigError, ShardError, SpecError, did_you_mean, shown
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.garments import OutfitDesign
+    from gcd_dataset.generator.garments import GarmentDesign
     from gcd_dataset.records import Body, Measurements, Pattern, Sample
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.store import Store
@@ -290,7 +290,7 @@ def names_a_file(source: str) -> bool:
     return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).exists())
 
 
-def design_in(path: Path | str) -> "OutfitDesign":
+def design_in(path: Path | str) -> "GarmentDesign":
     """The design in a file. Raises ``SpecError``: a bad file is bad input, not wrong usage."""
     from gcd_dataset.generator.garments import read_design
 

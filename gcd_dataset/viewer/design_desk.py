@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.errors import BodyError, ConfigError, PatternError
-from gcd_dataset.generator.garments import DrawnOutfit, OutfitDesign, check_outfit, design_from_dict
+from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, check_design, design_from_dict
 from gcd_dataset.generator.garments.design import design_tree
 from gcd_dataset.generator.garments.parameter import Integer, Real, plain
 from gcd_dataset.generator.garments.space import DesignSpace, leaves, value_at
@@ -52,9 +52,9 @@ class Drawing:
     """Sections of the design that the outfit is drawn from, by their names in design files."""
 
 
-def controls(design: OutfitDesign | None = None) -> list[Control]:
+def controls(design: GarmentDesign | None = None) -> list[Control]:
     """A control for each design parameter, in the order of design files."""
-    design, space = design or OutfitDesign(), DesignSpace.declared(OutfitDesign)
+    design, space = design or GarmentDesign(), DesignSpace.declared(GarmentDesign)
     return [_control(*leaf, plain(value_at(space, design, leaf.path))) for leaf in leaves(space, added=True)]
 
 
@@ -75,7 +75,7 @@ class Desk:
     """
 
     def __init__(
-        self, design: OutfitDesign | None = None, wearer: Callable[[bool], tuple[Body, Measurements]] | None = None
+        self, design: GarmentDesign | None = None, wearer: Callable[[bool], tuple[Body, Measurements]] | None = None
     ) -> None:
         from gcd_dataset.generator.body import named_body
 
@@ -90,8 +90,8 @@ class Desk:
         if design.meta.upper is None and design.meta.bottom is None:
             return Drawing(None, ("empty: choose meta.upper or meta.bottom",), used)
         try:
-            drawn = DrawnOutfit.of(self._size(measures), design, name="design")
-            return Drawing(drawn.pattern, tuple(map(str, check_outfit(drawn))), used)
+            drawn = DrawnGarment.of(self._size(measures), design, name="design")
+            return Drawing(drawn.pattern, tuple(map(str, check_design(drawn))), used)
         except PatternError as error:
             return Drawing(None, (str(error),), used)
 
@@ -126,7 +126,7 @@ class Desk:
             outcome=drape.outcome,
         )
 
-    def _design(self, values: Mapping[str, Any]) -> OutfitDesign:
+    def _design(self, values: Mapping[str, Any]) -> GarmentDesign:
         tree: dict[str, Any] = {}
         for path, value in values.items():
             *sections, name = path.split(".")

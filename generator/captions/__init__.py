@@ -9,17 +9,17 @@ from collections.abc import Mapping
 
 from gcd_dataset.captions import LEVELS, caption_text
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.captions.facts import OutfitFacts, outfit_facts
+from gcd_dataset.generator.captions.facts import GarmentFacts, garment_facts
 from gcd_dataset.generator.captions.sentences import Said, say
-from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["LEVELS", "OutfitFacts", "Said", "caption", "captions", "captions_text", "outfit_facts", "say"]
+__all__ = ["LEVELS", "GarmentFacts", "Said", "caption", "captions", "captions_text", "garment_facts", "say"]
 
 
 def caption(
-    size: Measurements, design: OutfitDesign, pattern: Pattern, *, level: str, seed: int = 0, index: int = 0
+    size: Measurements, design: GarmentDesign, pattern: Pattern, *, level: str, seed: int = 0, index: int = 0
 ) -> str:
     """The caption of one level: see ``captions``. Raises ``ConfigError`` for an unknown level."""
     if level not in LEVELS:
@@ -28,17 +28,17 @@ def caption(
 
 
 def captions(
-    size: Measurements, design: OutfitDesign, pattern: Pattern, *, seed: int = 0, index: int = 0
+    size: Measurements, design: GarmentDesign, pattern: Pattern, *, seed: int = 0, index: int = 0
 ) -> Mapping[str, str]:
     """Level to caption, for a design drawn as ``pattern`` for a wearer.
 
     ``short``: at most twelve words; ``medium``: one or two sentences; ``full``: usually three. A longer caption states
     all facts of a shorter one, and more. ``seed``, ``index``: of the sample; they choose among wordings.
     """
-    said = say(outfit_facts(size, design, pattern), rng(seed, index, Stage.CAPTION))
+    said = say(garment_facts(size, design, pattern), rng(seed, index, Stage.CAPTION))
     return {level: entry.text for level, entry in said.items()}
 
 
-def captions_text(size: Measurements, design: OutfitDesign, pattern: Pattern, *, seed: int, index: int) -> str:
+def captions_text(size: Measurements, design: GarmentDesign, pattern: Pattern, *, seed: int, index: int) -> str:
     """The captions of all levels as the member ``caption.txt`` of a sample."""
     return caption_text(captions(size, design, pattern, seed=seed, index=index))

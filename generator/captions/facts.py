@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments.description import (
     Place,
     Words,
 )
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
@@ -90,7 +90,7 @@ PLAIN_LEGS: Words = ("plain leg ends", "plain hems")
 
 
 @dataclass(frozen=True, slots=True)
-class OutfitFacts:
+class GarmentFacts:
     """An outfit in words."""
 
     length: Words
@@ -115,7 +115,7 @@ class OutfitFacts:
         return self.noun[0].endswith("s") and not self.noun[0].endswith("ss")
 
 
-def outfit_facts(size: Measurements, design: OutfitDesign, pattern: Pattern) -> OutfitFacts:
+def garment_facts(size: Measurements, design: GarmentDesign, pattern: Pattern) -> GarmentFacts:
     """The facts of a design as drawn for a wearer in ``pattern``. Raises ``PatternError`` as ``outfit`` does."""
     upper, bottom = described(size, design, pattern)
     facts = _kind(size, design, upper, bottom)
@@ -132,20 +132,20 @@ def outfit_facts(size: Measurements, design: OutfitDesign, pattern: Pattern) -> 
 
 
 def _kind(
-    size: Measurements, design: OutfitDesign, upper: Description | None, bottom: Description | None
-) -> OutfitFacts:
+    size: Measurements, design: GarmentDesign, upper: Description | None, bottom: Description | None
+) -> GarmentFacts:
     """Names, lengths and parts, with the details of upper and bottom."""
     if bottom is None:
         assert upper is not None
         length, tops = shirt_words(size, hem_below_waist(size, design))
         tops = tops if upper.noun == ("top",) else upper.noun
-        return OutfitFacts(length, tops, upper.traits, upper.cut, (), "", upper.details, False)
+        return GarmentFacts(length, tops, upper.traits, upper.cut, (), "", upper.details, False)
     depth = hem_depth(size, design)
     legs = bottom.noun == ("trousers",)
     length, names = leg_words(size, depth) if legs else (skirt_words(size, depth), bottom.noun)
     lower = names[0] if legs else "skirt"
     if upper is None:
-        return OutfitFacts(length, names, bottom.traits, bottom.cut, (), lower, bottom.details, False)
+        return GarmentFacts(length, names, bottom.traits, bottom.cut, (), lower, bottom.details, False)
     parts: tuple[Words, ...] = (_prefixed(bottom.cut, names),)
     if upper.cut:  # halves of different cut have no common word
         parts = (_prefixed(upper.cut, ("bodice",)), *parts)
@@ -153,7 +153,7 @@ def _kind(
     if lower == "shorts" and length != KNEE_LENGTH:
         length, nouns = NO_WORDS, ("playsuit", "short jumpsuit")
     traits, details = (*upper.traits, *bottom.traits), (*upper.details, *bottom.details)
-    return OutfitFacts(length, nouns, traits, (), parts, lower, details, False)
+    return GarmentFacts(length, nouns, traits, (), parts, lower, details, False)
 
 
 def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
@@ -182,7 +182,7 @@ def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     return tuple(found)
 
 
-def _waist(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[Detail, ...]:
+def _waist(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple[Detail, ...]:
     """Waistband, waist seam and position of the top."""
     meta, found = design.meta, []
     if meta.wb:
@@ -215,7 +215,7 @@ def _waist(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[
     return tuple(found)
 
 
-def _band(size: Measurements, design: OutfitDesign, kind: Waistband) -> Detail:
+def _band(size: Measurements, design: GarmentDesign, kind: Waistband) -> Detail:
     height, meta = design.waistband.width * size.hips_line, design.meta
     high = "narrow " if height <= NARROW else "wide " if height >= WIDE else ""
     cut = "loose" if design.waistband.waist >= LOOSE else "fitted" if kind is Waistband.FITTED else "straight"

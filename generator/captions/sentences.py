@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from gcd_dataset.captions import LEVELS
-from gcd_dataset.generator.captions.facts import OutfitFacts
+from gcd_dataset.generator.captions.facts import GarmentFacts
 from gcd_dataset.generator.garments.description import Place, Words, joined, with_article
 
 MOST_SHORT_WORDS = 12
@@ -34,7 +34,7 @@ class _Phrase:
 
 
 @dataclass(frozen=True, slots=True)
-class _Outfit:
+class _Garment:
     """The facts of an outfit, each in its chosen wording."""
 
     adjectives: tuple[str, ...]
@@ -59,20 +59,20 @@ class _Outfit:
         return "They have" if self.is_plural else "It has"
 
 
-def say(facts: OutfitFacts, rng: np.random.Generator) -> Mapping[str, Said]:
+def say(facts: GarmentFacts, rng: np.random.Generator) -> Mapping[str, Said]:
     """The caption of each of ``LEVELS``; each states the facts of the one before, in the same words, and more."""
     outfit = _chosen(facts, rng)
     return dict(zip(LEVELS, (_short(outfit), _medium(outfit), _full(facts, outfit, rng)), strict=True))
 
 
-def _chosen(facts: OutfitFacts, rng: np.random.Generator) -> _Outfit:
+def _chosen(facts: GarmentFacts, rng: np.random.Generator) -> _Garment:
     """Each fact in one of its wordings."""
 
     def pick(words: Words) -> str:
         return words[int(rng.integers(len(words)))]
 
     length = (facts.length,) if facts.length else ()
-    return _Outfit(
+    return _Garment(
         adjectives=tuple(pick(words) for words in (*facts.traits, *length, *facts.cut)),
         noun=pick(facts.noun),
         parts=tuple(pick(words) for words in facts.parts),
@@ -85,7 +85,7 @@ def _chosen(facts: OutfitFacts, rng: np.random.Generator) -> _Outfit:
 # --------------------------------------------------------------------------------------------------------------- levels
 
 
-def _short(outfit: _Outfit) -> Said:
+def _short(outfit: _Garment) -> Said:
     """The name with its parts, or with its first main detail that is short enough."""
     head, named = outfit.head(), outfit.named
     options: list[tuple[str, ...]] = [(detail.text,) for detail in outfit.details if detail.main]
@@ -99,7 +99,7 @@ def _short(outfit: _Outfit) -> Said:
     return Said(_sentence(head), named)
 
 
-def _medium(outfit: _Outfit) -> Said:
+def _medium(outfit: _Garment) -> Said:
     """The name with its parts, and the main details; one more detail if the short caption states all these."""
     main = [detail.text for detail in outfit.details if detail.main]
     if set(_short(outfit).facts) >= {*outfit.named, *outfit.parts, *main}:
@@ -113,7 +113,7 @@ def _medium(outfit: _Outfit) -> Said:
     return Said(_sentence(f"{outfit.head()} with {joined(now)}", *extra), facts)
 
 
-def _full(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> Said:
+def _full(facts: GarmentFacts, outfit: _Garment, rng: np.random.Generator) -> Said:
     """All facts, from the top down."""
     head = outfit.head()
     if outfit.parts:
@@ -131,7 +131,7 @@ def _full(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> Said
     return Said(_sentence(*sentences), (*outfit.named, *outfit.parts, *said))
 
 
-def _paragraph(outfit: _Outfit) -> list[tuple[str, list[str]]]:
+def _paragraph(outfit: _Garment) -> list[tuple[str, list[str]]]:
     """Subject and details of each sentence after the first."""
     it = "They" if outfit.is_plural else "It"
 
@@ -154,7 +154,7 @@ def _paragraph(outfit: _Outfit) -> list[tuple[str, list[str]]]:
     return [(subject, listed) for subject, listed in groups if listed]
 
 
-def _symmetry(facts: OutfitFacts, outfit: _Outfit, rng: np.random.Generator) -> str:
+def _symmetry(facts: GarmentFacts, outfit: _Garment, rng: np.random.Generator) -> str:
     """A clause about the two sides, or nothing."""
     if facts.is_symmetrical:
         return str(rng.choice([", and both sides match", ", and left and right are alike"]))

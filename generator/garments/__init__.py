@@ -15,11 +15,11 @@ that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks 
 """
 
 from gcd_dataset.generator.garments.description import TAGS
-from gcd_dataset.generator.garments.design import Kind, OutfitDesign, design_from_dict, design_to_dict, read_design
-from gcd_dataset.generator.garments.drawn import outfit_tags
+from gcd_dataset.generator.garments.design import GarmentDesign, Kind, design_from_dict, design_to_dict, read_design
+from gcd_dataset.generator.garments.drawn import garment_tags
 from gcd_dataset.generator.garments.outfit import outfit
 from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
-from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
+from gcd_dataset.generator.garments.rules import DrawnGarment, Reject, check_design, try_on
 from gcd_dataset.generator.garments.sampling import (
     attempted_design,
     drafted_design,
@@ -31,18 +31,18 @@ from gcd_dataset.generator.garments.sampling import (
 __all__ = [
     "TAGS",
     "DrawnDesign",
-    "DrawnOutfit",
+    "DrawnGarment",
+    "GarmentDesign",
     "Kind",
-    "OutfitDesign",
     "Redraw",
     "Reject",
     "attempted_design",
-    "check_outfit",
+    "check_design",
     "design_from_dict",
     "design_to_dict",
     "drafted_design",
+    "garment_tags",
     "outfit",
-    "outfit_tags",
     "read_design",
     "sample_design",
     "sample_draft",

@@ -66,7 +66,7 @@ class LeftDesign(Design):
 
 @dataclass(frozen=True)
 @with_parts({garment.section: garment.design for garment in GARMENTS})
-class OutfitDesign(Design):
+class GarmentDesign(Design):
     """A design independent of the body: each parameter is a choice, a fraction of a measure, an angle, or a length.
 
     The fields are the sections of GarmentCode's designs, followed by the sections of garments that GarmentCode lacks.
@@ -137,11 +137,11 @@ DEEPEST = 4  # points in the path of a parameter
 LISTED = 12  # ignored parameters in a message
 
 
-def read_design(path: Path | str) -> OutfitDesign:
+def read_design(path: Path | str) -> GarmentDesign:
     """The design in a YAML, JSON or TOML file: a tree as ``design_from_dict`` takes it. Raises ``ConfigError``."""
     is_toml = Path(path).suffix.lower() == ".toml"
     content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
-    sections = {entry.key for entry in DesignSpace.declared(OutfitDesign).entries}
+    sections = {entry.key for entry in DesignSpace.declared(GarmentDesign).entries}
     if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
         names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
         raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
@@ -151,7 +151,7 @@ def read_design(path: Path | str) -> OutfitDesign:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
+def design_from_dict(values: Mapping[str, Any]) -> GarmentDesign:
     """The design from nested plain values or from GarmentCode's tree, below ``design`` or not; others are defaults.
 
     Logs and ignores parameters of another version of GarmentCode (the tree states their range or type) that change
@@ -164,23 +164,23 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
     return _design(values, "")
 
 
-def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
+def design_to_dict(design: GarmentDesign) -> dict[str, Any]:
     """The design as nested plain values, under GarmentCode's names."""
     return to_dict(design)
 
 
-def write_design(design: OutfitDesign, path: Path | str) -> None:
+def write_design(design: GarmentDesign, path: Path | str) -> None:
     """Write the design as a ``design_params.yaml``, numbers at full precision. Raises ``OutputError``."""
     write_whole(path, yaml.dump({"design": design_tree(design)}, Dumper=DUMPER, sort_keys=False).encode())
 
 
-def design_tree(design: OutfitDesign) -> dict[str, Any]:
+def design_tree(design: GarmentDesign) -> dict[str, Any]:
     """The tree of parameters: each leaf has its value ``v``, its ``range``, ``type`` and ``default_prob``."""
-    return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
+    return _leaves(DesignSpace.declared(GarmentDesign), to_dict(design))
 
 
-def _design(values: Mapping[str, Any], source: str) -> OutfitDesign:
-    tree, space = values.get("design", values), DesignSpace.declared(OutfitDesign)
+def _design(values: Mapping[str, Any], source: str) -> GarmentDesign:
+    tree, space = values.get("design", values), DesignSpace.declared(GarmentDesign)
     if not isinstance(tree, Mapping):
         raise ConfigError(f"design is {short(tree)}, not a table of parameters")
     design, faults = read_values(space, tree)

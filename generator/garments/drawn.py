@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.garments.description import HEMS, RUFFLES, CuffGathers, Description, Detail, Setting, Tag
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
@@ -123,7 +123,7 @@ def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:
     return corners - 0.5 * (corners.min(axis=0) + corners.max(axis=0))
 
 
-def outfit_tags(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[str, ...]:
+def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple[str, ...]:
     """The tags of an outfit, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
     parts = [part for part in described(size, design, pattern) if part]
     found = {_kind(design)} | {tag for part in parts for tag in part.tags}
@@ -138,7 +138,7 @@ def outfit_tags(size: Measurements, design: OutfitDesign, pattern: Pattern) -> t
 
 
 def described(
-    size: Measurements, design: OutfitDesign, pattern: Pattern
+    size: Measurements, design: GarmentDesign, pattern: Pattern
 ) -> tuple[Description | None, Description | None]:
     """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
     meta = design.meta
@@ -150,7 +150,7 @@ def described(
     )
 
 
-def _kind(design: OutfitDesign) -> Tag:
+def _kind(design: GarmentDesign) -> Tag:
     upper, bottom = design.meta.upper, design.meta.bottom
     if bottom is None:
         return Tag.TOP
@@ -159,19 +159,19 @@ def _kind(design: OutfitDesign) -> Tag:
     return Tag.DRESS if upper else Tag.SKIRT
 
 
-def _hem(size: Measurements, design: OutfitDesign) -> Tag:
+def _hem(size: Measurements, design: GarmentDesign) -> Tag:
     depth = hem_depth(size, design)
     return next(
         (tag for most, tag in zip(HEMS, (Tag.MINI, Tag.KNEE, Tag.MIDI), strict=True) if depth <= most), Tag.MAXI
     )
 
 
-def hem_depth(size: Measurements, design: OutfitDesign) -> float:
+def hem_depth(size: Measurements, design: GarmentDesign) -> float:
     """Depth of the lowest hem below the hips, as a fraction of hips to floor."""
     return (hem_below_waist(size, design) - size.hips_line) / size.leg_length
 
 
-def hem_below_waist(size: Measurements, design: OutfitDesign) -> float:
+def hem_below_waist(size: Measurements, design: GarmentDesign) -> float:
     """Depth of the lowest hem below the waist, the parts hung one under the other, each as long as drawn [cm]."""
     meta, rise = design.meta, bottom_rise(design)
     band = design.waistband.width * size.hips_line if meta.wb else 0.0

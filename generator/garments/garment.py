@@ -17,7 +17,7 @@ from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements, PanelRole
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.garments.design import OutfitDesign
+    from gcd_dataset.generator.garments.design import GarmentDesign
 
 D = TypeVar("D", bound=Design)
 
@@ -56,16 +56,16 @@ class Garment(ABC, Generic[D]):
 
     @property
     def field(self) -> str:
-        """The section's field in ``OutfitDesign``."""
+        """The section's field in ``GarmentDesign``."""
         return self.section.replace("-", "_")
 
-    def section_design(self, design: "OutfitDesign") -> D:
+    def section_design(self, design: "GarmentDesign") -> D:
         """The garment's section of an outfit's design."""
         section: D = getattr(design, self.field)
         return section
 
     @abstractmethod
-    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         """The garment of an outfit's design in words, as drawn."""
 
 
@@ -104,14 +104,14 @@ class UpperGarment(Garment[D]):
     """Whether the garment always ends at the waist; the part sewn to its hem then begins at the waist."""
 
     @abstractmethod
-    def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, mends: frozenset[Mend]) -> Component:
         """The component for an outfit's design; offers the ring ``bottom`` if ``carries``."""
 
     @abstractmethod
-    def length(self, size: Measurements, design: "OutfitDesign") -> float:
+    def length(self, size: Measurements, design: "GarmentDesign") -> float:
         """Length from the nape to the hem behind, for an outfit's design [cm]."""
 
-    def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
+    def sections_used(self, design: "GarmentDesign") -> tuple[str, ...]:
         """The fields of an outfit's design that the garment is drawn from."""
         return (self.field,)
 
@@ -127,13 +127,13 @@ class SimpleUpper(UpperGarment[D]):
     description_of: Callable[[D], Description]
     """Returns the garment in words, from a design of the section."""
 
-    def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, mends: frozenset[Mend]) -> Component:
         return self.cut(size, self.section_design(design)).labelled(PanelRole.BODY)
 
-    def length(self, size: Measurements, design: "OutfitDesign") -> float:
+    def length(self, size: Measurements, design: "GarmentDesign") -> float:
         return self.length_of(size, self.section_design(design))
 
-    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return self.description_of(self.section_design(design))
 
 
@@ -185,34 +185,34 @@ class BottomGarment(Garment[D]):
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 
     @abstractmethod
-    def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
         """The component for an outfit's design, its top at ``rise``; offers the ring ``top``."""
 
     @abstractmethod
-    def rise(self, design: "OutfitDesign") -> float:
+    def rise(self, design: "GarmentDesign") -> float:
         """Position of its top in an outfit's design: 0 at the hips, 1 at the waist."""
 
     @abstractmethod
-    def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+    def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
 
-    def drawn_length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+    def drawn_length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         """``length`` as drawn [cm]: longer if a part of the garment has a least length."""
         return self.length(size, design, rise)
 
-    def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
+    def rings(self, size: Measurements, design: "GarmentDesign", rise: float) -> Iterable[Ring]:
         """The rings of the garment in an outfit's design, its top at ``rise``: see ``rings_of``."""
         return self.rings_of(size, self.section_design(design), rise, self.length(size, design, rise))
 
-    def parts(self, design: "OutfitDesign") -> "tuple[BottomGarment[Any], ...]":
+    def parts(self, design: "GarmentDesign") -> "tuple[BottomGarment[Any], ...]":
         """The parts of a combined bottom, from the top down; empty for a simple bottom."""
         return ()
 
-    def top(self, design: "OutfitDesign") -> "BottomGarment[Any]":
+    def top(self, design: "GarmentDesign") -> "BottomGarment[Any]":
         """The uppermost part of a combined bottom; a simple bottom itself."""
         return next(iter(self.parts(design)), self)
 
-    def length_garment(self, design: "OutfitDesign") -> "BottomGarment[Any]":
+    def length_garment(self, design: "GarmentDesign") -> "BottomGarment[Any]":
         """The bottom with the ``length`` parameter: this bottom, or its uppermost part if the length is inherited."""
         return self
 
@@ -234,18 +234,18 @@ class SimpleBottom(BottomGarment[D]):
     hem_tilt: Callable[[D], float] = field(default=lambda design: 0.0)
     """Tilt of the hem [degrees]."""
 
-    def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
         section = self.section_design(design)
         return self.cut(size, section, Cutting(rise, self.length_of(size, section, rise), mends))
 
-    def rise(self, design: "OutfitDesign") -> float:
+    def rise(self, design: "GarmentDesign") -> float:
         rise: float = self.section_design(design).rise  # type: ignore[attr-defined]
         return rise
 
-    def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+    def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         return self.length_of(size, self.section_design(design), rise)
 
-    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return self.description_of(setting, self.section_design(design))
 
 
@@ -309,30 +309,30 @@ class CombinedBottom(BottomGarment[D]):
     inherits_length: bool = False
     """Whether its length is the ``length`` of its uppermost part."""
 
-    def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
         return self.combine(size, self.section_design(design), self._designed_parts(design), rise, mends)
 
-    def rise(self, design: "OutfitDesign") -> float:
+    def rise(self, design: "GarmentDesign") -> float:
         return self.rise_of(self.section_design(design), self._designed_parts(design))
 
-    def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+    def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
 
-    def rings(self, size: Measurements, design: "OutfitDesign", rise: float) -> Iterable[Ring]:
+    def rings(self, size: Measurements, design: "GarmentDesign", rise: float) -> Iterable[Ring]:
         return self.rings_of_parts(size, self.section_design(design), self._designed_parts(design), rise)
 
-    def drawn_length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
+    def drawn_length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         length_of = self.drawn_length_of or self.length_of
         return length_of(size, self.section_design(design), self._designed_parts(design), rise)
 
-    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return self.description_of(setting, self.section_design(design), self._designed_parts(design))
 
-    def parts(self, design: "OutfitDesign") -> tuple[SimpleBottom[Any], ...]:
+    def parts(self, design: "GarmentDesign") -> tuple[SimpleBottom[Any], ...]:
         return self.parts_of(self.section_design(design))
 
-    def length_garment(self, design: "OutfitDesign") -> BottomGarment[Any]:
+    def length_garment(self, design: "GarmentDesign") -> BottomGarment[Any]:
         return self.top(design) if self.inherits_length else self
 
-    def _designed_parts(self, design: "OutfitDesign") -> tuple[DesignedBottom[Any], ...]:
+    def _designed_parts(self, design: "GarmentDesign") -> tuple[DesignedBottom[Any], ...]:
         return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

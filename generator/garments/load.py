@@ -7,7 +7,7 @@ the drape simulates, so the figures hold for every fabric.
 from math import pi
 from typing import NamedTuple
 
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.outfit import parts
 from gcd_dataset.generator.garments.sewable import girth_of_cloth
 from gcd_dataset.generator.garments.trunk import girth_at_rise
@@ -39,7 +39,7 @@ class HipLoad(NamedTuple):
         return self.cloth > self.held
 
 
-def strap_stretch(size: Measurements, design: OutfitDesign) -> float:
+def strap_stretch(size: Measurements, design: GarmentDesign) -> float:
     """Stretch of the cloth at the shoulder seams under the weight of the outfit; 1 for one without shoulder seams.
 
     A strap of width w [m] that carries an area A [m²] is stretched by A · density · g / (w · stiffness). All seams
@@ -55,7 +55,7 @@ def shoulder_width(upper: Component) -> float:
     return sum(stroke.length for piece in upper.pieces for stroke in piece.outline.strokes if stroke.name in SHOULDERS)
 
 
-def hip_load(size: Measurements, design: OutfitDesign) -> HipLoad | None:
+def hip_load(size: Measurements, design: GarmentDesign) -> HipLoad | None:
     """The load on the hips of a flared skirt that does not hang from shoulders; ``None`` for any other outfit.
 
     Trousers hang from the crotch; pencil and gathered skirts touch the hips all round, and did not slide.
@@ -80,7 +80,7 @@ def hip_load(size: Measurements, design: OutfitDesign) -> HipLoad | None:
     return HipLoad(_area(drawn), 2 * pi * FRICTION * STIFFNESS * grip * stretch / GRAVITY)
 
 
-def _is_off_shoulders(design: OutfitDesign) -> bool:
+def _is_off_shoulders(design: GarmentDesign) -> bool:
     """Whether no part of the outfit hangs from a shoulder."""
     upper = design.meta.upper
     if upper is None:

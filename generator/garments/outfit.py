@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import fmod
 
 from gcd_dataset.errors import BodyError, PatternError
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import band_rise, waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
@@ -22,7 +22,7 @@ BACKS = (("back_width", "bust"), ("waist_back_width", "waist"), ("hip_back_width
 
 
 def outfit(
-    size: Measurements, design: OutfitDesign, *, name: str = "outfit", mends: frozenset[Mend] = ALL_MENDS
+    size: Measurements, design: GarmentDesign, *, name: str = "outfit", mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
     """The pattern of a design for a wearer, placed round the body.
 
@@ -32,7 +32,7 @@ def outfit(
     return assemble(pieces(size, design, mends=mends), name)
 
 
-def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
+def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """The component of an outfit, as ``outfit`` assembles it. Raises as ``outfit`` does."""
     placed = _placed(parts(_checked(size), design, mends))
     whole = Component.of(*placed)
@@ -44,7 +44,7 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
     return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
 
-def bottom_rise(design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
+def bottom_rise(design: GarmentDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
     """Position of the bottom's top: 0 hips, 1 waist.
 
     1 without a bottom or under an ``at_waist`` upper; lower under a band that would rise above the waist.
@@ -55,14 +55,14 @@ def bottom_rise(design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> flo
 
 
 @lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
-def upper(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
+def upper(size: Measurements, design: GarmentDesign, mends: frozenset[Mend]) -> Component:
     """The upper of a design with an upper; offers the ring ``bottom`` if it can carry a part."""
     assert design.meta.upper is not None
     return design.meta.upper.garment.draw(size, design, mends=mends)
 
 
 @lru_cache(maxsize=8)  # likewise
-def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
+def bottom(size: Measurements, design: GarmentDesign, mends: frozenset[Mend]) -> Component:
     """The bottom of a design with a bottom; offers the ring ``top``."""
     assert design.meta.bottom is not None
     drawn = design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design, mends), mends=mends)
@@ -70,7 +70,7 @@ def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
 
 
 @lru_cache(maxsize=8)  # sampling draws them to find tight rings, then the outfit and its rules draw them again
-def parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> tuple[Component, ...]:
+def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = ALL_MENDS) -> tuple[Component, ...]:
     """The parts of the outfit, from the top down, not yet placed. Raises ``PatternError`` as ``outfit`` does."""
     meta, rise, found = design.meta, bottom_rise(design), []
     if meta.upper is None and meta.bottom is None:

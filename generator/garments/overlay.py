@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, shown
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, choice_of, possible_kinds
+from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, choice_of, possible_kinds
 from gcd_dataset.generator.garments.parameter import NONE, Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_no_fault, unknown_parameters
 from gcd_dataset.jsonfile import read_toml
@@ -41,9 +41,9 @@ class Overlay:
     """The changed parameters with their new spaces, in the order of a design file."""
 
     @cached_property
-    def space(self) -> DesignSpace[OutfitDesign]:
+    def space(self) -> DesignSpace[GarmentDesign]:
         """The narrowed design space, for ``draw``; ``space.of(...)`` is one of its parts."""
-        return DesignSpace.declared(OutfitDesign).changed(dict(self.changes))
+        return DesignSpace.declared(GarmentDesign).changed(dict(self.changes))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
@@ -52,7 +52,7 @@ class Overlay:
         Raises ``ConfigError`` with the path of an unknown parameter or of a value outside its space, and for an overlay
         that allows no garment.
         """
-        declared = DesignSpace.declared(OutfitDesign)
+        declared = DesignSpace.declared(GarmentDesign)
         require_no_fault(one.fault(declared) for one in unknown_parameters(declared, values))
         overlay = cls(tuple(_changes(declared, values, "")))
         if not possible_kinds(overlay.space.of(MetaDesign)):

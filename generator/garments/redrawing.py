@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import GarmentChoice
 from gcd_dataset.generator.garments.sewable import Fault
 from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
@@ -20,7 +20,7 @@ from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, v
 TRIES = 4  # redraws by one remedy
 MOST_REPAIRS = 10  # removed faults of a design: removing one may cause another
 
-FindFault: TypeAlias = Callable[[OutfitDesign], Fault | None]
+FindFault: TypeAlias = Callable[[GarmentDesign], Fault | None]
 """Returns the first fault of a design, or ``None``."""
 
 
@@ -45,7 +45,7 @@ class Remedy(NamedTuple):
 class DrawnDesign:
     """A random design, and the number of each of its redraws."""
 
-    design: OutfitDesign
+    design: GarmentDesign
     redraws: Mapping[Redraw, int]
 
     def by_rule(self) -> Counter[str]:
@@ -61,12 +61,12 @@ class Redrawing:
     """Draws parameters of a design again and counts the redraws."""
 
     rng: np.random.Generator
-    space: DesignSpace[OutfitDesign]
+    space: DesignSpace[GarmentDesign]
     counts: Counter[Redraw] = field(default_factory=Counter)
 
     def again(
-        self, design: OutfitDesign, rule: str, *paths: str, low: float = -np.inf, high: float = np.inf
-    ) -> OutfitDesign:
+        self, design: GarmentDesign, rule: str, *paths: str, low: float = -np.inf, high: float = np.inf
+    ) -> GarmentDesign:
         """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``.
 
         A part keeps its choices of garments, such as the base of a levels skirt: another garment has another section.
@@ -79,13 +79,13 @@ class Redrawing:
             self.counts[Redraw(rule, path)] += 1
         return design
 
-    def within(self, design: OutfitDesign, rule: str, path: str, low: float, high: float) -> OutfitDesign:
+    def within(self, design: GarmentDesign, rule: str, path: str, low: float, high: float) -> GarmentDesign:
         """The design; if the number at ``path`` is outside its limits, with this number drawn again within them."""
         if low <= value_at(self.space, design, path) <= high:
             return design
         return self.again(design, rule, path, low=low, high=high)
 
-    def tried(self, design: OutfitDesign, rule: str, remedy: Remedy) -> Iterator[OutfitDesign]:
+    def tried(self, design: GarmentDesign, rule: str, remedy: Remedy) -> Iterator[GarmentDesign]:
         """Up to ``TRIES`` designs, each the last one with the remedy applied again; unchanged designs are left out."""
         trial = design
         for _ in range(TRIES):
@@ -100,12 +100,12 @@ class Redrawing:
 
     def repaired(
         self,
-        design: OutfitDesign,
+        design: GarmentDesign,
         find: FindFault,
         remedies: Callable[[Fault], Sequence[Remedy]],
         *,
-        limited: Callable[[OutfitDesign], OutfitDesign] = lambda design: design,
-    ) -> OutfitDesign:
+        limited: Callable[[GarmentDesign], GarmentDesign] = lambda design: design,
+    ) -> GarmentDesign:
         """The design without faults; if no remedy helps, with the fault that no remedy could remove.
 
         ``limited`` puts a design with new parameters back within its limits.

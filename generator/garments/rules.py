@@ -1,6 +1,6 @@
 """Rules that reject patterns which cannot be worn or sewn, as predicates that return a reason with figures.
 
-Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` applies all rules.
+Each rule takes a ``DrawnGarment`` and returns a ``Reject`` or ``None``; ``check_design`` applies all rules.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -14,7 +14,7 @@ from jaxtyping import Complex
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
@@ -56,11 +56,11 @@ class Reject:
 
 
 @dataclass(frozen=True)
-class DrawnOutfit:
+class DrawnGarment:
     """An outfit drawn for a wearer, with its joins and the faults of its pattern."""
 
     size: Measurements
-    design: OutfitDesign
+    design: GarmentDesign
     pattern: Pattern
     joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
@@ -72,30 +72,30 @@ class DrawnOutfit:
         return tuple(map(edge_hulls, self.pattern.panels))
 
     @classmethod
-    def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:
+    def of(cls, size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Self:
         """Draw and check an outfit. Raises ``PatternError`` if it cannot be drawn for this wearer."""
         pattern, joins = assemble_and_measure(pieces(size, design), name)
         return cls(size, design, pattern, joins, check_pattern(pattern))
 
 
-def try_on(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern | Reject:
+def try_on(size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Pattern | Reject:
     """The pattern of a design for a wearer, or the first reason why it cannot be drawn or worn."""
     if design.meta.upper is None and design.meta.bottom is None:
         return Reject("empty", "an outfit without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
     try:
-        outfit = DrawnOutfit.of(size, design, name=name)
+        outfit = DrawnGarment.of(size, design, name=name)
     except PatternError as error:
         return Reject("cannot_be_drawn", str(error))
-    return next(iter(check_outfit(outfit)), outfit.pattern)
+    return next(iter(check_design(outfit)), outfit.pattern)
 
 
-def check_outfit(outfit: DrawnOutfit) -> tuple[Reject, ...]:
+def check_design(outfit: DrawnGarment) -> tuple[Reject, ...]:
     """All reasons to reject the pattern; empty if it can be worn."""
     found = (rule(outfit) for rule in RULES)
     return tuple(reject for reject in found if reject is not None)
 
 
-def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
+def reaches_floor(outfit: DrawnGarment) -> Reject | None:
     """The parts together are longer than the body from nape to floor, or for a bottom alone from waist to floor."""
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
@@ -104,7 +104,7 @@ def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
     return Reject("reaches_floor", figures, {"length_cm": length, "room_cm": room})
 
 
-def slides_off(outfit: DrawnOutfit) -> Reject | None:
+def slides_off(outfit: DrawnGarment) -> Reject | None:
     """A bottom without an upper is wider at its top than waist and hips."""
     if not _is_bottom_alone(outfit.design):
         return None
@@ -116,7 +116,7 @@ def slides_off(outfit: DrawnOutfit) -> Reject | None:
     return Reject("slides_off", figures, {"girth_cm": girth, "trunk_cm": trunk})
 
 
-def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
+def loose_gathers(outfit: DrawnGarment) -> Reject | None:
     """A gathered skirt without an upper has no waistband, or a waistband wider than the body."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
@@ -127,7 +127,7 @@ def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
     return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
 
 
-def too_heavy(outfit: DrawnOutfit) -> Reject | None:
+def too_heavy(outfit: DrawnGarment) -> Reject | None:
     """A flared skirt without an upper is long or wide, and has no firm band."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
@@ -139,7 +139,7 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
     return Reject("too_heavy", figures, {"length": length, "suns": suns})
 
 
-def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
+def tight_cuff(outfit: DrawnGarment) -> Reject | None:
     """A sleeve's end or the cuff of a leg is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
@@ -155,7 +155,7 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
     return None
 
 
-def too_tight(outfit: DrawnOutfit) -> Reject | None:
+def too_tight(outfit: DrawnGarment) -> Reject | None:
     """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
     ring = tightest_ring(outfit.size, outfit.design)
     if ring is None or ring.stretch <= CLOTH_GIVES:
@@ -164,7 +164,7 @@ def too_tight(outfit: DrawnOutfit) -> Reject | None:
     return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
 
 
-def overloaded_straps(outfit: DrawnOutfit) -> Reject | None:
+def overloaded_straps(outfit: DrawnGarment) -> Reject | None:
     """The shoulder seams stretch under the weight of the outfit by more than ``STRAPS_GIVE``."""
     stretch = strap_stretch(outfit.size, outfit.design)
     if stretch <= STRAPS_GIVE:
@@ -173,7 +173,7 @@ def overloaded_straps(outfit: DrawnOutfit) -> Reject | None:
     return Reject("overloaded_straps", figures, {"stretch": stretch})
 
 
-def overloaded_hips(outfit: DrawnOutfit) -> Reject | None:
+def overloaded_hips(outfit: DrawnGarment) -> Reject | None:
     """A skirt alone, or a strapless dress, is heavier than friction on the hips holds: see ``hip_load``."""
     load = hip_load(outfit.size, outfit.design)
     if load is None or not load.slides:
@@ -182,7 +182,7 @@ def overloaded_hips(outfit: DrawnOutfit) -> Reject | None:
     return Reject("overloaded_hips", figures, {"cloth_m2": load.cloth, "held_m2": load.held})
 
 
-def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
+def narrow_shoulder(outfit: DrawnGarment) -> Reject | None:
     """A shoulder seam is shorter than ``shortest_shoulder``."""
     least = shortest_shoulder(outfit.size)
     panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", least))
@@ -192,7 +192,7 @@ def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
     return Reject("narrow_shoulder", figures, {"shoulder_cm": length})
 
 
-def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
+def mismatched_seam(outfit: DrawnGarment) -> Reject | None:
     """The sides of a seam differ in length without gathers, or by more than gathers allow."""
     for sewn in outfit.joins:
         if is_mismatched(sewn):
@@ -202,7 +202,7 @@ def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
     return None
 
 
-def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
+def sharp_corner(outfit: DrawnGarment) -> Reject | None:
     """A panel has a corner under ``SHARPEST_CORNER``."""
     panels = outfit.pattern.panels
     angles = corner_angles(outfit.hulls)
@@ -214,7 +214,7 @@ def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 
 
-def narrow_strap(outfit: DrawnOutfit) -> Reject | None:
+def narrow_strap(outfit: DrawnGarment) -> Reject | None:
     """A neckline comes nearer to an armhole than ``NARROWEST_STRAP``."""
     narrow = [
         panel
@@ -229,22 +229,22 @@ def narrow_strap(outfit: DrawnOutfit) -> Reject | None:
     return Reject("narrow_strap", figures, {"width_cm": width})
 
 
-def short_edge(outfit: DrawnOutfit) -> Reject | None:
+def short_edge(outfit: DrawnGarment) -> Reject | None:
     """An edge is too short to mesh and sew."""
     return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
 
 
-def self_crossing(outfit: DrawnOutfit) -> Reject | None:
+def self_crossing(outfit: DrawnGarment) -> Reject | None:
     """The outline of a panel crosses itself."""
     return _fault(outfit, "self_crossing", lambda rule: rule is Rule.SELF_CROSSING)
 
 
-def unsewable(outfit: DrawnOutfit) -> Reject | None:
+def unsewable(outfit: DrawnGarment) -> Reject | None:
     """Any other error of ``validate``."""
     return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
 
 
-RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
+RULES: tuple[Callable[[DrawnGarment], Reject | None], ...] = (
     reaches_floor,
     slides_off,
     loose_gathers,
@@ -266,12 +266,12 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
 # ------------------------------------------------------------------------------------------------------------- figures
 
 
-def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
+def room_to_floor(size: Measurements, design: GarmentDesign) -> float:
     """Height of the nape above the floor, or for a bottom alone of the waist [cm]."""
     return size.waist_level if design.meta.upper is None else size.height - size.head_l
 
 
-def garment_length(size: Measurements, design: OutfitDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
+def garment_length(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = ALL_MENDS) -> float:
     """Length of upper, band and bottom, one under the other [cm]."""
     meta, rise = design.meta, bottom_rise(design, mends)
     upper = meta.upper.garment.length(size, design) if meta.upper else 0.0
@@ -279,7 +279,7 @@ def garment_length(size: Measurements, design: OutfitDesign, mends: frozenset[Me
     return upper + band + (meta.bottom.garment.length(size, design, rise) if meta.bottom else 0.0)
 
 
-def top_girth(size: Measurements, design: OutfitDesign) -> float:
+def top_girth(size: Measurements, design: GarmentDesign) -> float:
     """Girth at the top of a bottom with its band, if any [cm]."""
     rise = bottom_rise(design)
     if design.meta.wb is None:
@@ -287,47 +287,47 @@ def top_girth(size: Measurements, design: OutfitDesign) -> float:
     return design.waistband.waist * girth_at_rise(size, band_rise(design.waistband, rise) + design.waistband.width)
 
 
-def has_snug_band(design: OutfitDesign) -> bool:
+def has_snug_band(design: GarmentDesign) -> bool:
     """Whether the outfit has a snug band: no wider than the body."""
     return design.meta.wb is not None and design.waistband.waist <= 1
 
 
-def has_firm_band(design: OutfitDesign) -> bool:
+def has_firm_band(design: GarmentDesign) -> bool:
     """Whether the outfit has a firm band: snug, and high enough to hold a heavy skirt."""
     return has_snug_band(design) and design.waistband.width > FIRM_BAND
 
 
-def top_of_bottom(design: OutfitDesign) -> BottomGarment[Any] | None:
+def top_of_bottom(design: GarmentDesign) -> BottomGarment[Any] | None:
     """The record of the bottom, or of the uppermost part of a combined bottom; ``None`` without a bottom."""
     return design.meta.bottom.garment.top(design) if design.meta.bottom else None
 
 
-def is_gathered(design: OutfitDesign) -> bool:
+def is_gathered(design: GarmentDesign) -> bool:
     """Whether the top of the bottom can be gathered."""
     top = top_of_bottom(design)
     return top is not None and bool(top.gather_parameter)
 
 
-def is_flared(design: OutfitDesign) -> bool:
+def is_flared(design: GarmentDesign) -> bool:
     """Whether the bottom, or its uppermost part, is a flared skirt."""
     top = top_of_bottom(design)
     return top is not None and top.flared
 
 
-def top_parameter(design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
+def top_parameter(design: GarmentDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
     """The value of the parameter for gathers or fullness of the bottom's top; 0 without such a parameter."""
     top = top_of_bottom(design)
     name = "" if top is None else getattr(top, role)
     return float(getattr(top.section_design(design), name)) if top is not None and name else 0.0
 
 
-def bottom_length(design: OutfitDesign) -> float:
+def bottom_length(design: GarmentDesign) -> float:
     """The ``length`` parameter of the bottom."""
     assert design.meta.bottom is not None
     return float(design.meta.bottom.garment.length_garment(design).section_design(design).length)
 
 
-def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
+def cuff_and_leg_girth(size: Measurements, design: GarmentDesign) -> tuple[float, float]:
     """Girth of the cuff at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for legs that cannot be drawn.
@@ -338,7 +338,7 @@ def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float,
     return garment.cuffs(size, garment.section_design(design), bottom_rise(design))
 
 
-def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
+def has_tight_cuffs(size: Measurements, design: GarmentDesign) -> bool:
     """Whether the cuffs of trousers are too tight for the legs."""
     try:
         cuff, leg = cuff_and_leg_girth(size, design)
@@ -357,7 +357,7 @@ def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
                 yield panel.name, float(sum(lengths[edge] for edge in parts))
 
 
-def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
+def is_too_tight(size: Measurements, design: GarmentDesign) -> bool:
     """Whether a ring of cloth round the trunk is too tight."""
     try:
         return any(ring.stretch > CLOTH_GIVES for ring in trunk_rings(size, design))
@@ -365,7 +365,7 @@ def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
         return False
 
 
-def has_tight_bottom(size: Measurements, design: OutfitDesign) -> bool:
+def has_tight_bottom(size: Measurements, design: GarmentDesign) -> bool:
     """Whether a ring of the bottom is too tight for the legs; ``is_too_tight`` is about the rings above it."""
     if design.meta.bottom is None:
         return False
@@ -376,7 +376,7 @@ def has_tight_bottom(size: Measurements, design: OutfitDesign) -> bool:
         return False
 
 
-def broken_by_weight(size: Measurements, design: OutfitDesign) -> str:
+def broken_by_weight(size: Measurements, design: GarmentDesign) -> str:
     """The rule that the weight of an outfit breaks; empty if it breaks none."""
     try:
         load, stretch = hip_load(size, design), strap_stretch(size, design)
@@ -387,12 +387,12 @@ def broken_by_weight(size: Measurements, design: OutfitDesign) -> str:
     return "overloaded_straps" if stretch > STRAPS_GIVE else ""
 
 
-def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:
+def _fault(outfit: DrawnGarment, name: str, selects: Callable[[Rule], bool]) -> Reject | None:
     for fault in outfit.faults:
         if selects(fault.rule):
             return Reject(name, str(fault))
     return None
 
 
-def _is_bottom_alone(design: OutfitDesign) -> bool:
+def _is_bottom_alone(design: GarmentDesign) -> bool:
     return design.meta.upper is None and design.meta.bottom is not None

@@ -28,10 +28,10 @@ import numpy as np
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments.design import (
     HAS_UPPER_AND_BOTTOM,
+    GarmentDesign,
     Kind,
     LeftDesign,
     MetaDesign,
-    OutfitDesign,
     choice_of,
     possible_kinds,
     upper_choice,
@@ -65,12 +65,12 @@ def sample_draft(
     kind: Kind | None = None,
     overlay: Overlay = NO_OVERLAY,
     narrow: Callable[[Choice], Choice] | None = None,
-) -> OutfitDesign:
+) -> GarmentDesign:
     """A random outfit by the declared distributions alone, which may be impossible to sew or wear.
 
     ``narrow``: maps the uppers and the bottoms to those that are drawn from.
     """
-    design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], narrow))
+    design = GarmentDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], narrow))
     design = _with_sections(design, _own_sections(design), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
     parts = {part.field for part in bottom.parts(design)} if bottom else set()
@@ -84,14 +84,14 @@ def sample_design(
     *,
     kind: Kind | None = None,
     overlay: Overlay = NO_OVERLAY,
-) -> OutfitDesign:
+) -> GarmentDesign:
     """A random outfit that all ``wearers`` (by default the neutral body) can most likely wear."""
     sizes = tuple(wearers) or (_neutral(),)
     draft, _ = _held_up(sample_draft(rng, kind=kind, overlay=overlay), sizes, rng, overlay)
     return wearable(draft, sizes, rng, overlay.space).design
 
 
-def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
+def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> GarmentDesign:
     """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most.
 
     After ``TRIED`` attempts the uppers and bottoms take turns: random ones may all be of a kind that the wearer cannot
@@ -153,8 +153,8 @@ def _meta(
 
 
 def _held_up(
-    draft: OutfitDesign, wearers: Sequence[Measurements], rng: np.random.Generator, overlay: Overlay
-) -> tuple[OutfitDesign, dict[Redraw, int]]:
+    draft: GarmentDesign, wearers: Sequence[Measurements], rng: np.random.Generator, overlay: Overlay
+) -> tuple[GarmentDesign, dict[Redraw, int]]:
     """The draft with a skirt that would slide off a wearer put on a band or replaced by trousers, and the redraws.
 
     A skirt alone is held up by the hips below its top, trousers by the crotch.
@@ -178,7 +178,7 @@ def _held_up(
     return replaced, {Redraw("nothing_holds", "meta.bottom"): 1}
 
 
-def _own_sections(design: OutfitDesign) -> set[str]:
+def _own_sections(design: GarmentDesign) -> set[str]:
     """The fields of the garments of a design, except the parts of a combined bottom."""
     meta = design.meta
     sections = {"waistband"} if meta.wb else set()
@@ -190,19 +190,19 @@ def _own_sections(design: OutfitDesign) -> set[str]:
 
 
 def _with_sections(
-    design: OutfitDesign, names: Collection[str], rng: np.random.Generator, overlay: Overlay
-) -> OutfitDesign:
+    design: GarmentDesign, names: Collection[str], rng: np.random.Generator, overlay: Overlay
+) -> GarmentDesign:
     """The design with some of its sections drawn, in the order of the fields."""
     return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
 
 
-def _without_sections(design: OutfitDesign, names: Collection[str]) -> OutfitDesign:
+def _without_sections(design: GarmentDesign, names: Collection[str]) -> GarmentDesign:
     """The design with the defaults of some of its sections."""
-    default = OutfitDesign()
+    default = GarmentDesign()
     return replace(design, **{name: getattr(default, name) for name in names})
 
 
-def _with_new_numbers(design: OutfitDesign, rng: np.random.Generator, overlay: Overlay) -> OutfitDesign:
+def _with_new_numbers(design: GarmentDesign, rng: np.random.Generator, overlay: Overlay) -> GarmentDesign:
     """The design with the numbers of the sections that it uses drawn again."""
     spaces = {name: space for name, space in _sections(overlay).items() if name in design.sections_used()}
     return replace(design, **{name: with_new_numbers(spaces[name], getattr(design, name), rng) for name in spaces})

@@ -14,7 +14,7 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import LARGEST, SHORTEST_EDGE
 from gcd_dataset.generator.garments.cuff import arm_girth_in_end
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom, upper
@@ -47,7 +47,7 @@ class Fault(NamedTuple):
     """The panel at fault; empty if it is not one panel."""
 
 
-def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fault | None:
+def half_fault(size: Measurements, design: GarmentDesign, half: UpperHalf) -> Fault | None:
     """Why one half cannot be sewn: a misfit of armhole, neckline or flared cuff, for example; ``None`` if it can."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
@@ -55,7 +55,7 @@ def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fau
     return next((fault for fault in faults if fault is not None), None)
 
 
-def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+def sleeve_tightness(size: Measurements, design: GarmentDesign, half: UpperHalf) -> float:
     """Girth of cloth on the arm over the stretched girth of the end of a half's sleeve; above 1 it is too tight.
 
     0 without a sleeve, and for a half that cannot be drawn.
@@ -73,7 +73,7 @@ def girth_of_cloth(body: float) -> float:
     return body + 2 * pi * CLOTH_OFF_SKIN
 
 
-def end_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
+def end_and_arm_girth(size: Measurements, design: GarmentDesign, half: UpperHalf) -> tuple[float, float]:
     """Girth of the end of a half's sleeve, and of the arm inside it [cm]; 0 without a sleeve.
 
     The end is the narrowest ring of the cuff, or the hem of a sleeve without cuff: ``end_width`` may be a fifth of the
@@ -88,7 +88,7 @@ def end_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf)
     return drawn.length("band" if "band" in drawn.interfaces else "end"), arm_girth_in_end(size, half[-1])
 
 
-def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+def widest_neckline(size: Measurements, design: GarmentDesign, half: UpperHalf) -> float:
     """The largest ``width`` of a half's neckline that leaves shoulder seams of ``shortest_shoulder``.
 
     Infinite if the shoulder seams are long enough, for a half without shoulder seams, and for a half that cannot be
@@ -122,17 +122,17 @@ def _shoulder_length(piece: Piece) -> float:
     return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
-def bottom_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+def bottom_fault(size: Measurements, design: GarmentDesign) -> Fault | None:
     """Why the bottom, with its slits, darts and godets, cannot be drawn or sewn."""
     return _sewing_fault(partial(bottom, size, design, ALL_MENDS))
 
 
-def upper_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+def upper_fault(size: Measurements, design: GarmentDesign) -> Fault | None:
     """Why an upper other than a shirt cannot be drawn or sewn."""
     return _sewing_fault(partial(upper, size, design, ALL_MENDS))
 
 
-def _is_fitted(design: OutfitDesign) -> bool:
+def _is_fitted(design: GarmentDesign) -> bool:
     garment = design.meta.upper.garment if design.meta.upper else None
     return isinstance(garment, Shirt) and garment.fitted
 

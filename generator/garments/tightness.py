@@ -10,7 +10,7 @@ from itertools import pairwise
 from math import nan
 from typing import NamedTuple
 
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import Ring
 from gcd_dataset.generator.garments.outfit import bottom_rise, parts
 from gcd_dataset.generator.garments.trunk import girth_below_waist
@@ -33,19 +33,19 @@ class _Hung(NamedTuple):
     bottom: float
 
 
-def tightest_ring(size: Measurements, design: OutfitDesign) -> Ring | None:
+def tightest_ring(size: Measurements, design: GarmentDesign) -> Ring | None:
     """The ring that has to stretch most; ``None`` for an outfit without rings. Raises ``PatternError`` as ``parts``."""
     return max(rings(size, design), key=lambda ring: ring.stretch, default=None)
 
 
-def rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
+def rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
     """The rings round the trunk, and the rings of the bottom: see ``BottomGarment.rings``."""
     yield from trunk_rings(size, design)
     if design.meta.bottom is not None:
         yield from design.meta.bottom.garment.rings(size, design, bottom_rise(design))
 
 
-def trunk_rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
+def trunk_rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
     """The seams between the parts, a straight shirt at the hips, and the hem of an outfit without a bottom."""
     hung = _hung(size, design)
     for above, below in pairwise(hung):
@@ -57,7 +57,7 @@ def trunk_rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
         yield Ring("a hem", last.part.length("bottom"), girth_below_waist(size, last.bottom), WIDER_HEM)
 
 
-def _shirt_over_hips(size: Measurements, design: OutfitDesign, hem: float) -> Iterator[Ring]:
+def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float) -> Iterator[Ring]:
     """The cloth of a straight shirt at the hips, if its hem hangs lower, ``hem`` cm below the waist."""
     garment = design.meta.upper.garment if design.meta.upper else None
     if not isinstance(garment, Shirt) or garment.fitted or hem <= size.hips_line:
@@ -69,7 +69,7 @@ def _shirt_over_hips(size: Measurements, design: OutfitDesign, hem: float) -> It
     yield Ring("a shirt", cloth, size.hips, WIDER_HEM)
 
 
-def _hung(size: Measurements, design: OutfitDesign) -> tuple[_Hung, ...]:
+def _hung(size: Measurements, design: GarmentDesign) -> tuple[_Hung, ...]:
     """The parts from the top down, each hung under the part above it; the first hangs where it is drawn.
 
     A bottom has depth NaN: no ring depends on the depth of its hem.

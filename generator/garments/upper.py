@@ -17,10 +17,10 @@ from gcd_dataset.generator.pattern import (
 from gcd_dataset.records import Measurements
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.garments.design import OutfitDesign
+    from gcd_dataset.generator.garments.design import GarmentDesign
 
 
-def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
+def shirt(size: Measurements, design: "GarmentDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
     """Two halves sewn at the centres; offers the ring ``bottom``."""
     return _sewn_halves(size, design.right_half(), design.left_half(), fitted=fitted, mends=mends)
 
@@ -54,16 +54,16 @@ class Shirt(UpperGarment[ShirtDesign]):
     fitted: bool
     """Whether darts fit the shirt to bust and waist; a fitted shirt ends at the waist."""
 
-    def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
+    def draw(self, size: Measurements, design: "GarmentDesign", *, mends: frozenset[Mend]) -> Component:
         return shirt(size, design, fitted=self.fitted, mends=mends)
 
-    def length(self, size: Measurements, design: "OutfitDesign") -> float:
+    def length(self, size: Measurements, design: "GarmentDesign") -> float:
         return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
 
-    def describe(self, setting: Setting, design: "OutfitDesign") -> Description:
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return describe_shirt(setting, design.halves(), fitted=self.fitted)
 
-    def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
+    def sections_used(self, design: "GarmentDesign") -> tuple[str, ...]:
         left = design.left_half() is not None
         return ("shirt", "collar", "sleeve") + (("left",) if left else ())
 

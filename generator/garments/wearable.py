@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, choice_of
+from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, choice_of
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import (
@@ -82,7 +82,7 @@ WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", 
 
 
 def wearable(
-    draft: OutfitDesign, wearers: Sequence[Measurements], rng: np.random.Generator, space: DesignSpace[OutfitDesign]
+    draft: GarmentDesign, wearers: Sequence[Measurements], rng: np.random.Generator, space: DesignSpace[GarmentDesign]
 ) -> DrawnDesign:
     """The draft with parameters redrawn until all ``wearers`` can wear it, as far as remedies help."""
     redrawing = Redrawing(rng, space)
@@ -105,7 +105,7 @@ class _Fitting:
     redrawing: Redrawing
     sizes: tuple[Measurements, ...]
 
-    def with_band(self, design: OutfitDesign) -> OutfitDesign:
+    def with_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a waistband without an upper is at most as wide as the trunk."""
         if not design.meta.wb or design.meta.upper:
             return design
@@ -115,7 +115,7 @@ class _Fitting:
 
     # ---------------------------------------------------------------------------------------------------------- uppers
 
-    def with_upper(self, design: OutfitDesign) -> OutfitDesign:
+    def with_upper(self, design: GarmentDesign) -> GarmentDesign:
         """The design with an upper that can be sewn and worn."""
         assert design.meta.upper is not None
         garment = design.meta.upper.garment
@@ -126,7 +126,7 @@ class _Fitting:
         section = Remedy((garment.section,))
         return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
 
-    def _with_wide_ends(self, design: OutfitDesign) -> OutfitDesign:
+    def _with_wide_ends(self, design: GarmentDesign) -> GarmentDesign:
         """The design with sleeves whose ends are wide enough for the arms."""
         for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
             for _ in range(TRIES):
@@ -136,7 +136,7 @@ class _Fitting:
                 design = self._with_wider_end(design, f"{prefix}sleeve", tightness)
         return design
 
-    def _with_wider_end(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
+    def _with_wider_end(self, design: GarmentDesign, path: str, tightness: float) -> GarmentDesign:
         """The design with fewer gathers over the cuff; if they do not suffice, a wider end; else a longer sleeve."""
         sleeve = value_at(self.redrawing.space, design, path)
         gathers = sleeve.cuff.top_ruffle if sleeve.cuff.type else 1.0
@@ -147,7 +147,7 @@ class _Fitting:
             return self.redrawing.again(design, "tight_cuff", f"{path}.end_width", low=end)
         return self.redrawing.again(design, "tight_cuff", f"{path}.length", low=sleeve.length)
 
-    def _shirt_fault(self, design: OutfitDesign) -> Fault | None:
+    def _shirt_fault(self, design: GarmentDesign) -> Fault | None:
         """The first fault of a half; for the left half ``part`` begins with ``LEFT``."""
         for prefix, half in zip(("", LEFT), design.halves(), strict=False):
             fault = _first(half_fault(size, design, half) for size in self.sizes)
@@ -155,10 +155,10 @@ class _Fitting:
                 return Fault(fault.rule, prefix + fault.part)
         return None
 
-    def _upper_fault(self, design: OutfitDesign) -> Fault | None:
+    def _upper_fault(self, design: GarmentDesign) -> Fault | None:
         return _first(upper_fault(size, design) for size in self.sizes)
 
-    def _with_shoulders(self, design: OutfitDesign) -> OutfitDesign:
+    def _with_shoulders(self, design: GarmentDesign) -> GarmentDesign:
         """The design with an allowed shirt length, and with necklines that leave room for shoulder seams."""
         design = self._ending_in_place(design)
         for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
@@ -167,7 +167,7 @@ class _Fitting:
                 design = self.redrawing.again(design, "narrow_shoulder", f"{prefix}collar.width", high=widest)
         return design
 
-    def _ending_in_place(self, design: OutfitDesign) -> OutfitDesign:
+    def _ending_in_place(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a shirt that ends near the waist if a part is sewn to its hem, else above the floor."""
         assert design.meta.upper is not None
         if design.meta.upper.garment.at_waist:
@@ -177,7 +177,7 @@ class _Fitting:
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         return self.redrawing.within(design, "reaches_floor", "shirt.length", -np.inf, longest)
 
-    def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
+    def with_lower_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design with the waistband lowered while a ring is too tight; a firm band stays firm."""
         for _ in range(TRIES if design.meta.wb else 0):
             if not self._is_tight(design):
@@ -187,7 +187,7 @@ class _Fitting:
             design = self.redrawing.again(design, "too_tight", "waistband.width", low=least, high=height)
         return design
 
-    def with_room(self, design: OutfitDesign) -> OutfitDesign:
+    def with_room(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a straight shirt that leaves room for the hips.
 
         A shirt with a part sewn to its hem is shortened, so that the part is worn nearer to the waist, for which it is
@@ -211,22 +211,22 @@ class _Fitting:
             return design
         return self.redrawing.repaired(fitting, self._shirt_fault, _shirt_remedies, limited=self._with_shoulders)
 
-    def _with_wider_hem(self, design: OutfitDesign) -> OutfitDesign:
+    def _with_wider_hem(self, design: GarmentDesign) -> GarmentDesign:
         """The design with more flare in the half that has less."""
         flares = [half[0].flare for half in design.halves()]
         least = int(np.argmin(flares))
         path = ("shirt.flare", "left.shirt.flare")[least]
         return self.redrawing.again(design, "too_tight", path, low=float(np.nextafter(flares[least], inf)))
 
-    def _is_tight(self, design: OutfitDesign) -> bool:
+    def _is_tight(self, design: GarmentDesign) -> bool:
         return any(is_too_tight(size, design) for size in self.sizes)
 
     # --------------------------------------------------------------------------------------------------------- bottoms
 
-    def with_light_cloth(self, design: OutfitDesign) -> OutfitDesign:
+    def with_light_cloth(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a narrower or shorter bottom while shoulder seams or hips carry too much cloth."""
 
-        def fault(trial: OutfitDesign) -> Fault | None:
+        def fault(trial: GarmentDesign) -> Fault | None:
             broken = next(filter(None, (broken_by_weight(size, trial) for size in self.sizes)), "")
             return Fault(broken, TRUNK) if broken else None
 
@@ -239,33 +239,33 @@ class _Fitting:
             limited=self._hanging_in_place,
         )
 
-    def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
+    def with_bottom(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a bottom that can be sewn and worn, ends above the floor and suits the waistband."""
         limited = self._hanging_in_place
         return self.redrawing.repaired(
             limited(design), self._bottom_fault, partial(_bottom_remedies, design), limited=limited
         )
 
-    def _hanging_in_place(self, design: OutfitDesign) -> OutfitDesign:
+    def _hanging_in_place(self, design: GarmentDesign) -> GarmentDesign:
         return self._without_heavy_flare(self._above_floor(self._below_band(self._with_snug_band(design))))
 
-    def _bottom_fault(self, design: OutfitDesign) -> Fault | None:
+    def _bottom_fault(self, design: GarmentDesign) -> Fault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
             return Fault("tight_cuff", "cuff")
         if any(has_tight_bottom(size, design) for size in self.sizes):
             return Fault("too_tight", "ring")
         return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
 
-    def _below_band(self, design: OutfitDesign) -> OutfitDesign:
+    def _below_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a bottom of its declared length: no skirt is drawn shorter than ``SHORTEST``."""
         return self.redrawing.within(design, "short_skirt", _length_path(design), self._least_length(design), inf)
 
-    def _least_length(self, design: OutfitDesign) -> float:
+    def _least_length(self, design: GarmentDesign) -> float:
         """The ``length`` at which a skirt is ``SHORTEST``, its waistband left out."""
         rise = bottom_rise(design)
         return max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
 
-    def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
+    def _above_floor(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a bottom that ends above the floor; lengths are fractions of hips to floor."""
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
@@ -273,7 +273,7 @@ class _Fitting:
         longest = bottom_length(design) - excess
         return self.redrawing.within(design, "reaches_floor", _length_path(design), self._least_length(design), longest)
 
-    def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
+    def _with_snug_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
@@ -289,7 +289,7 @@ class _Fitting:
             design = self.redrawing.again(design, "loose_gathers", "waistband")
         return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
 
-    def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
+    def _without_heavy_flare(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a shorter and narrower bottom, if it is flared and has neither an upper nor a firm band."""
         if design.meta.upper or not is_flared(design) or has_firm_band(design):
             return design
@@ -299,13 +299,13 @@ class _Fitting:
 
     def _with_top_within(
         self,
-        design: OutfitDesign,
+        design: GarmentDesign,
         role: Literal["gather_parameter", "fullness_parameter"],
         low: float,
         high: float,
         *,
         rule: str,
-    ) -> OutfitDesign:
+    ) -> GarmentDesign:
         """The design with the parameter for gathers or fullness of the bottom's top within limits."""
         top = top_of_bottom(design)
         name = "" if top is None else getattr(top, role)
@@ -324,7 +324,7 @@ def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
     return SHIRT_REMEDIES.get(fault.part, ()) + WHOLE_SHIRT
 
 
-def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
+def _bottom_remedies(design: GarmentDesign, fault: Fault) -> tuple[Remedy, ...]:
     """Redraws of the parameters named for the fault by the bottom and its parts, then of their whole sections."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
@@ -337,7 +337,7 @@ def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
     return (*_remedies(*named), Remedy(sections))
 
 
-def _load_remedies(design: OutfitDesign) -> tuple[Remedy, ...]:
+def _load_remedies(design: GarmentDesign) -> tuple[Remedy, ...]:
     """A bottom of less cloth; if it does not suffice, straps."""
     top = top_of_bottom(design)
     full = (f"{top.section}.{top.fullness_parameter}-",) if top is not None and top.fullness_parameter else ()
@@ -345,14 +345,14 @@ def _load_remedies(design: OutfitDesign) -> tuple[Remedy, ...]:
     return _remedies(*full, f"{_length_path(design)}-", *straps)
 
 
-def _is_plain(design: OutfitDesign) -> bool:
+def _is_plain(design: GarmentDesign) -> bool:
     """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
     return garment.always_sewable(garment.section_design(design))
 
 
-def _length_path(design: OutfitDesign) -> str:
+def _length_path(design: GarmentDesign) -> str:
     """The path of the bottom's ``length``."""
     assert design.meta.bottom is not None
     return f"{design.meta.bottom.garment.length_garment(design).section}.length"

@@ -9,7 +9,7 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.fitting import Fitting, drape_patterns
-from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.garments.cuff import Cuff
 from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.pants import PantsDesign
@@ -28,7 +28,7 @@ from tests.generator.drape.test_named_failures import (
 from tests.generator.dressing.test_dressing import bared, pattern_of
 from tests.generator.dressing.test_sewing_start import LEVELS
 
-WIDE_TROUSERS = OutfitDesign(
+WIDE_TROUSERS = GarmentDesign(
     meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, width=1.5, flare=1.2)
 )
 

@@ -16,7 +16,7 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, outfit_tags
+from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -79,7 +79,7 @@ def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
     for config in (FLAT, MESHED):
         sample = make(5, 0, config)
         assert sample.gathers == sample.pattern.gather_ratios()
-        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
+        assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
         assert sample.tags
 
 

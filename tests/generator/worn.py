@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcd_dataset.generator.captions import captions
-from gcd_dataset.generator.garments import OutfitDesign, Reject, design_from_dict, outfit, sample_design, try_on
+from gcd_dataset.generator.garments import GarmentDesign, Reject, design_from_dict, outfit, sample_design, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.records import Measurements, Pattern
 from tests.generator.garments.conftest import MAN, STOUT, WOMAN
@@ -17,7 +17,7 @@ class Worn(NamedTuple):
     """A design, drawn for a wearer."""
 
     size: Measurements
-    design: OutfitDesign
+    design: GarmentDesign
     pattern: Pattern
 
     def captions(self, index: int = 0) -> dict[str, str]:

@@ -9,13 +9,13 @@ import pytest
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, sample_design
 from gcd_dataset.generator.garments.parameter import Choice
 
 PATHS = [leaf.path for leaf in PARAMETERS]
 
 
-def row_of(design: OutfitDesign) -> np.ndarray:
+def row_of(design: GarmentDesign) -> np.ndarray:
     return encode_design(design_to_dict(design))
 
 
@@ -32,7 +32,7 @@ def test_missing_and_impossible_values_are_unknown_and_become_defaults() -> None
     row = encode_design({"meta": {"upper": "Shirt", "wb": "Rope"}, "shirt": {"length": 99.0, "width": 1.2}})
     known = {path for path, code in zip(PATHS, row, strict=True) if not np.isnan(code)}
     assert known == {"meta.upper", "shirt.width"}
-    assert decode_design(row).shirt.length == OutfitDesign().shirt.length
+    assert decode_design(row).shirt.length == GarmentDesign().shirt.length
     assert decode_design(row).shirt.width == pytest.approx(1.2)
 
 

@@ -19,7 +19,7 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, sample_design
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.metrics import score_pattern
@@ -138,7 +138,7 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
     return float(max(cKDTree(a).query(b)[0].max() for a, b in ((one, other), (other, one))))
 
 
-def targets_of(design: OutfitDesign) -> DesignTargets:
+def targets_of(design: GarmentDesign) -> DesignTargets:
     codes = torch.from_numpy(encode_design(design_to_dict(design)))[None]
     return DesignTargets(codes, torch.from_numpy(have_effect(design))[None], torch.ones(1, len(MEASURES)))
 

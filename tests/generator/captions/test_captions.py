@@ -8,7 +8,7 @@ import pytest
 from gcd_dataset.captions import LEVELS, caption_text, read_captions
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.captions import caption, captions, outfit_facts, say
+from gcd_dataset.generator.captions import caption, captions, garment_facts, say
 from gcd_dataset.generator.captions.facts import AT_KNEE, KNEE_HEIGHT
 from gcd_dataset.generator.captions.sentences import MOST_SHORT_WORDS
 from gcd_dataset.generator.garments import design_from_dict, outfit
@@ -54,7 +54,7 @@ def test_captions_are_plain_sentences(wardrobe: list[Worn]) -> None:
 
 def test_a_longer_caption_states_all_facts_of_a_shorter_one_and_differs(wardrobe: list[Worn]) -> None:
     for number, each in enumerate(wardrobe):
-        said = say(outfit_facts(*each), np.random.default_rng(number))
+        said = say(garment_facts(*each), np.random.default_rng(number))
         for entry in said.values():
             assert all(fact.lower() in entry.text.lower() for fact in entry.facts), entry
         short, medium, full = (set(said[level].facts) for level in LEVELS)
@@ -163,7 +163,7 @@ def test_the_length_of_a_drawn_skirt_agrees_with_its_word(wardrobe: list[Worn]) 
         top = size.waist_level - (1 - bottom_rise(design)) * size.hips_line
         hem = top - sum(map(middle_length, fronts))
         knee, near = KNEE_HEIGHT * size.height, AT_KNEE * size.leg_length
-        (word,) = outfit_facts(size, design, pattern).length[:1]
+        (word,) = garment_facts(size, design, pattern).length[:1]
         expected = ABOVE if hem > knee + near else BELOW if hem < knee - near else AT
         assert word in expected, (word, hem, knee, design.meta.bottom)
         words.append(word)
@@ -185,7 +185,7 @@ def test_the_length_of_a_drawn_skirt_agrees_with_its_word(wardrobe: list[Worn]) 
 )
 def test_sleeves_are_named_by_their_length(length: float, word: str) -> None:
     shirt = drawn(WOMAN, meta={"upper": "Shirt"}, sleeve={"sleeveless": False, "length": length})
-    phrases = [detail.words[0] for detail in outfit_facts(*shirt).details]
+    phrases = [detail.words[0] for detail in garment_facts(*shirt).details]
     assert any(phrase.startswith(f"{word} ") and phrase.endswith("sleeves") for phrase in phrases), phrases
 
 

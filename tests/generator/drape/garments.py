@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
-from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments import GarmentDesign, outfit
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements
@@ -93,7 +93,7 @@ def stouter(size: Measurements, factor: float) -> Measurements:
 
 
 @cache
-def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
+def wear(design: GarmentDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
     """Drape a design on the neutral body. A garment cut for other measures (``cut_for``) is moved to its waist."""
     legs_apart = design.meta.bottom is Bottom.PANTS
     body, size = neutral(legs_apart=legs_apart)

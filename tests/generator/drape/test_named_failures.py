@@ -6,7 +6,7 @@ Cuffs beside the wrist, arms under the shirt, skirts and trousers caught on the 
 import numpy as np
 
 from gcd_dataset.generator.drape import DrapeConfig
-from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
@@ -29,19 +29,19 @@ TOES = 10  # cloth edges that may cross toes, which are thinner than the 3 cm sp
 
 SHIRT = MetaDesign(upper=Upper.SHIRT)
 WIDE = ShirtDesign(width=1.3, length=1.5, flare=1.3)
-FULL_SKIRT = OutfitDesign(
+FULL_SKIRT = GarmentDesign(
     meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.GATHERED),
     waistband=WaistbandDesign(width=0.4),
     skirt=GatheredSkirtDesign(length=0.95, ruffle=1.7, flare=20),
 )
 BOTTOMS = {
-    "skirt": OutfitDesign(
+    "skirt": GarmentDesign(
         meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4)
     ),
-    "circle": OutfitDesign(
+    "circle": GarmentDesign(
         meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
     ),
-    "trousers": OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.5)),
+    "trousers": GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.5)),
 }
 
 
@@ -74,7 +74,7 @@ def test_hands_come_out_of_cuffs() -> None:
 def require_hands_out_of_cuffs(kind: Cuff, clear: float) -> None:
     """Every cuff lies round its own forearm, within ``clear`` cm of the skin."""
     cuff = SleeveCuffDesign(type=kind, cuff_len=0.2, top_ruffle=2.0)
-    worn = wear(OutfitDesign(meta=SHIRT, sleeve=SleeveDesign(sleeveless=False, length=0.95, cuff=cuff)))
+    worn = wear(GarmentDesign(meta=SHIRT, sleeve=SleeveDesign(sleeveless=False, length=0.95, cuff=cuff)))
     assert worn.drape.outcome is Outcome.SETTLED
     for arm in ARMS:
         own = worn.vertices_of(f"sl_{arm.split()[0]}_cuff")
@@ -90,7 +90,7 @@ def test_arms_are_not_under_a_loose_shirt() -> None:
 
 def require_arms_outside_the_shirt(sleeve: SleeveDesign) -> None:
     """Each arm goes through its own sleeve or armhole, not through the hem or the cloth."""
-    worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=sleeve))
+    worn = wear(GarmentDesign(meta=SHIRT, shirt=WIDE, sleeve=sleeve))
     assert worn.drape.outcome is Outcome.SETTLED
     for arm in ARMS:
         side = arm.split()[0]
@@ -108,7 +108,7 @@ def assert_comes_out(worn: Worn, arm: str, hole: np.ndarray) -> None:
 
 def test_an_arm_under_the_shirt_is_detected() -> None:
     """The shirt is moved down until its armholes lie below the arms, which then pierce its sides."""
-    worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=SleeveDesign(connecting_width=1.5)))
+    worn = wear(GarmentDesign(meta=SHIRT, shirt=WIDE, sleeve=SleeveDesign(connecting_width=1.5)))
     lower = worn.drape.vertices - np.array([0.0, 30.0, 0.0])
     for arm in ARMS:
         axis = Axis.of(worn.body, arm)

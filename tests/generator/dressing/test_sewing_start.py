@@ -15,7 +15,7 @@ from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
-from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments import GarmentDesign, outfit
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
@@ -45,18 +45,18 @@ from gcd_dataset.records import (
 from tests.generator.drape.garments import neutral
 from tests.helpers import patch
 
-LEVELS = OutfitDesign(
+LEVELS = GarmentDesign(
     meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.LEVELS),
     levels_skirt=LevelsSkirtDesign(base=LevelsBase.CIRCLE, level=Level.CIRCLE, num_levels=3, level_ruffle=1.5),
 )
-CIRCLE = OutfitDesign(
+CIRCLE = GarmentDesign(
     meta=MetaDesign(upper=Upper.SHIRT, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.6, suns=1.5)
 )
-PENCIL = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4))
-WIDE_SHIRT = OutfitDesign(meta=MetaDesign(upper=Upper.SHIRT), shirt=ShirtDesign(width=1.3, length=1.5, flare=1.5))
+PENCIL = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4))
+WIDE_SHIRT = GarmentDesign(meta=MetaDesign(upper=Upper.SHIRT), shirt=ShirtDesign(width=1.3, length=1.5, flare=1.5))
 
 
-def mesh_of(design: OutfitDesign) -> BoxMesh:
+def mesh_of(design: GarmentDesign) -> BoxMesh:
     return build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
 
 
@@ -71,7 +71,7 @@ def skin_of(*parts: BodyPart) -> Float[np.ndarray, "n 3"]:
 
 
 @pytest.mark.parametrize("design", [LEVELS, CIRCLE], ids=["levels", "circle"])
-def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: OutfitDesign) -> None:
+def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: GarmentDesign) -> None:
     mesh = mesh_of(design)
     skirt = vertices_of(mesh, PanelRole.LEG)
     start = sewing_start(mesh, neutral()[0])[skirt]
@@ -167,7 +167,7 @@ def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
 @pytest.mark.parametrize("degrees", [-20.0, 25.0])
 def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
     """The sleeve is cut for the A-pose; the body holds its arms lower or higher."""
-    design = OutfitDesign(
+    design = GarmentDesign(
         meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False, length=0.8, end_width=0.6)
     )
     mesh = mesh_of(design)
@@ -189,7 +189,7 @@ def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
     assert beside(start[sleeve]) < 2.5
 
 
-LONG_SLEEVES = OutfitDesign(
+LONG_SLEEVES = GarmentDesign(
     meta=MetaDesign(upper=Upper.SHIRT),
     sleeve=SleeveDesign(
         sleeveless=False, length=1.15, end_width=0.5, cuff=SleeveCuffDesign(type=Cuff.BAND, cuff_len=0.1)
@@ -227,7 +227,7 @@ def test_the_end_of_a_moved_sleeve_is_straight() -> None:
 
 
 def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
-    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
+    design = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
     body = build_body(replace(neutral_shape(), legs_apart=True))
     mesh = build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
     start = sewing_start(mesh, body)
@@ -244,7 +244,7 @@ def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
 
 
 def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
-    design = OutfitDesign(
+    design = GarmentDesign(
         meta=MetaDesign(upper=Upper.SHIRT),
         shirt=ShirtDesign(width=1.3, length=1.3, flare=1.4),
         sleeve=SleeveDesign(sleeveless=True, connecting_width=1.0),
@@ -261,7 +261,7 @@ def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
 
 def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
     """The thighs point forward, so that the legs have no side-by-side heights."""
-    design = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
+    design = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
     standing = build_body(replace(neutral_shape(), legs_apart=True))
     forward = standing.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     start = sewing_start(mesh_of(design), replace(standing, vertices=forward))

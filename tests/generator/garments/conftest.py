@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.records import ANGLES, Measurements
 
@@ -82,6 +82,6 @@ def giant() -> Measurements:
 
 
 @pytest.fixture(params=OUTFITS)
-def design(request: pytest.FixtureRequest) -> OutfitDesign:
+def design(request: pytest.FixtureRequest) -> GarmentDesign:
     """Each garment of the battery in turn."""
     return design_from_dict(OUTFITS[request.param])

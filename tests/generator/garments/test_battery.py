@@ -10,7 +10,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.garments import (
-    OutfitDesign,
+    GarmentDesign,
     Reject,
     design_from_dict,
     design_to_dict,
@@ -97,7 +97,7 @@ def a_spec_holds_the_whole_pattern(pattern: Pattern) -> None:
         assert theirs.placement.apply(ours.vertices) == pytest.approx(ours.placement.apply(ours.vertices), abs=1e-9)
 
 
-def labels_that_a_drape_needs_are_present(pattern: Pattern, design: OutfitDesign) -> None:
+def labels_that_a_drape_needs_are_present(pattern: Pattern, design: GarmentDesign) -> None:
     labels = {edge.label for panel in pattern.panels for edge in panel.edges if edge.label}
     assert labels <= HOLDERS
     assert ("right_collar" in labels) == (design.meta.upper is not None)
@@ -111,7 +111,7 @@ def labels_that_a_drape_needs_are_present(pattern: Pattern, design: OutfitDesign
     assert ("leg" in parts.values()) == (design.meta.bottom is not None)
 
 
-def test_a_garment_can_be_sewn_and_draped_on_every_wearer(wearer: Measurements, design: OutfitDesign) -> None:
+def test_a_garment_can_be_sewn_and_draped_on_every_wearer(wearer: Measurements, design: GarmentDesign) -> None:
     pattern = outfit(wearer, design)
     loops_are_closed_and_seen_from_outside(pattern)
     assert require_valid(pattern)
@@ -149,7 +149,7 @@ def a_spec_holds_no_negative_zeros(pattern: Pattern) -> None:
     assert not any(np.signbit(x) and x == 0 for x in numbers)
 
 
-def test_a_garment_is_placed_round_a_woman_and_its_files_repeat(woman: Measurements, design: OutfitDesign) -> None:
+def test_a_garment_is_placed_round_a_woman_and_its_files_repeat(woman: Measurements, design: GarmentDesign) -> None:
     pattern = outfit(woman, design)
     sewn_edges_face_each_other(pattern)
     panels_are_placed_on_their_side_of_the_body(pattern, woman)

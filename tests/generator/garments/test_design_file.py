@@ -9,7 +9,13 @@ import pytest
 import yaml
 
 from gcd_dataset.errors import ConfigError, OutputError
-from gcd_dataset.generator.garments.design import OutfitDesign, design_from_dict, design_tree, read_design, write_design
+from gcd_dataset.generator.garments.design import (
+    GarmentDesign,
+    design_from_dict,
+    design_tree,
+    read_design,
+    write_design,
+)
 from gcd_dataset.generator.garments.space import draw, from_dict
 from gcd_dataset.generator.garments.wardrobe import Upper
 
@@ -28,7 +34,7 @@ def _leaves(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Mapping[
 
 
 def test_the_default_file_equals_the_references_leaf_by_leaf(examples: Path, tmp_path: Path) -> None:
-    write_design(OutfitDesign(), tmp_path / "ours.yaml")
+    write_design(GarmentDesign(), tmp_path / "ours.yaml")
     ours, theirs = leaves_in(tmp_path / "ours.yaml"), leaves_in(examples / "default.yaml")
     assert list(ours) == list(theirs)
     cut = "pencil-skirt.style_side_cut"  # the reference's range lacks null, which its sampler adds
@@ -51,14 +57,14 @@ def test_the_references_designs_survive_a_file_to_the_last_digit(examples: Path,
 
 def test_any_design_survives_its_file_to_the_last_digit(tmp_path: Path) -> None:
     for seed in range(10):
-        design = draw(OutfitDesign, np.random.default_rng(seed))
+        design = draw(GarmentDesign, np.random.default_rng(seed))
         write_design(design, tmp_path / "design.yaml")
         assert read_design(tmp_path / "design.yaml") == design
 
 
 def test_awkward_numbers_survive_a_file(tmp_path: Path) -> None:
     for length in (0.1 + 0.2, 5e-17, -1e-5, np.nextafter(0.95, 0)):
-        design = from_dict(OutfitDesign, {"skirt": {"length": length}})
+        design = from_dict(GarmentDesign, {"skirt": {"length": length}})
         write_design(design, tmp_path / "design.yaml")
         assert read_design(tmp_path / "design.yaml").skirt.length == length
 
@@ -68,7 +74,7 @@ def test_omitted_parameters_keep_their_defaults_and_bare_values_are_read(tmp_pat
     file.write_text("design:\n  meta:\n    upper: {v: Shirt}\n  shirt:\n    length: 2\n")
     design = read_design(file)
     assert (design.meta.upper, design.shirt.length) == (Upper.SHIRT, 2.0)
-    assert design.pants == OutfitDesign().pants
+    assert design.pants == GarmentDesign().pants
 
 
 def entry(value: Any) -> dict[str, Any]:
@@ -195,7 +201,7 @@ def test_a_missing_or_binary_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"binary\.yaml: .*UTF-8|binary\.yaml: .*utf-8"):
         read_design(tmp_path / "binary.yaml")
     with pytest.raises(OutputError, match="make its folder first"):
-        write_design(OutfitDesign(), tmp_path / "nowhere" / "design.yaml")
+        write_design(GarmentDesign(), tmp_path / "nowhere" / "design.yaml")
 
 
 LAUGHS = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{x: *a{i - 1}, y: *a{i - 1}}}\n" for i in range(1, 60))

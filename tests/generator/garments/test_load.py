@@ -12,7 +12,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.section import girth, section
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, outfit
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, outfit
 from gcd_dataset.generator.garments.load import FRICTION, STIFFNESS, hip_load, strap_stretch
 from gcd_dataset.generator.garments.rules import broken_by_weight, is_too_tight
 from gcd_dataset.generator.garments.sampling import attempted_design
@@ -28,7 +28,7 @@ BANDED = {"upper": None, "wb": "StraightWB", "bottom": "SkirtCircle"}
 SAMPLED = 60
 
 
-def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> OutfitDesign:
+def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> GarmentDesign:
     return design_from_dict({"meta": meta, **{name.replace("_", "-"): values for name, values in sections.items()}})
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.collar import Collar
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign
 from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
 from gcd_dataset.generator.garments.pants import PantsDesign
 from gcd_dataset.generator.garments.space import draw, leaves
@@ -43,7 +43,7 @@ def workwear(tmp_path: Path) -> Overlay:
     return read_overlay(file)
 
 
-def drawn(overlay: Overlay, count: int = 400) -> list[OutfitDesign]:
+def drawn(overlay: Overlay, count: int = 400) -> list[GarmentDesign]:
     rng = np.random.default_rng(5)
     return [draw(overlay.space, rng) for _ in range(count)]
 
@@ -66,11 +66,11 @@ def test_other_parameters_are_drawn_as_without_the_overlay(workwear: Overlay) ->
     assert changed == {
         "meta.wb", "meta.bottom", "collar.component.style", "sleeve.sleeve_angle", "left.enable_asym", "pants.length",
     }  # fmt: skip
-    before, after = (dict(leaves(kind)) for kind in (OutfitDesign, workwear.space))
+    before, after = (dict(leaves(kind)) for kind in (GarmentDesign, workwear.space))
     assert list(before) == list(after)
     assert {path for path in before if before[path] != after[path]} == changed
     assert Overlay().space == Overlay.from_dict({}).space
-    same = [draw(kind, np.random.default_rng(1)) for kind in (OutfitDesign, Overlay().space)]
+    same = [draw(kind, np.random.default_rng(1)) for kind in (GarmentDesign, Overlay().space)]
     assert same[0] == same[1]
 
 

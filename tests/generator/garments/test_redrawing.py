@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.garments import OutfitDesign, Redraw, attempted_design, drafted_design, try_on
+from gcd_dataset.generator.garments import GarmentDesign, Redraw, attempted_design, drafted_design, try_on
 from gcd_dataset.generator.garments.design import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
@@ -25,52 +25,52 @@ def redrawing() -> Redrawing:
     return Redrawing(np.random.default_rng(0), SPACE)
 
 
-def failing(times: int) -> Callable[[OutfitDesign], Fault | None]:
+def failing(times: int) -> Callable[[GarmentDesign], Fault | None]:
     """A rule that the first ``times`` designs break."""
     faults = iter([Fault("too_long", "sleeve")] * times)
     return lambda _: next(faults, None)
 
 
 def test_a_rule_that_fails_once_costs_one_redraw(redrawing: Redrawing) -> None:
-    design = redrawing.repaired(OutfitDesign(), failing(1), lambda _: (SHORT, NARROW))
+    design = redrawing.repaired(GarmentDesign(), failing(1), lambda _: (SHORT, NARROW))
     assert redrawing.counts == {Redraw("too_long", "sleeve.length"): 1}
-    assert design.sleeve.length != OutfitDesign().sleeve.length
-    assert design.shirt.width == OutfitDesign().shirt.width
+    assert design.sleeve.length != GarmentDesign().sleeve.length
+    assert design.shirt.width == GarmentDesign().shirt.width
 
 
 def test_a_rule_that_never_holds_costs_all_tries_and_leaves_the_design(redrawing: Redrawing) -> None:
-    design = redrawing.repaired(OutfitDesign(), failing(99), lambda _: (SHORT, NARROW))
+    design = redrawing.repaired(GarmentDesign(), failing(99), lambda _: (SHORT, NARROW))
     assert redrawing.counts == {Redraw("too_long", path): TRIES for path in ("sleeve.length", "shirt.width")}
-    assert design == OutfitDesign()
+    assert design == GarmentDesign()
 
 
 def test_a_sound_design_costs_nothing(redrawing: Redrawing) -> None:
-    assert redrawing.repaired(OutfitDesign(), failing(0), lambda _: (SHORT,)) == OutfitDesign()
+    assert redrawing.repaired(GarmentDesign(), failing(0), lambda _: (SHORT,)) == GarmentDesign()
     assert not redrawing.counts
 
 
 def test_a_remedy_draws_below_the_value_at_fault(redrawing: Redrawing) -> None:
     lengths = [
         design.shirt.length
-        for design in redrawing.tried(OutfitDesign(), "too_long", Remedy(("shirt.length",), low=True))
+        for design in redrawing.tried(GarmentDesign(), "too_long", Remedy(("shirt.length",), low=True))
     ]
     assert sorted(lengths, reverse=True) == lengths
-    assert all(length < OutfitDesign().shirt.length for length in lengths)
+    assert all(length < GarmentDesign().shirt.length for length in lengths)
     assert len(lengths) == TRIES  # a default at fault is not kept
 
 
 def test_a_value_within_its_limits_is_not_drawn_again(redrawing: Redrawing) -> None:
-    kept = redrawing.within(OutfitDesign(), "too_long", "shirt.length", 0.5, 1.2)
-    assert kept == OutfitDesign()
-    shorter = redrawing.within(OutfitDesign(), "too_long", "shirt.length", 0.5, 1.0)
+    kept = redrawing.within(GarmentDesign(), "too_long", "shirt.length", 0.5, 1.2)
+    assert kept == GarmentDesign()
+    shorter = redrawing.within(GarmentDesign(), "too_long", "shirt.length", 0.5, 1.0)
     assert 0.5 <= shorter.shirt.length <= 1.0
     assert redrawing.counts == {Redraw("too_long", "shirt.length"): 1}
 
 
 def test_a_section_drawn_again_keeps_its_garments(redrawing: Redrawing) -> None:
     for _ in range(20):
-        skirt = redrawing.again(OutfitDesign(), "unsewable", "levels-skirt").levels_skirt
-        assert (skirt.base, skirt.level) == (OutfitDesign().levels_skirt.base, OutfitDesign().levels_skirt.level)
+        skirt = redrawing.again(GarmentDesign(), "unsewable", "levels-skirt").levels_skirt
+        assert (skirt.base, skirt.level) == (GarmentDesign().levels_skirt.base, GarmentDesign().levels_skirt.level)
 
 
 # ------------------------------------------------------------------------------------------------------ whole designs

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict, outfit, read_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign, waistband
 from gcd_dataset.generator.pattern import assemble
@@ -40,8 +40,8 @@ def read(folder: Path) -> tuple[Measurements, dict[str, Any], Pattern]:
     return read_measurements(folder / "body_measurements.yaml"), design_to_dict(design), read_pattern(path)
 
 
-def load(folder: Path, changes: dict[str, dict[str, Any]]) -> tuple[Measurements, OutfitDesign, Pattern]:
-    """Like ``read``, with the design as ``OutfitDesign``; ``changes`` replace values of the file, by section."""
+def load(folder: Path, changes: dict[str, dict[str, Any]]) -> tuple[Measurements, GarmentDesign, Pattern]:
+    """Like ``read``, with the design as ``GarmentDesign``; ``changes`` replace values of the file, by section."""
     size, values, reference = read(folder)
     return size, design_from_dict(values | {key: values[key] | changed for key, changed in changes.items()}), reference
 

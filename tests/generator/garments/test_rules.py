@@ -12,10 +12,10 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments import (
-    DrawnOutfit,
-    OutfitDesign,
+    DrawnGarment,
+    GarmentDesign,
     Reject,
-    check_outfit,
+    check_design,
     design_from_dict,
     outfit,
     try_on,
@@ -39,8 +39,8 @@ def reasons(size: Measurements, values: Mapping[str, Any]) -> list[str]:
     return reasons_of(size, design_from_dict(values))
 
 
-def reasons_of(size: Measurements, design: OutfitDesign) -> list[str]:
-    return [reject.rule for reject in check_outfit(DrawnOutfit.of(size, design))]
+def reasons_of(size: Measurements, design: GarmentDesign) -> list[str]:
+    return [reject.rule for reject in check_design(DrawnGarment.of(size, design))]
 
 
 @pytest.mark.parametrize("wb", [None, "StraightWB"])
@@ -99,7 +99,7 @@ def test_an_edge_too_short_to_sew_is_rejected(woman: Measurements) -> None:
     # A skirt of 5.9 cm with a cut 0.3 cm wide and as deep: legs of √(0.15² + 0.3²) cm.
     cut = {"add": True, "depth": 0.05, "width": 0.05}
     design = design_from_dict({"meta": SKIRT, "flare-skirt": {"length": -0.2, "cut": cut}})
-    (reject,) = check_outfit(DrawnOutfit.of(woman, design))
+    (reject,) = check_design(DrawnGarment.of(woman, design))
     assert str(reject).startswith("short_edge: panel skirt_back, edge 3: warning: edge under 0.5 cm: it is 0.3")
 
 
@@ -110,11 +110,11 @@ def test_sides_that_differ_without_gathers_are_rejected(woman: Measurements) -> 
         "collar": {"fc_depth": 0.3, "f_collar": "VNeckHalf"},
         "left": {"enable_asym": True},
     }
-    found = DrawnOutfit.of(woman, design_from_dict(design))
-    assert not any(reject.rule == "mismatched_seam" for reject in check_outfit(found))
+    found = DrawnGarment.of(woman, design_from_dict(design))
+    assert not any(reject.rule == "mismatched_seam" for reject in check_design(found))
     (centre,) = [sewn for sewn in found.joins if sewn.join.left[0].edge == "centre" and "ftorso" in str(sewn.join.left)]
     joins = tuple(replace(sewn, left_length=0.8 * sewn.left_length) if sewn is centre else sewn for sewn in found.joins)
-    (reason,) = [str(r) for r in check_outfit(replace(found, joins=joins)) if r.rule == "mismatched_seam"]
+    (reason,) = [str(r) for r in check_design(replace(found, joins=joins)) if r.rule == "mismatched_seam"]
     left, right = 0.8 * centre.left_length, centre.right_length
     assert f"{left:.1f} cm of right_ftorso centre on {right:.1f} cm of left_ftorso centre" in reason
 
@@ -165,7 +165,7 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
 def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements, upper: str) -> None:
     """A neckline of full width leaves a strap of a centimetre or two."""
     wide = {"meta": {"upper": upper}, "collar": {"width": 1.0}}
-    reject = next(iter(check_outfit(DrawnOutfit.of(woman, design_from_dict(wide)))))
+    reject = next(iter(check_design(DrawnGarment.of(woman, design_from_dict(wide)))))
     assert reject.rule == "narrow_shoulder"
     assert 0.8 < reject.numbers["shoulder_cm"] < 2.0
     assert reasons(woman, wide | {"collar": {"width": 0.6}}) == []
@@ -203,7 +203,7 @@ def test_a_straight_band_from_waist_to_hips_is_too_tight_for_the_hips(woman: Mea
     """A rectangle as long as the waist, whose lower edge lies at the hips."""
     high = {"meta": {"bottom": "SkirtCircle", "wb": "StraightWB"}, "waistband": {"width": 1.0}}
     size = replace(woman, hips=1.3 * woman.waist, hip_back_width=0.65 * woman.waist)
-    (reject,) = check_outfit(DrawnOutfit.of(size, design_from_dict(high)))
+    (reject,) = check_design(DrawnGarment.of(size, design_from_dict(high)))
     assert reject.rule == "too_tight"
     assert reject.numbers == pytest.approx({"ring_cm": size.waist, "body_cm": size.hips})
     assert "too_tight" not in reasons(size, high | {"waistband": {"width": 0.5}})

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments import GarmentDesign, Kind, Reject, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.redrawing import Redraw
-from gcd_dataset.generator.garments.rules import DrawnOutfit, check_outfit, garment_length, room_to_floor
+from gcd_dataset.generator.garments.rules import DrawnGarment, check_design, garment_length, room_to_floor
 from gcd_dataset.generator.garments.sampling import attempted_design, drafted_design
 from gcd_dataset.generator.garments.space import to_dict
 from gcd_dataset.generator.garments.wardrobe import Upper
@@ -27,7 +27,7 @@ def wearers() -> tuple[Measurements, ...]:
 
 
 @cache
-def designs() -> tuple[OutfitDesign, ...]:
+def designs() -> tuple[GarmentDesign, ...]:
     return tuple(sample_design(rng(1, n, Stage.DESIGN), [wearers()[n % 8]]) for n in range(COUNT))
 
 
@@ -67,7 +67,7 @@ def test_halves_differ_in_a_fifth_of_uppers() -> None:
 
 
 def test_unused_sections_keep_their_defaults() -> None:
-    plain = to_dict(OutfitDesign())
+    plain = to_dict(GarmentDesign())
     for design in designs():
         values, used = to_dict(design), design.sections_used()
         unused = [section for section in plain if section.replace("-", "_") not in used]
@@ -133,7 +133,7 @@ def test_a_sleeve_that_ends_narrower_than_the_arm_is_widened_and_else_unchanged(
         sizes, draft = (wearers()[number % 8],), drafted_design(5, number, 0, tapered).sleeve
         drawn = attempted_design(5, number, 0, sizes, tapered)
         sleeve = drawn.design.sleeve
-        assert not any(reject.rule == "tight_cuff" for reject in check_outfit(DrawnOutfit.of(*sizes, drawn.design)))
+        assert not any(reject.rule == "tight_cuff" for reject in check_design(DrawnGarment.of(*sizes, drawn.design)))
         assert replace(sleeve, end_width=draft.end_width) == draft
         assert sleeve.end_width >= draft.end_width
         widened += drawn.redraws.get(Redraw("tight_cuff", "sleeve.end_width"), 0) > 0

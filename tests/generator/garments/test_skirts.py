@@ -14,7 +14,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign, read_design
+from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, read_design
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise
@@ -313,14 +313,14 @@ def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozens
     for _ in range(2):
         size = measure(build_body(draw_shape(rng)))
         for _ in range(6):
-            drawn = replace(draw(OutfitDesign, rng), meta=MetaDesign(None, None, kind))
+            drawn = replace(draw(GarmentDesign, rng), meta=MetaDesign(None, None, kind))
             pattern = outfit(size, changed(drawn, WEARABLE[kind]), mends=mends)
             assert not errors(pattern)
 
 
 @pytest.mark.parametrize("kind", WEARABLE)
 def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom) -> None:
-    design = replace(OutfitDesign(), meta=MetaDesign(None, None, kind))
+    design = replace(GarmentDesign(), meta=MetaDesign(None, None, kind))
     told = kind.garment.length(woman, design, bottom_rise(design))
     heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in outfit(woman, design).panels]
     assert told > woman.hips_line

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict
 from gcd_dataset.generator.garments.collar import CollarDesign
 from gcd_dataset.generator.garments.parameter import Real
 from gcd_dataset.generator.garments.shirt import ShirtDesign
@@ -67,7 +67,7 @@ def test_other_values_are_equally_likely() -> None:
 
 
 def test_the_same_seed_draws_the_same_design() -> None:
-    first, second = (draw(OutfitDesign, np.random.default_rng(7)) for _ in range(2))
+    first, second = (draw(GarmentDesign, np.random.default_rng(7)) for _ in range(2))
     assert first == second
 
 
@@ -102,7 +102,7 @@ def test_errors_name_the_path_of_a_parameter() -> None:
 
 
 def test_a_file_holds_plain_values_under_the_reference_names() -> None:
-    values = design_to_dict(OutfitDesign())
+    values = design_to_dict(GarmentDesign())
     assert values["meta"] == {"upper": None, "wb": None, "bottom": None}
     assert values["flare-skirt"]["suns"] == 0.75
     assert values["collar"]["f_collar"] == "CircleNeckHalf"
@@ -129,7 +129,7 @@ def test_leaves_hold_everything_in_a_design_file() -> None:
     ]
     below = [(f"{above}.{path}", *rest) for above in ("hem", "upper-hem") for path, *rest in hem]
     assert told == [*below, ("width", "float", [20.0, 80.0], None)]
-    assert len(list(leaves(OutfitDesign))) == 122
+    assert len(list(leaves(GarmentDesign))) == 122
 
 
 def test_draws_follow_a_changed_space_and_its_parts() -> None:
@@ -138,7 +138,7 @@ def test_draws_follow_a_changed_space_and_its_parts() -> None:
     assert apron.upper_hem.depth == 4.5
     with pytest.raises(ConfigError, match=r"no design parameter is called hem\.width"):
         DesignSpace.declared(ApronDesign).changed({"hem.width": Real(1.0, None, 1.0, 1.0)})
-    long = DesignSpace.declared(OutfitDesign).changed({"left.sleeve.length": Real(1.0, None, 1.0, 1.0)})
+    long = DesignSpace.declared(GarmentDesign).changed({"left.sleeve.length": Real(1.0, None, 1.0, 1.0)})
     assert draw(long.of(LeftSleeveDesign), np.random.default_rng(1)).length == 1.0
     assert long.of(ShirtDesign) == DesignSpace.declared(ShirtDesign)
     assert draw(long.of(CollarDesign), np.random.default_rng(1)) == draw(CollarDesign, np.random.default_rng(1))

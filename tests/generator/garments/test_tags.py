@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.garments import TAGS, design_from_dict, outfit, outfit_tags
+from gcd_dataset.generator.garments import TAGS, design_from_dict, garment_tags, outfit
 from gcd_dataset.generator.garments.description import Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.records import Measurements, PanelRole, Pattern
@@ -25,7 +25,7 @@ SKIRT, SHIRT = {"upper": None, "bottom": "SkirtCircle"}, {"upper": "Shirt", "bot
 
 
 def tags(size: Measurements, **values: Any) -> set[str]:
-    return set(outfit_tags(*drawn(size, **values)))
+    return set(garment_tags(*drawn(size, **values)))
 
 
 @pytest.mark.parametrize(("suns", "tag"), [(1.0, "circle skirt"), (0.5, "half-circle skirt"), (0.25, "a-line skirt")])
@@ -43,13 +43,13 @@ def test_the_length_of_a_skirt_has_a_name(woman: Measurements, length: float, ta
 def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements, wardrobe: list[Worn]) -> None:
     """Measured on the pattern: the skirt from waist to hem is longer than waist to hips and 0.8 of the leg."""
     skirts = [worn for worn in wardrobe if worn.design.meta.bottom and not worn.design.meta.upper]
-    maxis = [worn for worn in skirts if "maxi" in outfit_tags(*worn)]
+    maxis = [worn for worn in skirts if "maxi" in garment_tags(*worn)]
     assert maxis
     assert all(hem_depth(worn.size, worn.design) > 0.8 for worn in maxis)
     pencil = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.9, "flare": 1.0}})
     pattern = outfit(woman, pencil)
     front = pattern.panel("skirt_front")
-    assert "maxi" in outfit_tags(woman, pencil, pattern)
+    assert "maxi" in garment_tags(woman, pencil, pattern)
     assert np.ptp(front.vertices[:, 1]) > woman.hips_line + 0.8 * woman.leg_length
 
 
@@ -86,7 +86,7 @@ def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements, 
 )
 def test_styles_have_their_tailors_names(woman: Measurements, values: dict[str, Any], expected: set[str]) -> None:
     design = design_from_dict(values)
-    assert expected <= set(outfit_tags(woman, design, outfit(woman, design)))
+    assert expected <= set(garment_tags(woman, design, outfit(woman, design)))
 
 
 def test_a_strapless_bodice_has_no_neckline(woman: Measurements) -> None:
@@ -96,7 +96,7 @@ def test_a_strapless_bodice_has_no_neckline(woman: Measurements) -> None:
 
 def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Worn]) -> None:
     for worn in wardrobe:
-        found = outfit_tags(*worn)
+        found = garment_tags(*worn)
         assert set(found) <= set(TAGS)
         assert list(found) == sorted(set(found), key=TAGS.index)
         assert len({"top", "dress", "jumpsuit", "skirt"} & set(found)) == (0 if found[0] == "trousers" else 1)
@@ -145,7 +145,7 @@ def test_five_tiers_of_the_least_length_hang_lower_than_declared(woman: Measurem
     tiers = [np.ptp(worn.pattern.panel(f"skirt_front_{number}").vertices[:, 1]) for number in range(5)]
     assert np.allclose(tiers, 5.0)
     assert 0.3 + 15 / woman.leg_length < hem_depth(woman, worn.design)
-    assert "mini" not in outfit_tags(*worn)
+    assert "mini" not in garment_tags(*worn)
 
 
 def test_an_arc_that_bulges_inwards_is_not_round(woman: Measurements) -> None:
@@ -279,7 +279,7 @@ MUTUAL = {
 def test_every_tag_is_supported_by_the_drawn_pattern(wardrobe: list[Worn]) -> None:
     seen: set[str] = set()
     for worn in wardrobe:
-        found, features = outfit_tags(*worn), drawn_features(worn)
+        found, features = garment_tags(*worn), drawn_features(worn)
         assert not [tag for tag in found if not features.get(tag, True)], (found, worn.captions()["full"])
         seen.update(found)
     assert seen == set(TAGS)
@@ -287,7 +287,7 @@ def test_every_tag_is_supported_by_the_drawn_pattern(wardrobe: list[Worn]) -> No
 
 def test_tags_agree_with_the_full_caption(wardrobe: list[Worn]) -> None:
     for number, worn in enumerate(wardrobe):
-        found, full = outfit_tags(*worn), worn.captions(number)["full"].replace("no waistband", "")
+        found, full = garment_tags(*worn), worn.captions(number)["full"].replace("no waistband", "")
         for tag, words in STATED.items():
             says = re.search(rf"(?<![\w-])({words})(?![\w-])", full, re.IGNORECASE) is not None
             assert says or tag not in found, (tag, full)

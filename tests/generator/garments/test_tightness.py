@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, outfit
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, outfit
 from gcd_dataset.generator.garments.rules import Reject, has_tight_bottom, try_on
 from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.tightness import rings, trunk_rings
@@ -32,7 +32,7 @@ TIGHT: dict[str, dict[str, Any]] = {
 """Name of the ring that is too tight to the design."""
 
 
-def tight(name: str) -> OutfitDesign:
+def tight(name: str) -> GarmentDesign:
     return design_from_dict(TIGHT[name])
 
 

@@ -9,8 +9,8 @@ from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.exports.published import garment_type
 from gcd_dataset.generator.garments import (
+    GarmentDesign,
     Kind,
-    OutfitDesign,
     Reject,
     design_from_dict,
     design_to_dict,
@@ -39,7 +39,7 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     assert len({garment.name for garment in GARMENTS}) == len(GARMENTS) == len(Upper) + len(Bottom)
     kinds = {(garment.section, garment.design) for garment in GARMENTS}
     assert len({section for section, _ in kinds}) == len(kinds)
-    assert all(isinstance(garment.section_design(OutfitDesign()), garment.design) for garment in GARMENTS)
+    assert all(isinstance(garment.section_design(GarmentDesign()), garment.design) for garment in GARMENTS)
 
 
 # ------------------------------------------------------------------------------------------ garments beyond GarmentCode
