@@ -15,7 +15,7 @@ CURVE_POINTS = 65
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class FigureDifference:
     """One difference between two patterns."""
 
     panel: str
@@ -29,7 +29,7 @@ class Difference:
 class Comparison:
     """All differences between two patterns."""
 
-    structure: tuple[Difference, ...]
+    structure: tuple[FigureDifference, ...]
     """Differences in names, edge counts and seams; empty if the graphs are equal."""
     outline: Mapping[str, float]
     """Shared panel to the Hausdorff distance of its outlines [cm]."""
@@ -50,7 +50,7 @@ def compare(ours: Pattern, theirs: Pattern) -> Comparison:
     pairs = {name: (ours.panel(name), theirs.panel(name)) for name in shared}
     shifts = {name: _shift(*pair) for name, pair in pairs.items()}
     counts = [
-        Difference(name, f"{len(mine.edges)} edges instead of {len(other.edges)}")
+        FigureDifference(name, f"{len(mine.edges)} edges instead of {len(other.edges)}")
         for name, (mine, other) in pairs.items()
         if len(mine.edges) != len(other.edges)
     ]
@@ -65,13 +65,13 @@ def compare(ours: Pattern, theirs: Pattern) -> Comparison:
     )
 
 
-def _name_differences(ours: Pattern, theirs: Pattern) -> list[Difference]:
+def _name_differences(ours: Pattern, theirs: Pattern) -> list[FigureDifference]:
     mine, other = ({panel.name for panel in pattern.panels} for pattern in (ours, theirs))
-    missing = [Difference(name, "is missing") for name in sorted(other - mine)]
-    return missing + [Difference(name, "is not in theirs") for name in sorted(mine - other)]
+    missing = [FigureDifference(name, "is missing") for name in sorted(other - mine)]
+    return missing + [FigureDifference(name, "is not in theirs") for name in sorted(mine - other)]
 
 
-def _seam_differences(ours: Pattern, theirs: Pattern, shifts: Mapping[str, int]) -> list[Difference]:
+def _seam_differences(ours: Pattern, theirs: Pattern, shifts: Mapping[str, int]) -> list[FigureDifference]:
     """Seams of one pattern that the other lacks, in their edge numbers."""
     counts = {panel.name: len(panel.edges) for panel in theirs.panels}
 
@@ -82,9 +82,11 @@ def _seam_differences(ours: Pattern, theirs: Pattern, shifts: Mapping[str, int])
     other = {frozenset((seam.left, seam.right)): seam.right_wrong for seam in theirs.seams}
     found = []
     for text, only in (("is not sewn", other.keys() - mine.keys()), ("is sewn here only", mine.keys() - other.keys())):
-        found += [Difference("", f"seam {_text(pair)} {text}") for pair in only]
+        found += [FigureDifference("", f"seam {_text(pair)} {text}") for pair in only]
     turned = [pair for pair in mine.keys() & other.keys() if mine[pair] != other[pair]]
-    return sorted(found + [Difference("", f"seam {_text(pair)} is sewn the other way") for pair in turned], key=str)
+    return sorted(
+        found + [FigureDifference("", f"seam {_text(pair)} is sewn the other way") for pair in turned], key=str
+    )
 
 
 def _text(pair: frozenset[EdgeRef]) -> str:

@@ -84,7 +84,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
     ``fineness``: subdivisions of each cell edge; ``points``: number of surface points.
     """
     random = rng(seed, index, Stage.DESIGN)
-    tube = _Tube(
+    tube = _FakeTube(
         name=key_of(index),
         width=float(random.uniform(30.0, 50.0)),
         length=float(random.uniform(20.0, 40.0)),
@@ -108,7 +108,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
 
 
 @dataclass(frozen=True)
-class _Tube:
+class _FakeTube:
     """Two rectangles of ``columns`` × ``rows`` cells each; vertices of the seams are numbered first."""
 
     name: str

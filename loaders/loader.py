@@ -196,9 +196,9 @@ class GarmentLoader:
 
 def _with_views(views: "Views", made: Iterable[tuple[Step, Any]]) -> Generator[tuple[Step, Any]]:
     """The batches with their pictures; threads render ahead of the loop."""
-    from gcd_dataset.loaders.views import render_ahead
+    from gcd_dataset.loaders.views import garments_in, render_ahead
 
-    return render_ahead(views, ((step, batch, step.uses) for step, batch in made))
+    return render_ahead(views, ((step, batch, step.uses[: garments_in(batch)]) for step, batch in made))
 
 
 def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:

@@ -356,10 +356,9 @@ class ElasticSampler(DistributedSampler[int]):
             yield index
 
     def _require_no_second_split(self) -> None:
-        """Raise ``ConfigError`` without a given rank where ``accelerate`` runs several processes."""
-        if self._fixed_rank is None and (count := accelerate_processes()) > 1:
+        """Raise ``ConfigError`` where ``accelerate`` runs several processes, unless this sampler is for all of them."""
+        if self._fixed_rank != (0, 1) and (count := accelerate_processes()) > 1:
             raise ConfigError(
                 f"accelerate runs {count} processes, and a loader that it prepares splits garments over them: give "
-                "rank=0, world_size=1 in such a loader, otherwise rank=accelerator.process_index, "
-                f"world_size={count}; or load with a GarmentLoader"
+                "rank=0, world_size=1 and prepare the loader, or load with a GarmentLoader, which is not prepared"
             )

@@ -245,7 +245,7 @@ class GarmentDataset(Garments):
         }
         if not partial:
             store.warn_unfinished(splits)
-        self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
+        self._parts = [_SplitPart(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         shared = [
             m for m in self._parts[0].reader.layout.members if all(m in r.layout.members for r in readers.values())
@@ -403,7 +403,7 @@ class GarmentDataset(Garments):
     def _member_names(self) -> tuple[str, ...]:
         return members_of(self.fields, self._member_of)
 
-    def _locate(self, position: int) -> tuple["_Part", int]:
+    def _locate(self, position: int) -> tuple["_SplitPart", int]:
         """The part that holds a garment, and its position in the part's reader."""
         number = bisect.bisect_right(self._ends, position)
         part = self._parts[number]
@@ -414,7 +414,7 @@ class GarmentDataset(Garments):
         return part.reader.read(position, members)
 
 
-class _Part(NamedTuple):
+class _SplitPart(NamedTuple):
     """The samples of one part of ``split=``."""
 
     reader: ShardReader
@@ -428,7 +428,7 @@ def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, 
     return tuple(dict.fromkeys(single for field in fields for single in singles[field]))
 
 
-def _absent(parts: Sequence[_Part], fields: Sequence[str] | None, *, is_remote: bool) -> dict[str, str]:
+def _absent(parts: Sequence[_SplitPart], fields: Sequence[str] | None, *, is_remote: bool) -> dict[str, str]:
     """Field to the reason why no garment has it: by the first garment, and of a server by the recipe.
 
     ``fields``: of these pictures alone are looked at, since their tars may be missing.

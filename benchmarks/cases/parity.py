@@ -15,7 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.comparison import Difference, compare
+from benchmarks.comparison import FigureDifference, compare
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import BodyError, ConfigError, PatternError, SpecError
 from gcd_dataset.generator.body import read_measurements
@@ -144,12 +144,12 @@ def _verdict(
         return Verdict(name, (f"cannot be drawn: {error}",), (), ())
     found = compare(ours, theirs)
     outline = [
-        Difference(panel, f"outline {distance:.2f} cm off at edge {found.worst_edge[panel]}")
+        FigureDifference(panel, f"outline {distance:.2f} cm off at edge {found.worst_edge[panel]}")
         for panel, distance in found.outline.items()
         if distance > _tolerance(panel)
     ]
     placement = [
-        Difference(panel, f"hangs {distance:.2f} cm off")
+        FigureDifference(panel, f"hangs {distance:.2f} cm off")
         for panel, distance in found.placement.items()
         if distance > PLACEMENT
     ]
@@ -172,7 +172,7 @@ def _tolerance(panel: str) -> float:
     return FRONT_OUTLINE if panel.endswith("ftorso") else OUTLINE
 
 
-def _cap_differences(pattern: Pattern, design: GarmentDesign) -> list[Difference]:
+def _cap_differences(pattern: Pattern, design: GarmentDesign) -> list[FigureDifference]:
     """Sleeves whose cap, without gathers, differs in length from the armhole."""
     found = []
     for side, arm in (("right", design.sleeve), ("left", design.left.sleeve)):
@@ -181,7 +181,7 @@ def _cap_differences(pattern: Pattern, design: GarmentDesign) -> list[Difference
         cap, armhole = _cap_and_armhole(pattern, side)
         excess = cap / arm.connect_ruffle - armhole
         if abs(excess) > CAP_LENGTH:
-            found.append(Difference(f"{side}_sleeve_f", f"cap {excess:+.2f} cm longer than its armhole"))
+            found.append(FigureDifference(f"{side}_sleeve_f", f"cap {excess:+.2f} cm longer than its armhole"))
     return found
 
 

@@ -44,7 +44,7 @@ NAMELESS = frozenset({"", "NNSewingPattern", "specification", "template"})  # su
 
 
 @dataclass(frozen=True)
-class Garment:
+class Prediction:
     """A prediction that was read."""
 
     pattern: Pattern
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def read_garments(
     form: str, path: Path, *, raw: bool = False, panels: Sequence[str] = ()
-) -> Iterator[Garment | GcdError]:
+) -> Iterator[Prediction | GcdError]:
     """The garments of a file: several for arrays with a first axis of garments.
 
     ``raw``: arrays are in cm, not in the network's units; ``panels``: names of the panels of arrays, in their order, in
@@ -78,9 +78,9 @@ def read_garments(
     if path.suffix == ".json":
         tree = read_json(path, "prediction")
         if form == "aipparel" and isinstance(tree, Mapping) and "pattern" not in tree:
-            yield _attempt(lambda: Garment(aipparel.decode(_tokens(tree, path, raw=raw), name)), path, name)
+            yield _attempt(lambda: Prediction(aipparel.decode(_tokens(tree, path, raw=raw), name)), path, name)
         else:
-            yield Garment(*read_prediction(tree, name, source=str(path)))
+            yield Prediction(*read_prediction(tree, name, source=str(path)))
         return
     if form not in ARRAYS:
         raise ConfigError(f"{path}: {form} has no arrays: give a JSON file, or one of {', '.join(ARRAYS)}")
@@ -95,7 +95,7 @@ def read_garments(
                 "a first axis of garments"
             )
         read = partial(reader.decode, part, title, raw, panels or reader.panels)
-        yield _attempt(lambda read=read: Garment(read()), path, title)  # type: ignore[misc]
+        yield _attempt(lambda read=read: Prediction(read()), path, title)  # type: ignore[misc]
 
 
 def garment_name(path: Path) -> str:
@@ -178,7 +178,7 @@ def _sewingldm(arrays: Mapping[str, np.ndarray], name: str, raw: bool, panels: S
     if not raw:
         plain = sewingldm.SCALING.undo(array[..., : sewingldm.CONTINUOUS])
         # Their code leaves stitch tags in the network's units; only distances between them count.
-        tags = slice(sewingldm.Column.TAG, sewingldm.Column.QUATERNION)
+        tags = slice(sewingldm.SlotColumn.TAG, sewingldm.SlotColumn.QUATERNION)
         plain[..., tags] = array[..., tags]
         array = np.concatenate([plain, array[..., sewingldm.CONTINUOUS :]], axis=-1)
     return sewingldm.decode(array, name, names=panels)
@@ -368,7 +368,7 @@ def _import(options: argparse.Namespace) -> tuple[int, int]:
     return len(origin), failed
 
 
-def _write(garment: Garment, path: Path, out: Path, origin: dict[str, Path], *, quiet: bool) -> None:
+def _write(garment: Prediction, path: Path, out: Path, origin: dict[str, Path], *, quiet: bool) -> None:
     name = garment.pattern.name
     if name in origin:
         raise ConfigError(f"{path}: {origin[name]} is named {shown(name)}, too: rename one, or import it elsewhere")
@@ -408,7 +408,7 @@ def _names(path: Path) -> list[str]:
     return names
 
 
-def _attempt(read: Callable[[], Garment], path: Path, name: str) -> Garment | GcdError:
+def _attempt(read: Callable[[], Prediction], path: Path, name: str) -> Prediction | GcdError:
     """The garment, or its error with the file and the garment in front."""
     try:
         with np.errstate(all="ignore"):  # numbers without bounds overflow before they are refused

@@ -108,7 +108,7 @@ VIEWS_PER_EPOCH = 16  # stream numbers of one reading
 
 
 @dataclass(frozen=True, eq=False)
-class Garment:
+class ShownGarment:
     """A garment to render."""
 
     position: int
@@ -145,13 +145,13 @@ class Rendered:
     """``pixel_labels`` of the pictures."""
 
 
-def load_garment(reader: ShardReader, position: int) -> Garment:
+def load_garment(reader: ShardReader, position: int) -> ShownGarment:
     """A stored garment, with the body that readers of the shards build."""
     sample = reader.sample(position)
     assert sample.box_mesh is not None
     assert sample.drape is not None
     body = stored_body(sample.shape or neutral_shape())
-    return Garment(
+    return ShownGarment(
         position,
         reader.number(position),
         stored_scene(sample.box_mesh, sample.drape.vertices, body, pattern=sample.pattern),
@@ -206,7 +206,7 @@ def rendered(share: Share) -> Generator[Rendered]:
         yield _finished(waiting)
 
 
-def views_of(what: Input, seed: int, garment: Garment, row: int, epoch: int) -> tuple[Scene, list[View]]:
+def views_of(what: Input, seed: int, garment: ShownGarment, row: int, epoch: int) -> tuple[Scene, list[View]]:
     """The scene of a garment and its front and back view, a function of input, seed, garment and epoch.
 
     Of ``Input.PLAIN`` only the cameras are those of its pictures.
@@ -241,7 +241,7 @@ class _Started:
     plain: PendingRender | None
 
 
-def _start(share: Share, what: Input, garments: Sequence[Garment], epoch: int) -> _Started:
+def _start(share: Share, what: Input, garments: Sequence[ShownGarment], epoch: int) -> _Started:
     positions = np.array([garment.position for garment in garments])
     plain = None
     if what is Input.PLAIN:

@@ -11,7 +11,7 @@ import numpy as np
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check, Harm
 from gcd_dataset.check.files import published_faults, set_faults, shard_file_faults, split_file_faults
-from gcd_dataset.check.garments import FIELDS_READ, Fault, Garment, garment_faults
+from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, garment_faults
 from gcd_dataset.check.report import Report, SplitSummary, Tally
 from gcd_dataset.check.sets import DIMENSIONS, NEAR, Census, SplitCensus, difference, near_pairs
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
@@ -105,7 +105,7 @@ class _Split:
 
 
 @dataclass(frozen=True)
-class _Source:
+class _Examined:
     name: str
     splits: tuple[_Split, ...]
     folder: Path | None = None
@@ -114,10 +114,10 @@ class _Source:
     garment_lists: tuple[PublishedGarments, ...] = ()
 
 
-def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
+def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | None) -> _Examined:
     path = user_path(source) if "://" not in str(source) else None
     if path is not None and path.suffix in HDF5 and path.is_file():
-        return _Source(str(path), (_hdf5_split(path),))
+        return _Examined(str(path), (_hdf5_split(path),))
     if path is not None and path.is_dir() and is_published(path):
         return _published(path, cache_dir)
     return _shards(str(source), endpoint, cache_dir)
@@ -128,7 +128,7 @@ def _hdf5_split(path: Path) -> _Split:
     return _Split(Hdf5Garments(path, ("meta",)).split, Hdf5Garments(path, _examined(known), dtype=None))
 
 
-def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Source:
+def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Examined:
     from gcd_dataset.hub.remote import Remote, open_store
     from gcd_dataset.hub.source import Folder, Repo, parse_source
 
@@ -146,10 +146,10 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
     if any(record.plan.kind == BODIES.kind for record in manifest.splits.values()):
         if folder is None:
             raise ConfigError(f"{source}: a data set of bodies: run gcd download {source} first, then give the folder")
-        return _Source(store.location(), (), folder)
+        return _Examined(store.location(), (), folder)
     names = sorted((name for name, record in manifest.splits.items() if record.count), key=_split_order)
     splits = tuple(_shard_split(source, name, options) for name in names)
-    return _Source(store.location(), splits, folder)
+    return _Examined(store.location(), splits, folder)
 
 
 def _split_order(name: str) -> tuple[int, str]:
@@ -168,7 +168,7 @@ def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
         return _Split(split, None, str(error))
 
 
-def _published(path: Path, cache_dir: str | Path | None) -> _Source:
+def _published(path: Path, cache_dir: str | Path | None) -> _Examined:
     batches = PublishedBatches(path, cache_dir=cache_dir)
     names = SPLITS if batches.split_file is not None else ("all",)
     lists = tuple(PublishedGarments(batches, name) for name in names)
@@ -179,7 +179,7 @@ def _published(path: Path, cache_dir: str | Path | None) -> _Source:
             splits.append(_Split(garments.split, data, name_of=data.name))
     if not splits:
         lists[0].require_any()
-    return _Source(str(path), tuple(splits), published=batches, garment_lists=lists)
+    return _Examined(str(path), tuple(splits), published=batches, garment_lists=lists)
 
 
 def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
@@ -195,7 +195,7 @@ def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
 class _Examination:
     """Reads every garment once, then compares them."""
 
-    def __init__(self, source: _Source, quick: bool, on_progress: ProgressCallback) -> None:
+    def __init__(self, source: _Examined, quick: bool, on_progress: ProgressCallback) -> None:
         self.source, self.quick, self._on_progress = source, quick, on_progress
         self.tally, self.census = Tally(), Census()
         self.harms: dict[tuple[Check, str], Harm] = {}
@@ -228,7 +228,7 @@ class _Examination:
             if isinstance(item, GcdError):
                 self.tally.add(checks.UNREADABLE, split.name, split.key(position), [str(item)])
                 continue
-            garment = Garment.of(item)
+            garment = CheckedGarment.of(item)
             census.add(position, garment)
             self.wearers.add(str(garment.meta.get("body") or ""))
             self._count(split, position, garment_faults(garment))
@@ -344,7 +344,7 @@ class _Examination:
     def _tensor(self, split: str, row: int) -> Any:
         garments = self._split(split).garments
         assert garments is not None
-        return Garment.of(garments[self.census.splits[split].position[row]]).tensor
+        return CheckedGarment.of(garments[self.census.splits[split].position[row]]).tensor
 
 
 def _positions(count: int, most: int | None) -> list[int]:

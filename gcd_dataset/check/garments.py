@@ -37,7 +37,7 @@ LOW, HIGH, ASIDE = 10.0, 230.0, 80.0  # cm: centre of a garment above the soles,
 
 
 @dataclass(frozen=True)
-class Garment:
+class CheckedGarment:
     """One garment, with the fields that its data set has."""
 
     key: str
@@ -49,7 +49,7 @@ class Garment:
     measures: Mapping[str, float] | None = None
 
     @classmethod
-    def of(cls, item: Mapping[str, Any]) -> "Garment":
+    def of(cls, item: Mapping[str, Any]) -> "CheckedGarment":
         """From an item of a data set."""
         arrays = {name: np.asarray(item[name]) for name in ARRAYS if item.get(name) is not None}
         rest = {name: item.get(name) for name in ("spec", "design", "measures")}
@@ -90,7 +90,7 @@ class Garment:
             return None
 
 
-def garment_faults(garment: Garment) -> Iterator[Fault]:
+def garment_faults(garment: CheckedGarment) -> Iterator[Fault]:
     """All faults of a garment that can be seen without the others."""
     unfinite = [name for name in FLOATS if name in garment.arrays and not np.isfinite(garment.arrays[name]).all()]
     yield from ((checks.NOT_FINITE, name) for name in unfinite)
@@ -117,7 +117,7 @@ def _drape_faults(meta: Mapping[str, Any]) -> Iterator[str]:
         yield "grade failed"
 
 
-def _reference_faults(garment: Garment) -> Iterator[str]:
+def _reference_faults(garment: CheckedGarment) -> Iterator[str]:
     """Arrays that refer to missing rows, or disagree in length."""
     arrays = garment.arrays
     vertices = "verts" if garment.has("verts") else "box"
@@ -146,7 +146,7 @@ def _are_rows(ids: np.ndarray, target: np.ndarray | None) -> bool:
     return target is None or bool(0 <= ids.min() <= ids.max() < len(target))
 
 
-def _spec_faults(garment: Garment) -> Iterator[str]:
+def _spec_faults(garment: CheckedGarment) -> Iterator[str]:
     """A specification with other panels or stitches than the arrays."""
     pattern = (garment.spec or {}).get("pattern")
     if not isinstance(pattern, Mapping) or not garment.has("panels") or "stitches" not in garment.arrays:
@@ -157,7 +157,7 @@ def _spec_faults(garment: Garment) -> Iterator[str]:
         yield "spec and stitches have different stitches"
 
 
-def _pattern_faults(garment: Garment, pattern: Pattern) -> Iterator[Fault]:
+def _pattern_faults(garment: CheckedGarment, pattern: Pattern) -> Iterator[Fault]:
     """Loops that run the wrong way round, and patterns that cannot be sewn."""
     across = np.array([panel.placement.matrix[:, 2] for panel in pattern.panels])
     loops = loop_areas(garment.arrays["edges"], len(across))
@@ -175,7 +175,7 @@ def _pattern_faults(garment: Garment, pattern: Pattern) -> Iterator[Fault]:
 # ------------------------------------------------------------------------------------------------------ units and axes
 
 
-def _unit_faults(garment: Garment) -> Iterator[str]:
+def _unit_faults(garment: CheckedGarment) -> Iterator[str]:
     placed = garment.placed
     if placed is not None:
         largest = LARGEST if garment.has("verts") else WIDEST
@@ -199,7 +199,7 @@ def _likely_unit(scale: float) -> str:
     return unit if abs(np.log10(max(scale, 1e-9) / units[unit])) < 0.8 else "an unknown unit"
 
 
-def _same_unit(garment: Garment, placed: np.ndarray) -> bool:
+def _same_unit(garment: CheckedGarment, placed: np.ndarray) -> bool:
     faces, uv = garment.arrays["faces"], garment.arrays["uv"][garment.arrays["corners"]]
     solid = np.linalg.norm(placed[faces[:, 1]] - placed[faces[:, 0]], axis=1)
     flat = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
@@ -209,7 +209,7 @@ def _same_unit(garment: Garment, placed: np.ndarray) -> bool:
     return bool(1 / limit < ratio < limit)
 
 
-def _axis_faults(garment: Garment) -> Iterator[str]:
+def _axis_faults(garment: CheckedGarment) -> Iterator[str]:
     placed = garment.placed
     if placed is None:
         return

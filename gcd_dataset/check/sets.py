@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from gcd_dataset.check.garments import ARRAYS, Garment
+from gcd_dataset.check.garments import ARRAYS, CheckedGarment
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 
 NOBODY = 0  # hash of a body that garments may share: the neutral one, or one without name and weights
@@ -38,7 +38,7 @@ class SplitCensus:
     def __len__(self) -> int:
         return len(self.position)
 
-    def add(self, position: int, garment: Garment) -> None:
+    def add(self, position: int, garment: CheckedGarment) -> None:
         """Count a garment."""
         self.position.append(position)
         self.design.append(_hash(json.dumps(garment.design, sort_keys=True).encode()) if garment.design else 0)
@@ -121,7 +121,7 @@ def _difference(name: str, one: Counter[str], other: Counter[str], first: str) -
     return f"{name} {value}: {other[value] / m:.0%}, and {one[value] / n:.0%} in {first}"
 
 
-def _body_hash(garment: Garment) -> int:
+def _body_hash(garment: CheckedGarment) -> int:
     """A number for the wearer; ``NOBODY`` for a mean body."""
     body = str(garment.meta.get("body") or "")
     if garment.has("body"):
@@ -131,7 +131,7 @@ def _body_hash(garment: Garment) -> int:
     return NOBODY if person in COMMON_BODIES else _hash(person.encode())
 
 
-def _kinds(garment: Garment) -> dict[str, str]:
+def _kinds(garment: CheckedGarment) -> dict[str, str]:
     """Grade, outcome and garment types, as far as known."""
     meta, drape = garment.meta, garment.meta.get("drape")
     known = {"grade": meta.get("grade") or "", "outcome": drape["outcome"] if drape else ""}

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gcd_dataset.records import Pattern
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.viewer.garments import Album
-    from gcd_dataset.viewer.server import Design
+    from gcd_dataset.viewer.server import ShownDesign
 
 DEFAULT_DESIGN = "default"
 HIGHEST_PORT = 65_535
@@ -182,7 +182,7 @@ def _serve(options: argparse.Namespace) -> int:
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
-        site: Design | Gallery = _design(options)
+        site: ShownDesign | Gallery = _design(options)
     else:
         album = _album(options)
         site = Gallery(album, position_of(options, len(album)))
@@ -247,13 +247,13 @@ def _only_pattern(options: argparse.Namespace) -> "Pattern":
     return pattern_of(options)
 
 
-def _design(options: argparse.Namespace) -> "Design":
+def _design(options: argparse.Namespace) -> "ShownDesign":
     from gcd_dataset.viewer.design_desk import Desk
-    from gcd_dataset.viewer.server import Design
+    from gcd_dataset.viewer.server import ShownDesign
 
     start = None if options.design == DEFAULT_DESIGN else design_in(options.design)
     options.body = options.body or "neutral"
-    return Design(Desk(start, wearer_of(options)))
+    return ShownDesign(Desk(start, wearer_of(options)))
 
 
 def _ranges(text: str) -> list[range]:

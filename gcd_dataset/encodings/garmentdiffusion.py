@@ -1,9 +1,9 @@
 """GarmentDiffusion's array (Li et al., 2025): 37 panels of 39 edges, each edge placed in space.
 
 An edge is its start, its two control points, the parameters of an arc, the stitch tag and whether it has a seam: 16
-numbers, named by ``Column``. Points are positions in space [cm]; there is no other placement. The authors published the
-paper (arXiv 2504.21476) and no code: the order of the numbers is that of the paper's list, for patterns with cubic
-curves, and the rows are not standardised.
+numbers, named by ``TokenColumn``. Points are positions in space [cm]; there is no other placement. The authors
+published the paper (arXiv 2504.21476) and no code: the order of the numbers is that of the paper's list, for patterns
+with cubic curves, and the rows are not standardised.
 
 Not held: the directions of a panel's axes in its plane, so that a decoded panel lies where it was but has a local frame
 of its own; the plane of a panel whose corners lie in one line, as those of a half circle skirt: it is decoded upright,
@@ -33,7 +33,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement
 from gcd_dataset.spec import euler_angles
 
-__all__ = ["WIDTH", "Column", "decode", "encode"]
+__all__ = ["WIDTH", "TokenColumn", "decode", "encode"]
 
 MAX_PANELS, MAX_EDGES = 37, 39
 LEAST_EDGES = 3  # a panel with fewer is padding
@@ -44,7 +44,7 @@ FRONT = np.array([0.0, 0.0, 1.0])
 LEAST_RADIUS = 0.5  # cm: a smaller radius is none
 
 
-class Column(IntEnum):
+class TokenColumn(IntEnum):
     """Columns of the array; a name with several numbers is its first column."""
 
     START = 0
@@ -79,19 +79,21 @@ def encode(
     array = np.zeros((max_panels, max_edges, WIDTH))
     for number, panel in enumerate(pattern.panels):
         rows = array[number, : len(panel.edges)]
-        rows[:, Column.START : Column.CONTROL0] = panel.placement.apply(loop_corners(panel))
+        rows[:, TokenColumn.START : TokenColumn.CONTROL0] = panel.placement.apply(loop_corners(panel))
         behind = _runs_clockwise(panel)
         for index, edge in enumerate(panel.edges):
             if isinstance(edge.curve, Arc):
                 arc = edge.curve
-                rows[index, Column.RADIUS : Column.TAG] = arc.radius, arc.large, arc.right != behind
+                rows[index, TokenColumn.RADIUS : TokenColumn.TAG] = arc.radius, arc.large, arc.right != behind
             elif edge.curve != LINE:
                 cubic = control_points(*panel.edge_ends(index), Cubic(*control_of(edge.curve)))[1:3]
-                rows[index, Column.CONTROL0 : Column.RADIUS] = panel.placement.apply(np.array(cubic)).reshape(-1)
+                rows[index, TokenColumn.CONTROL0 : TokenColumn.RADIUS] = panel.placement.apply(np.array(cubic)).reshape(
+                    -1
+                )
     places = [(number, e) for number, panel in enumerate(pattern.panels) for e in range(len(panel.edges))]
     for ends, tag in zip(seam_ends(pattern), seam_tags(pattern), strict=True):
         for end in ends:
-            array[places[end]][Column.TAG :] = (*tag, 1.0)
+            array[places[end]][TokenColumn.TAG :] = (*tag, 1.0)
     return array
 
 
@@ -110,14 +112,14 @@ def decode(array: Float[np.ndarray, "p e 16"], name: str = "", *, names: Sequenc
     require_finite(array, "the array")
     panels, refs = list[Panel](), dict[int, EdgeRef]()
     for number, rows in enumerate(array):
-        kept = np.flatnonzero(_present(rows[:, Column.START : Column.CONTROL0]))
+        kept = np.flatnonzero(_present(rows[:, TokenColumn.START : TokenColumn.CONTROL0]))
         if len(kept) < LEAST_EDGES:
             continue
         title = f"panel_{number}" if names is None or number >= len(names) else names[number]
         panels.append(_panel(title, rows[kept]))
         refs |= {number * array.shape[1] + int(row): EdgeRef(title, i) for i, row in enumerate(kept)}
     flat = array.reshape(-1, WIDTH)
-    tags, sewn = flat[:, Column.TAG : Column.SEWN], flat[:, Column.SEWN]
+    tags, sewn = flat[:, TokenColumn.TAG : TokenColumn.SEWN], flat[:, TokenColumn.SEWN]
     pairs = pair_edges(cdist(tags, tags), sewn <= 0.5, -sewn)
     return Pattern(name, tuple(panels), seams_of(pairs, refs))
 
@@ -142,9 +144,9 @@ def _present(points: Float[np.ndarray, "n 3"]) -> np.ndarray:
 
 
 def _panel(name: str, rows: Float[np.ndarray, "e 16"]) -> Panel:
-    starts = rows[:, Column.START : Column.CONTROL0]
-    controls = rows[:, Column.CONTROL0 : Column.RADIUS].reshape(-1, 2, 3)
-    curved = _present(controls[:, 0]) & _present(controls[:, 1]) & (rows[:, Column.RADIUS] < LEAST_RADIUS)
+    starts = rows[:, TokenColumn.START : TokenColumn.CONTROL0]
+    controls = rows[:, TokenColumn.CONTROL0 : TokenColumn.RADIUS].reshape(-1, 2, 3)
+    curved = _present(controls[:, 0]) & _present(controls[:, 1]) & (rows[:, TokenColumn.RADIUS] < LEAST_RADIUS)
     matrix = _frame(starts, controls[curved].reshape(-1, 3))
     origin = starts[0]
     vertices = (starts - origin) @ matrix[:, :2]
@@ -154,8 +156,10 @@ def _panel(name: str, rows: Float[np.ndarray, "e 16"]) -> Panel:
     for index, row in enumerate(rows):
         start, end = _point(vertices[index]), _point(ends[index])
         curve: Curve = LINE
-        if row[Column.RADIUS] >= LEAST_RADIUS:
-            arc = Arc(float(row[Column.RADIUS]), bool(row[Column.LARGE] > 0.5), bool(row[Column.RIGHT] > 0.5))
+        if row[TokenColumn.RADIUS] >= LEAST_RADIUS:
+            arc = Arc(
+                float(row[TokenColumn.RADIUS]), bool(row[TokenColumn.LARGE] > 0.5), bool(row[TokenColumn.RIGHT] > 0.5)
+            )
             curve = spanning(arc, float(np.hypot(end[0] - start[0], end[1] - start[1])))
         elif curved[index] and start != end:
             first, second = (to_frame(start, end, _point(point)) for point in flat[index])

@@ -1,9 +1,9 @@
 """SewingLDM's array (Liu et al., 2025): 39 panels of 37 edges of 29 numbers.
 
-``Column`` names the numbers. Nineteen are continuous: the step of an edge [cm], control points of a quadratic and of a
-cubic curve in the edge frame, the radius of an arc [cm], the stitch tag [cm], and, repeated in all rows of a panel,
-its quaternion (x, y, z, w) and the position of its top (``rows.top_of``) [cm]. Ten are discrete, given as scores that
-are positive if the flag is likelier set than not.
+``SlotColumn`` names the numbers. Nineteen are continuous: the step of an edge [cm], control points of a quadratic and
+of a cubic curve in the edge frame, the radius of an arc [cm], the stitch tag [cm], and, repeated in all rows of a
+panel, its quaternion (x, y, z, w) and the position of its top (``rows.top_of``) [cm]. Ten are discrete, given as scores
+that are positive if the flag is likelier set than not.
 
 Not held: labels other than the six of GarmentCode, labels of panels, the order of panels beyond their slots, arcs with
 a radius over 950 cm, and more panels or edges than there is room for.
@@ -34,7 +34,17 @@ from gcd_dataset.encodings.rows import (
 from gcd_dataset.errors import PatternError
 from gcd_dataset.records import EdgeRef, EdgeRole, Panel, Pattern
 
-__all__ = ["CONTINUOUS", "PANEL_SLOTS", "SCALING", "SLOT_NAMES", "WIDTH", "Column", "decode", "encode", "panel_slots"]
+__all__ = [
+    "CONTINUOUS",
+    "PANEL_SLOTS",
+    "SCALING",
+    "SLOT_NAMES",
+    "WIDTH",
+    "SlotColumn",
+    "decode",
+    "encode",
+    "panel_slots",
+]
 
 MAX_PANELS, MAX_EDGES = 39, 37
 LARGEST_RADIUS = 950.0  # cm: larger radii are stored as this; pattern/core.py (there with up to 10 cm of noise)
@@ -74,7 +84,7 @@ SLOT_NAMES = tuple(
 """Name of each slot in predictions (panel_order.json)."""
 
 
-class Column(IntEnum):
+class SlotColumn(IntEnum):
     """Columns of the array; a name with several numbers is its first column."""
 
     STEP = 0
@@ -153,10 +163,10 @@ def encode(
     flags_of = {label: flags for flags, label in LABELS.items()}
     for slot, panel in zip(slots, pattern.panels, strict=True):
         rows = array[slot, : len(panel.edges)]
-        rows[:, Column.STEP : Column.QUADRATIC] = edge_vectors(panel)
+        rows[:, SlotColumn.STEP : SlotColumn.QUADRATIC] = edge_vectors(panel)
         top = panel.placement.apply(top_of(loop_corners(panel), panel.placement.matrix))
-        array[slot, :, Column.QUATERNION : Column.LARGE] = (*quaternion(panel.placement), *top)
-        rows[:, Column.EDGE] = 1.0
+        array[slot, :, SlotColumn.QUATERNION : SlotColumn.LARGE] = (*quaternion(panel.placement), *top)
+        rows[:, SlotColumn.EDGE] = 1.0
         for index, edge in enumerate(panel.edges):
             _write_curve(rows[index], edge.curve)
             if edge.label:
@@ -164,14 +174,14 @@ def encode(
                     raise PatternError(
                         f"panel {panel.name}, edge {index}: SewingLDM's arrays hold no label {edge.label}: remove it"
                     )
-                rows[index, Column.LABEL : Column.SEWN] = _signs(*flags_of[EdgeRole(edge.label)])
+                rows[index, SlotColumn.LABEL : SlotColumn.SEWN] = _signs(*flags_of[EdgeRole(edge.label)])
     places = [(slot, e) for slot, panel in zip(slots, pattern.panels, strict=True) for e in range(len(panel.edges))]
     for seam, ends, tag in zip(pattern.seams, seam_ends(pattern), seam_tags(pattern), strict=True):
         for end in ends:
             row = array[places[end]]
-            row[Column.TAG : Column.QUATERNION] = tag
-            row[Column.SEWN] = 1.0
-            row[Column.TURNED] = 1.0 if seam.right_wrong else -1.0
+            row[SlotColumn.TAG : SlotColumn.QUATERNION] = tag
+            row[SlotColumn.SEWN] = 1.0
+            row[SlotColumn.TURNED] = 1.0 if seam.right_wrong else -1.0
     return array
 
 
@@ -187,7 +197,7 @@ def decode(array: Float[np.ndarray, "p e 29"], name: str = "", *, names: Sequenc
     require_finite(array, "the array")
     panels, refs = list[Panel](), dict[int, EdgeRef]()
     for slot, rows in enumerate(array):
-        kept = np.flatnonzero(rows[:, Column.EDGE] > 0)
+        kept = np.flatnonzero(rows[:, SlotColumn.EDGE] > 0)
         if len(kept) < LEAST_EDGES:
             continue
         edges = rows[kept]
@@ -195,18 +205,18 @@ def decode(array: Float[np.ndarray, "p e 29"], name: str = "", *, names: Sequenc
         panels.append(
             panel_from_vectors(
                 title,
-                edges[:, Column.STEP : Column.QUADRATIC],
+                edges[:, SlotColumn.STEP : SlotColumn.QUADRATIC],
                 [_read_curve(row) for row in edges],
-                [LABELS.get(_flags(row[Column.LABEL : Column.SEWN]), "") for row in edges],
-                rows[:, Column.QUATERNION : Column.TOP].mean(axis=0),
-                rows[:, Column.TOP : Column.LARGE].mean(axis=0),
+                [LABELS.get(_flags(row[SlotColumn.LABEL : SlotColumn.SEWN]), "") for row in edges],
+                rows[:, SlotColumn.QUATERNION : SlotColumn.TOP].mean(axis=0),
+                rows[:, SlotColumn.TOP : SlotColumn.LARGE].mean(axis=0),
             )
         )
         refs |= {slot * array.shape[1] + int(row): EdgeRef(title, i) for i, row in enumerate(kept)}
     flat = array.reshape(-1, WIDTH)
-    tags = flat[:, Column.TAG : Column.QUATERNION]
-    pairs = pair_edges(cdist(tags, tags), flat[:, Column.SEWN] <= 0, -flat[:, Column.SEWN])
-    turned = [bool(np.all(flat[list(pair), Column.TURNED] > 0)) for pair in pairs]
+    tags = flat[:, SlotColumn.TAG : SlotColumn.QUATERNION]
+    pairs = pair_edges(cdist(tags, tags), flat[:, SlotColumn.SEWN] <= 0, -flat[:, SlotColumn.SEWN])
+    turned = [bool(np.all(flat[list(pair), SlotColumn.TURNED] > 0)) for pair in pairs]
     return Pattern(name, tuple(panels), seams_of(pairs, refs, turned))
 
 
@@ -224,28 +234,28 @@ def panel_slots(names: Sequence[str], count: int) -> list[int]:
 def _write_curve(row: Float[np.ndarray, "29"], curve: Curve) -> None:
     match curve:
         case Quadratic(control):
-            row[Column.QUADRATIC : Column.CUBIC] = control
-            row[Column.KIND : Column.LABEL] = _signs(0, 1)
+            row[SlotColumn.QUADRATIC : SlotColumn.CUBIC] = control
+            row[SlotColumn.KIND : SlotColumn.LABEL] = _signs(0, 1)
         case Cubic(control0, control1):
-            row[Column.CUBIC : Column.RADIUS] = (*control0, *control1)
-            row[Column.KIND : Column.LABEL] = _signs(1, 1)
+            row[SlotColumn.CUBIC : SlotColumn.RADIUS] = (*control0, *control1)
+            row[SlotColumn.KIND : SlotColumn.LABEL] = _signs(1, 1)
         case Arc(radius, large, right):
-            row[Column.RADIUS] = min(radius, LARGEST_RADIUS)
-            row[Column.LARGE : Column.KIND] = _signs(large, right)
-            row[Column.KIND : Column.LABEL] = _signs(1, 0)
+            row[SlotColumn.RADIUS] = min(radius, LARGEST_RADIUS)
+            row[SlotColumn.LARGE : SlotColumn.KIND] = _signs(large, right)
+            row[SlotColumn.KIND : SlotColumn.LABEL] = _signs(1, 0)
         case _:
             assert curve == LINE
 
 
 def _read_curve(row: Float[np.ndarray, "29"]) -> Curve:
-    a, b, c, d, e, f = row[Column.QUADRATIC : Column.RADIUS].tolist()
-    match _flags(row[Column.KIND : Column.LABEL]):
+    a, b, c, d, e, f = row[SlotColumn.QUADRATIC : SlotColumn.RADIUS].tolist()
+    match _flags(row[SlotColumn.KIND : SlotColumn.LABEL]):
         case (0, 1):
             return Quadratic((a, b))
         case (1, 1):
             return Cubic((c, d), (e, f))
         case (1, 0):
-            return Arc(float(row[Column.RADIUS]), bool(row[Column.LARGE] > 0), bool(row[Column.RIGHT] > 0))
+            return Arc(float(row[SlotColumn.RADIUS]), bool(row[SlotColumn.LARGE] > 0), bool(row[SlotColumn.RIGHT] > 0))
         case _:
             return LINE
 

@@ -28,7 +28,7 @@ bl_info = {
     "description": "A sewn garment with a material for each panel, on its body",
 }
 
-PANEL, BODY, FACTS = "gcd_panel", "gcd_body", "gcd"  # keys in the file, as in ``exports.mesh_files``
+PANEL, BODY, FACTS = "gcd_panel", "gcd_body", "gcd"  # keys in the file, as in ``exports.meshes``
 WELD = 1e-7  # m: copies of a seam vertex have the same coordinates
 THICKNESS = 0.002  # m, of cloth against body and cloth
 JSON_CHUNK = b"JSON"

@@ -230,7 +230,7 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class _PaperSheet:
     """All that is drawn: the pieces, in their places, and the legend."""
 
     name: str
@@ -245,7 +245,7 @@ class _Sheet:
     allowance: float
 
 
-def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowance: float) -> _Sheet:
+def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowance: float) -> _PaperSheet:
     boxes = np.stack([piece.box for piece in pieces])
     sizes = boxes[:, 1] - boxes[:, 0] + CUT_WIDTH
     lows = boxes[:, 0] - 0.5 * CUT_WIDTH
@@ -258,7 +258,7 @@ def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowan
         x, y = tiling.corners[-1].tolist()
         legend_at = (x, y + LEGEND[1])
     [(name, _)], names = _names([pattern.name], "pattern"), _names([piece.name for piece in pieces], "piece")
-    return _Sheet(name, pieces, names, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
+    return _PaperSheet(name, pieces, names, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
@@ -271,7 +271,7 @@ def _begin(canvas: Any) -> None:
     canvas.setLineJoin(1)
 
 
-def _draw_page(canvas: Any, sheet: _Sheet, page: Page, number: int) -> None:
+def _draw_page(canvas: Any, sheet: _PaperSheet, page: Page, number: int) -> None:
     paper, tiling = sheet.tiling.paper, sheet.tiling
     (width, height), (x, y) = paper.window, tiling.origin(page)
     canvas.saveState()
@@ -298,7 +298,7 @@ def _draw_page(canvas: Any, sheet: _Sheet, page: Page, number: int) -> None:
     canvas.setFillGray(0)
 
 
-def _draw_marks(canvas: Any, sheet: _Sheet, page: Page) -> None:
+def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
     """The borders of the page's cell, with half of a registration mark towards each neighbour.
 
     Solid: the border at which the page is trimmed; dashed: the border to which the neighbour is glued.
@@ -486,7 +486,7 @@ def _arc_pieces(start: Point, end: Point, arc: Arc) -> list[tuple[Point, Point, 
 # -------------------------------------------------------------------------------------------------------------- legend
 
 
-def _draw_legend(canvas: Any, sheet: _Sheet, left: float, top: float) -> None:
+def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> None:
     """Title, test square, meaning of the lines, pieces and map of the pages, below a corner [cm]."""
     canvas.saveState()
     canvas.translate(left, top)
@@ -506,7 +506,7 @@ def _draw_legend(canvas: Any, sheet: _Sheet, left: float, top: float) -> None:
     canvas.restoreState()
 
 
-def _draw_key(canvas: Any, sheet: _Sheet, x: float, y: float) -> None:
+def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
     """The meaning of the lines."""
     rows = ("cut", "sew", "notch", "double", "grain", "drill", "number")
     texts = {
@@ -557,7 +557,7 @@ def _draw_key(canvas: Any, sheet: _Sheet, x: float, y: float) -> None:
         _text(canvas, step, x, y - 5.8 - 0.5 * row, TINY, centred=False)
 
 
-def _list_pieces(canvas: Any, sheet: _Sheet, top: float) -> None:
+def _list_pieces(canvas: Any, sheet: _PaperSheet, top: float) -> None:
     """The pieces with the size of their cloth, in columns."""
     columns = 2 if len(sheet.pieces) <= 10 else 3
     rows, wide = -(-len(sheet.pieces) // columns), LEGEND[0] / columns
@@ -570,7 +570,7 @@ def _list_pieces(canvas: Any, sheet: _Sheet, top: float) -> None:
         _text(canvas, line, column * wide, top - step * row, size, centred=False, room=wide - 0.3)
 
 
-def _draw_map(canvas: Any, sheet: _Sheet, top: float) -> None:
+def _draw_map(canvas: Any, sheet: _PaperSheet, top: float) -> None:
     """The pages and pieces, small; pages that are not printed are grey."""
     tiling = sheet.tiling
     (across, down), printed = tiling.paper.cell, set(tiling.pages)

@@ -183,7 +183,7 @@ def edge_polyline(start: Point, end: Point, curve: Curve) -> Float[np.ndarray, "
 
 
 @dataclass(frozen=True, eq=False)
-class _Dart(Record):
+class _CutDart(Record):
     """A wedge of the outline that is sewn shut."""
 
     first: Float[np.ndarray, "2"]
@@ -202,7 +202,7 @@ class _Dart(Record):
         return self.tip + to_mouth * min(DRILL, 0.25 * depth) / depth
 
 
-def _darts(panel: Panel, pattern: Pattern, edges: list[Float[np.ndarray, "n 2"]]) -> Iterator[_Dart]:
+def _darts(panel: Panel, pattern: Pattern, edges: list[Float[np.ndarray, "n 2"]]) -> Iterator[_CutDart]:
     """The darts of a panel: consecutive edges sewn together, with no cloth of the panel between them."""
     count, outline = len(edges), shapely.Polygon(np.concatenate([points[:-1] for points in edges]))
     for seam in pattern.seams:
@@ -222,7 +222,7 @@ def _darts(panel: Panel, pattern: Pattern, edges: list[Float[np.ndarray, "n 2"]]
             continue
         cap = _cap(first, tip, second, _tangent(panel, enter - 1, 1.0), _tangent(panel, (leave + 1) % count, 0.0))
         filling = np.concatenate([edges[enter], edges[leave][1:], cap[None]])
-        yield _Dart(first, tip, second, (enter, leave), filling)
+        yield _CutDart(first, tip, second, (enter, leave), filling)
 
 
 def _cap(
@@ -270,7 +270,7 @@ def _cut_line(
     panel: Panel,
     sew: Float[np.ndarray, "n 2"],
     edges: list[Float[np.ndarray, "n 2"]],
-    darts: tuple[_Dart, ...],
+    darts: tuple[_CutDart, ...],
     allowance: float,
 ) -> Float[np.ndarray, "m 2"]:
     cloth = shapely.union_all([shapely.Polygon(sew), *(shapely.Polygon(dart.filling).buffer(0) for dart in darts)])
@@ -318,7 +318,7 @@ def _turns(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
 def _notches(
     panel: Panel,
     pattern: Pattern,
-    darts: tuple[_Dart, ...],
+    darts: tuple[_CutDart, ...],
     cut: Float[np.ndarray, "m 2"],
     allowance: float,
 ) -> tuple[Notch, ...]:
@@ -337,7 +337,7 @@ def _notches(
 
 
 def _match_points(
-    panel: Panel, pattern: Pattern, darts: tuple[_Dart, ...]
+    panel: Panel, pattern: Pattern, darts: tuple[_CutDart, ...]
 ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], bool]]:
     """Points of the sew line with their outward unit normals, and whether the point is not part of a double notch."""
     in_dart = {edge for dart in darts for edge in dart.edges}

@@ -66,7 +66,7 @@ class PublishedName:
 
 
 @dataclass
-class _Batch:
+class _PublishedBatch:
     """Properties of the garments of one batch and one body folder, by garment name."""
 
     panels: dict[str, int] = field(default_factory=dict)
@@ -110,7 +110,7 @@ def _fingerprint(readers: Mapping[str, ShardReader]) -> str:
 
 
 def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterator[str]:
-    batches: dict[tuple[str, str], _Batch] = {}
+    batches: dict[tuple[str, str], _PublishedBatch] = {}
     splits: dict[str, dict[str, None]] = {}
     first_batch = 0
     for split, reader in readers.items():
@@ -120,7 +120,12 @@ def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> 
             sample = reader.sample(position)
             published = _published_name(sample, split, first_batch)
             last = max(last, _design_number(sample))
-            _write(sample, published, draft, batches.setdefault((published.batch, published.body_folder), _Batch()))
+            _write(
+                sample,
+                published,
+                draft,
+                batches.setdefault((published.batch, published.body_folder), _PublishedBatch()),
+            )
             if sample.drape is not None and sample.drape.outcome is Outcome.SETTLED:
                 listed[published.listed] = None
             yield published.name
@@ -132,7 +137,7 @@ def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> 
     write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
 
-def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch: _Batch) -> None:
+def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch: _PublishedBatch) -> None:
     tree, folder = _design(sample), Path(published.batch, published.body_folder, "data", published.name)
     if not draft.holds(folder):
         files = garment_files(sample, published.name, tree, _drawing(sample), body_sample=published.body_sample)
@@ -140,7 +145,7 @@ def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch:
     _add_properties(sample, published.name, tree, batch)
 
 
-def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _Batch) -> None:
+def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _PublishedBatch) -> None:
     drape, mesh = sample.drape, sample.box_mesh
     assert drape is not None
     assert mesh is not None

@@ -378,7 +378,7 @@ def _neighbours(locations: Mapping[str, tuple[int, int]]) -> list[list[str]]:
 # ------------------------------------------------------------------------------------------------------------- scanning
 
 
-class _Stream(Protocol):
+class _ArchiveStream(Protocol):
     """The unpacked archive, read from its first byte on."""
 
     position: int
@@ -434,7 +434,7 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
     write_cache(index, content.getvalue())
 
 
-def _garments(stream: _Stream) -> dict[str, dict[str, tuple[int, int]]]:
+def _garments(stream: _ArchiveStream) -> dict[str, dict[str, tuple[int, int]]]:
     """Garment to kind of file to (offset, size)."""
     kind_of = {ending: kind for kind, ending in ENDINGS.items()}
     garments: dict[str, dict[str, tuple[int, int]]] = {}
@@ -453,7 +453,7 @@ def _garments(stream: _Stream) -> dict[str, dict[str, tuple[int, int]]]:
     return garments if any(garments.values()) else {}
 
 
-def _entries(stream: _Stream) -> Iterator[tuple[tarfile.TarInfo, int]]:
+def _entries(stream: _ArchiveStream) -> Iterator[tuple[tarfile.TarInfo, int]]:
     """Header and content offset of each entry; reads the archive to its end."""
     # Not ``TarFile``: it takes a damaged header for the end of the archive.
     while header := stream.read(BLOCK):

@@ -177,7 +177,7 @@ class Gallery:
         return position
 
 
-class Design:
+class ShownDesign:
     """Answers requests of the design page."""
 
     def __init__(self, desk: "Desk") -> None:
@@ -191,7 +191,7 @@ class Design:
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
-            return _html("design.html", "Design", {"parameters": shown, "measures": measures})
+            return _html("design.html", "ShownDesign", {"parameters": shown, "measures": measures})
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
@@ -222,7 +222,7 @@ class Design:
 
 
 def serve(
-    site: Gallery | Design,
+    site: Gallery | ShownDesign,
     *,
     port: int = 0,
     host: str = HOST,
@@ -276,7 +276,7 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def _handler(site: Gallery | Design, host: str, token: str) -> type[BaseHTTPRequestHandler]:
+def _handler(site: Gallery | ShownDesign, host: str, token: str) -> type[BaseHTTPRequestHandler]:
     name = f"gcd_{secrets.token_hex(4)}"  # its own: browsers share the cookies of all ports of a machine
 
     class Handler(BaseHTTPRequestHandler):

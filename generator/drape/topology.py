@@ -47,7 +47,9 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     """The topology of all garments, in the order of the jobs; ``keepers``: vertex indices for each garment."""
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
-    batch = _Batch(device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_counted_arrays, meshes), strict=True)))
+    batch = _MeshBatch(
+        device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_counted_arrays, meshes), strict=True))
+    )
     start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     sizes = np.diff(batch.vertices)
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), sizes), dtype=int, device=device)
@@ -76,7 +78,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
 
 
 @dataclass(frozen=True)
-class _Batch:
+class _MeshBatch:
     """The device of a batch, and the offsets (w + 1) of vertices, corners (rows of ``uv``) and faces."""
 
     device: str

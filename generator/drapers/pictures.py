@@ -19,7 +19,7 @@ MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
 @dataclass(frozen=True)
-class _Pending:
+class _PendingRequest:
     """A draped garment that waits for its pictures."""
 
     request: DrapeRequest
@@ -32,8 +32,8 @@ class PictureQueue:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._pending: list[_Pending] = []
-        self._in_flight: deque[tuple[_Renderings, list[_Pending]]] = deque()
+        self._pending: list[_PendingRequest] = []
+        self._in_flight: deque[tuple[_Renderings, list[_PendingRequest]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply`` with its pictures."""
@@ -42,7 +42,7 @@ class PictureQueue:
             return
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
-        self._pending.append(_Pending(request, drape, reply))
+        self._pending.append(_PendingRequest(request, drape, reply))
         if len(self._pending) >= self._batch_size(_pixels(request)):
             self._render()
 
@@ -79,7 +79,7 @@ class PictureQueue:
 class _Renderings:
     """Front, back and drawn views of a batch of garments, all of the same sizes, that a device is rendering."""
 
-    def __init__(self, batch: Sequence[_Pending], device: str) -> None:
+    def __init__(self, batch: Sequence[_PendingRequest], device: str) -> None:
         self._batch = batch
         self._plain: PendingRender | None = None
         if size := batch[0].request.picture:

@@ -10,7 +10,7 @@ A new garment, for example a skirt, takes one file and one line. ``gathered_skir
    and to overlays; sampling draws the garment by its weight (0: only if an overlay names it); the test battery draws it
    for all test wearers.
 
-``cape.py`` and ``poncho.py`` are such uppers. Shirts are in ``upper.py``, waistbands in ``waistband.py``, the rules
+``capes.py`` has such uppers. Shirts are in ``upper.py``, waistbands in ``waistband.py``, the rules
 that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks a value taken from GarmentCode.
 """
 

@@ -81,7 +81,7 @@ class PencilSkirtDesign(Design):
 
 
 @dataclass(frozen=True, slots=True)
-class _Dart:
+class _SkirtDart:
     """A pair of darts [cm]."""
 
     at: float
@@ -91,7 +91,7 @@ class _Dart:
 
 
 @dataclass(frozen=True, slots=True)
-class _Shape:
+class _SkirtShape:
     """The measures that differ between front and back [cm]."""
 
     name: str
@@ -101,7 +101,7 @@ class _Shape:
     """Height from the hips to the top."""
     lean: float
     """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
-    darts: tuple[_Dart, ...]
+    darts: tuple[_SkirtDart, ...]
 
 
 def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting) -> Component:
@@ -130,28 +130,28 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
     )
 
 
-def _front(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _Shape:
+def _front(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _SkirtShape:
     """The front: one dart on each side, below the bust point."""
     hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     height = rise * size.hips_line
     lean, taken = sides_and_darts(size, hips - waist, height, darts=1, mends=mends)
-    single = _Dart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
-    return _Shape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
+    single = _SkirtDart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
+    return _SkirtShape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
 
 
-def _back(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _Shape:
+def _back(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _SkirtShape:
     """The back: two darts on each side, one on either side of the fullest point."""
     hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
     height = BACK_EASE * rise * size.hips_line
     lean, taken = sides_and_darts(size, hips - waist, height, darts=2, mends=mends)
     leg = (BACK_DART + BACK_EASE - 1) * rise * size.hips_line
     point = 0.5 * size.bum_points
-    inner = _Dart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
-    outer = _Dart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
-    return _Shape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
+    inner = _SkirtDart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
+    outer = _SkirtDart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
+    return _SkirtShape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
 
 
-def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: float) -> Piece:
+def _panel(size: Measurements, design: PencilSkirtDesign, shape: _SkirtShape, below: float) -> Piece:
     """The panel below the origin, the middle of its top; drawn from the right end of its hem up."""
     hem = _hem_width(size, shape, design)
     tilt = tan(radians(design.low_angle)) * hem
@@ -171,7 +171,7 @@ def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: 
     return Piece(shape.name, outline)
 
 
-def _hem_width(size: Measurements, shape: _Shape, design: PencilSkirtDesign) -> float:
+def _hem_width(size: Measurements, shape: _SkirtShape, design: PencilSkirtDesign) -> float:
     """Half of a panel's width at the hem [cm]."""
     return shape.hips + 0.25 * size.hips * (design.flare - 1)
 
@@ -186,7 +186,7 @@ def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, op
     return replace(slit, name=f"{name}_slit"), sewn
 
 
-def _darted(panel: str, right: float, left: float, darts: Sequence[_Dart]) -> tuple[Stroke, ...]:
+def _darted(panel: str, right: float, left: float, darts: Sequence[_SkirtDart]) -> tuple[Stroke, ...]:
     """A straight top between two ends, with pairs of darts about its middle."""
     top = Outline.start(right, 0)
     both = [(-fold.at, fold) for fold in reversed(darts)] + [(fold.at, fold) for fold in darts]
@@ -214,7 +214,7 @@ def _side(walk: Callable[..., Interface], side: str, *, ease: float) -> Interfac
     return walk(side) + walk(f"{side}_hip", ruffle=ease)
 
 
-def _with_darts_sewn(skirt: Component, shapes: Sequence[_Shape]) -> Component:
+def _with_darts_sewn(skirt: Component, shapes: Sequence[_SkirtShape]) -> Component:
     for shape in shapes:
         piece = skirt.piece(shape.name)
         for number in range(2 * len(shape.darts)):

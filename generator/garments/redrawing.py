@@ -14,13 +14,13 @@ import numpy as np
 
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import GarmentChoice
-from gcd_dataset.generator.garments.sewable import Fault
+from gcd_dataset.generator.garments.sewable import SewingFault
 from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
 
 TRIES = 4  # redraws by one remedy
 MOST_REPAIRS = 10  # removed faults of a design: removing one may cause another
 
-FindFault: TypeAlias = Callable[[GarmentDesign], Fault | None]
+FindFault: TypeAlias = Callable[[GarmentDesign], SewingFault | None]
 """Returns the first fault of a design, or ``None``."""
 
 
@@ -102,7 +102,7 @@ class Redrawing:
         self,
         design: GarmentDesign,
         find: FindFault,
-        remedies: Callable[[Fault], Sequence[Remedy]],
+        remedies: Callable[[SewingFault], Sequence[Remedy]],
         *,
         limited: Callable[[GarmentDesign], GarmentDesign] = lambda design: design,
     ) -> GarmentDesign:
@@ -129,5 +129,5 @@ def _garments(part: object) -> dict[str, GarmentChoice]:
     return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
 
 
-def _is_other(found: Fault | None, fault: Fault) -> bool:
+def _is_other(found: SewingFault | None, fault: SewingFault) -> bool:
     return found is None or found.part != fault.part

@@ -38,7 +38,7 @@ SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered si
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
-class Fault(NamedTuple):
+class SewingFault(NamedTuple):
     """The first reason why a part of an outfit cannot be sewn or worn."""
 
     rule: str
@@ -47,7 +47,7 @@ class Fault(NamedTuple):
     """The panel at fault; empty if it is not one panel."""
 
 
-def half_fault(size: Measurements, design: GarmentDesign, half: UpperHalf) -> Fault | None:
+def half_fault(size: Measurements, design: GarmentDesign, half: UpperHalf) -> SewingFault | None:
     """Why one half cannot be sewn: a misfit of armhole, neckline or flared cuff, for example; ``None`` if it can."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
@@ -122,12 +122,12 @@ def _shoulder_length(piece: Piece) -> float:
     return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
-def bottom_fault(size: Measurements, design: GarmentDesign) -> Fault | None:
+def bottom_fault(size: Measurements, design: GarmentDesign) -> SewingFault | None:
     """Why the bottom, with its slits, darts and godets, cannot be drawn or sewn."""
     return _sewing_fault(partial(bottom, size, design, ALL_MENDS))
 
 
-def upper_fault(size: Measurements, design: GarmentDesign) -> Fault | None:
+def upper_fault(size: Measurements, design: GarmentDesign) -> SewingFault | None:
     """Why an upper other than a shirt cannot be drawn or sewn."""
     return _sewing_fault(partial(upper, size, design, ALL_MENDS))
 
@@ -137,33 +137,33 @@ def _is_fitted(design: GarmentDesign) -> bool:
     return isinstance(garment, Shirt) and garment.fitted
 
 
-def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
+def _sewing_fault(draw: Callable[[], Component]) -> SewingFault | None:
     """The first fault of a part of an outfit: in drawing, in the match of its seams, or in a panel."""
     try:
         drawn = draw()
         panels = [panel_of(piece) for piece in drawn.pieces]
         if any(map(is_mismatched, measure_joins(drawn))):
-            return Fault("mismatched_seam", "")
+            return SewingFault("mismatched_seam", "")
         return panel_fault(panels)
     except PatternError:
-        return Fault("cannot_be_drawn", "")
+        return SewingFault("cannot_be_drawn", "")
 
 
-def panel_fault(panels: Sequence[Panel]) -> Fault | None:
+def panel_fault(panels: Sequence[Panel]) -> SewingFault | None:
     """The first panel with an edge of invalid length or a narrow strap, else with a sharp corner, else a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
     for panel, edges, drawn in zip(panels, lengths, hulls, strict=True):
         if min(edges) < SHORTEST_EDGE or max(edges) > LARGEST:
-            return Fault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
+            return SewingFault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
         if has_narrow_strap(panel, drawn):
-            return Fault("narrow_strap", panel.name)
+            return SewingFault("narrow_strap", panel.name)
     angles = corner_angles(hulls)
     if angles.min() < SHARPEST_CORNER:
         corners = [panel.name for panel in panels for _ in panel.edges]
-        return Fault("sharp_corner", corners[int(angles.argmin())])
+        return SewingFault("sharp_corner", corners[int(angles.argmin())])
     crossed = next(iter(find_crossings(panels, hulls, lengths)), None)
-    return None if crossed is None else Fault("self_crossing", panels[crossed[0]].name)
+    return None if crossed is None else SewingFault("self_crossing", panels[crossed[0]].name)
 
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:

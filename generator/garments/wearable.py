@@ -34,7 +34,7 @@ from gcd_dataset.generator.garments.rules import (
     top_parameter,
 )
 from gcd_dataset.generator.garments.sewable import (
-    Fault,
+    SewingFault,
     bottom_fault,
     half_fault,
     sleeve_tightness,
@@ -147,15 +147,15 @@ class _Fitting:
             return self.redrawing.again(design, "tight_cuff", f"{path}.end_width", low=end)
         return self.redrawing.again(design, "tight_cuff", f"{path}.length", low=sleeve.length)
 
-    def _shirt_fault(self, design: GarmentDesign) -> Fault | None:
+    def _shirt_fault(self, design: GarmentDesign) -> SewingFault | None:
         """The first fault of a half; for the left half ``part`` begins with ``LEFT``."""
         for prefix, half in zip(("", LEFT), design.halves(), strict=False):
             fault = _first(half_fault(size, design, half) for size in self.sizes)
             if fault is not None:
-                return Fault(fault.rule, prefix + fault.part)
+                return SewingFault(fault.rule, prefix + fault.part)
         return None
 
-    def _upper_fault(self, design: GarmentDesign) -> Fault | None:
+    def _upper_fault(self, design: GarmentDesign) -> SewingFault | None:
         return _first(upper_fault(size, design) for size in self.sizes)
 
     def _with_shoulders(self, design: GarmentDesign) -> GarmentDesign:
@@ -226,9 +226,9 @@ class _Fitting:
     def with_light_cloth(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a narrower or shorter bottom while shoulder seams or hips carry too much cloth."""
 
-        def fault(trial: GarmentDesign) -> Fault | None:
+        def fault(trial: GarmentDesign) -> SewingFault | None:
             broken = next(filter(None, (broken_by_weight(size, trial) for size in self.sizes)), "")
-            return Fault(broken, TRUNK) if broken else None
+            return SewingFault(broken, TRUNK) if broken else None
 
         if fault(design) is None:
             return design
@@ -249,11 +249,11 @@ class _Fitting:
     def _hanging_in_place(self, design: GarmentDesign) -> GarmentDesign:
         return self._without_heavy_flare(self._above_floor(self._below_band(self._with_snug_band(design))))
 
-    def _bottom_fault(self, design: GarmentDesign) -> Fault | None:
+    def _bottom_fault(self, design: GarmentDesign) -> SewingFault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
-            return Fault("tight_cuff", "cuff")
+            return SewingFault("tight_cuff", "cuff")
         if any(has_tight_bottom(size, design) for size in self.sizes):
-            return Fault("too_tight", "ring")
+            return SewingFault("too_tight", "ring")
         return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
 
     def _below_band(self, design: GarmentDesign) -> GarmentDesign:
@@ -314,17 +314,17 @@ class _Fitting:
         return self.redrawing.within(design, rule, f"{top.section}.{name}", low, high)
 
 
-def _first(faults: Iterable[Fault | None]) -> Fault | None:
+def _first(faults: Iterable[SewingFault | None]) -> SewingFault | None:
     return next((fault for fault in faults if fault is not None), None)
 
 
-def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
+def _shirt_remedies(fault: SewingFault) -> tuple[Remedy, ...]:
     if fault.part.startswith(LEFT):
         return LEFT_REMEDIES.get(fault.part.removeprefix(LEFT), ()) + WHOLE_LEFT
     return SHIRT_REMEDIES.get(fault.part, ()) + WHOLE_SHIRT
 
 
-def _bottom_remedies(design: GarmentDesign, fault: Fault) -> tuple[Remedy, ...]:
+def _bottom_remedies(design: GarmentDesign, fault: SewingFault) -> tuple[Remedy, ...]:
     """Redraws of the parameters named for the fault by the bottom and its parts, then of their whole sections."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment

@@ -1,14 +1,27 @@
 """Loaders in processes of their own: killed trainings, threads, and the end of the interpreter."""
 
+import gc
+import multiprocessing
 import subprocess
 import sys
+import threading
 import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from torch.utils.data import DataLoader
 
-from gcd_dataset.loaders import Augmented, FakeGarments, GarmentDataset, PointNoise, collate_list
+from gcd_dataset.loaders import (
+    Augmented,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    GarmentLoader,
+    PointNoise,
+    collate_list,
+)
 from tests.loaders.test_loader import require_resumed
 from tests.loaders.test_shards import same
 from tests.shards.folders import fill
@@ -40,6 +53,33 @@ def test_a_killed_training_leaves_no_workers() -> None:
     while any(map(is_alive, workers)) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert [pid for pid in workers if is_alive(pid)] == []
+
+
+class Endless(FakeGarments):
+    """All garments but the first few take forever."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if index >= 4:
+            threading.Event().wait()
+        return super().__getitem__(index)
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_workers_exit_when_the_iterator_is_dropped(ahead: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers exit on their own; torch's shutdown would wait five seconds for each in turn."""
+    monkeypatch.setattr(BaseProcess, "terminate", lambda worker: pytest.fail("waited for the workers"))
+    ds = Endless(99, fields=["meta"])
+    if ahead:
+        loader = GarmentLoader(FreshGarments(ds, workers=2, room=1), 2, shuffle=False)
+    else:
+        loader = GarmentLoader(ds, 2, shuffle=False, num_workers=2)
+    others = set(multiprocessing.active_children())
+    next(batches := iter(loader))
+    workers = set(multiprocessing.active_children()) - others
+    assert len(workers) == 2
+    del batches, loader
+    gc.collect()
+    assert [worker.exitcode for worker in workers] == [0, 0]
 
 
 def is_alive(pid: int) -> bool:

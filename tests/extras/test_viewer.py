@@ -26,7 +26,7 @@ from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer import garments as album_module
 from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.garments import ShardAlbum, spec_album
-from gcd_dataset.viewer.server import Design, Gallery, serve
+from gcd_dataset.viewer.server import Gallery, ShownDesign, serve
 from tests.hub.server import running_hub
 from tests.release.published import publish
 
@@ -46,7 +46,7 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, site: Gallery | Design) -> Iterator[Any]:
+def opened(browser: Any, site: Gallery | ShownDesign) -> Iterator[Any]:
     """The site's first page; fails for errors that the browser reports."""
     found: list[Any] = []
     ready = threading.Event()
@@ -378,7 +378,7 @@ def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, 
 
 
 def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> None:
-    with opened(browser, Design(Desk())) as page:
+    with opened(browser, ShownDesign(Desk())) as page:
         sync_api.expect(page.locator("#fine")).to_have_text("Can be sewn and worn.")
         before = page.inner_html("#pattern")
         page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
@@ -392,4 +392,4 @@ def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> No
         page.select_option("[data-path='meta.wb']", label="StraightWB")
         page.wait_for_selector("#pattern svg")
         page.click("#drape")
-        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("Design", timeout=120_000)
+        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("ShownDesign", timeout=120_000)

@@ -50,7 +50,7 @@ from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
-from gcd_dataset.viewer.server import Design, Gallery
+from gcd_dataset.viewer.server import Gallery, ShownDesign
 from tests.fuzz.documents import edited, json_bytes
 from tests.fuzz.mutation import mutated
 from tests.fuzz.workshop import garments, small_body, write_shards
@@ -294,7 +294,7 @@ def _drawing(_: Path) -> Reader:
     """The parameters and measures that the design page sends."""
     values = {f"{one.path}": one.value for one in controls() if one.section in ("meta", "skirt", "sleeve")}
     measures = dict(list(garments()[0].measurements.to_file_values().items())[:4])
-    page = Design(Desk())
+    page = ShownDesign(Desk())
 
     def read(data: bytes) -> Any:
         given = JsonPath("request").mapping(parse_json(data, source="request"), "")

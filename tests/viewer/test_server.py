@@ -19,13 +19,13 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.garments import Album, ShardAlbum
-from gcd_dataset.viewer.server import Design, Gallery, serve
+from gcd_dataset.viewer.server import Gallery, ShownDesign, serve
 
 
 class Running:
     """A server in a thread."""
 
-    def __init__(self, site: Gallery | Design) -> None:
+    def __init__(self, site: Gallery | ShownDesign) -> None:
         found: list[Any] = []
         ready = threading.Event()
 
@@ -119,7 +119,7 @@ def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture(scope="module")
 def design() -> Iterator[Running]:
-    running = Running(Design(Desk()))
+    running = Running(ShownDesign(Desk()))
     yield running
     running.close()
 
@@ -224,4 +224,4 @@ def test_a_request_of_another_type_is_refused(design: Running) -> None:
 
 def test_a_port_in_use_is_refused(gallery: Running) -> None:
     with pytest.raises(ConfigError, match="--port"):
-        serve(Design(Desk()), port=gallery.port or 0, show=lambda _: None)
+        serve(ShownDesign(Desk()), port=gallery.port or 0, show=lambda _: None)

@@ -37,17 +37,17 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class MeshShape:
     """A triangle mesh."""
 
     skin: SkinSurface
     samples: Float[np.ndarray, "n 3"]
 
     @staticmethod
-    def of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], *, count: int = SAMPLES) -> "Surface":
+    def of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], *, count: int = SAMPLES) -> "MeshShape":
         """The surface of a mesh [cm], with ``count`` points on it; the same for the same mesh."""
         points = sample_surface(vertices, faces, count, np.random.default_rng(0))[:, :3]
-        return Surface(SkinSurface.of(np.asarray(vertices, float), faces), points)
+        return MeshShape(SkinSurface.of(np.asarray(vertices, float), faces), points)
 
     def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         return self.skin.nearest(points).distances
@@ -118,7 +118,7 @@ def read_shape(path: Path) -> Shape:
         raise SpecError(f"{path}: {len(points)} points, or points that are not finite: export the input again")
     if (extent := float(np.ptp(points, axis=0).max())) < SMALLEST:
         raise SpecError(f"{path}: its largest extent is {extent:.3g}: inputs are in centimetres, so scale it by 100")
-    return Surface.of(points, faces) if len(faces) else Cloud.of(points)
+    return MeshShape.of(points, faces) if len(faces) else Cloud.of(points)
 
 
 def _array(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from itertools import chain
 import numpy as np
 
 from benchmarks.reconstruction.scoring.bodies import Wearers
-from benchmarks.reconstruction.scoring.distances import WORST, Shape, Surface, distance
+from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, Shape, distance
 from benchmarks.reconstruction.scoring.garments import Scored, mesh_of
 from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import GcdError
@@ -58,7 +58,7 @@ class _Job:
 
 @dataclass(frozen=True, eq=False)
 class _Draped:
-    surface: Surface | None
+    surface: MeshShape | None
     passed: bool
     reason: str
 
@@ -160,7 +160,7 @@ def _judged(drape: Drape, mesh: BoxMesh) -> _Draped:
     reason = "" if passed else drape.outcome.value
     if not np.isfinite(drape.vertices).all():
         return _Draped(None, False, reason)
-    return _Draped(Surface.of(drape.vertices, mesh.faces), passed, reason)
+    return _Draped(MeshShape.of(drape.vertices, mesh.faces), passed, reason)
 
 
 def _scored(

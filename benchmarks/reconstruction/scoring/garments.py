@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
-from benchmarks.reconstruction.scoring.distances import WORST, Surface, distance
+from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -176,7 +176,7 @@ def box_mesh_distance(predicted: Pattern, true: Pattern, *, spacing: float = SPA
         except GcdError as error:
             remarks.append(f"{title} has no box mesh: {error}")
         else:
-            surfaces.append(Surface.of(mesh.vertices, mesh.faces))
+            surfaces.append(MeshShape.of(mesh.vertices, mesh.faces))
     return (WORST if remarks else distance(*surfaces)), tuple(remarks)
 
 

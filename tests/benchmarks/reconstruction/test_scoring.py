@@ -13,8 +13,8 @@ from benchmarks.reconstruction.scoring.bodies import wearers_of
 from benchmarks.reconstruction.scoring.distances import (
     WORST,
     Cloud,
+    MeshShape,
     Shape,
-    Surface,
     distance,
     input_files,
     read_shape,
@@ -119,11 +119,11 @@ def test_the_file_may_name_the_kind() -> None:
 # ----------------------------------------------------------------------------------------------------------- distances
 
 
-def square(height: float, *, side: float = 40.0) -> Surface:
+def square(height: float, *, side: float = 40.0) -> MeshShape:
     """A horizontal square of four triangles round its centre [cm]."""
     corners = 0.5 * side * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]])
     vertices = np.column_stack([corners[:, 0], np.full(5, height), corners[:, 1]])
-    return Surface.of(vertices, np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
+    return MeshShape.of(vertices, np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
 
 
 def grid(height: float) -> Cloud:
@@ -160,7 +160,7 @@ def test_inputs_are_read_as_meshes_and_points(tmp_path: Path) -> None:
     assert set(files) == {"mesh", "mesh2", "points", "array"}
     shapes = {name: read_shape(path) for name, path in files.items()}
     assert {name: type(shape) for name, shape in shapes.items()} == {
-        "mesh": Surface, "mesh2": Surface, "points": Cloud, "array": Cloud,
+        "mesh": MeshShape, "mesh2": MeshShape, "points": Cloud, "array": Cloud,
     }  # fmt: skip
     for shape in shapes.values():
         assert distance(shapes["mesh"], shape) < 0.1  # sagitta of the edges
@@ -339,8 +339,8 @@ def test_drapes_are_compared_with_the_input(skirt: Pattern) -> None:
     assert row.values["within_1cm"] == 0
 
 
-def garment_surface(pattern: Pattern, *, lift: float) -> Surface:
+def garment_surface(pattern: Pattern, *, lift: float) -> MeshShape:
     from gcd_dataset.generator.mesh import build_box_mesh
 
     mesh = build_box_mesh(pattern, spacing=8.0)
-    return Surface.of(mesh.vertices + [0.0, lift, 0.0], mesh.faces)
+    return MeshShape.of(mesh.vertices + [0.0, lift, 0.0], mesh.faces)

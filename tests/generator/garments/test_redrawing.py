@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.design import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy
-from gcd_dataset.generator.garments.sewable import Fault
+from gcd_dataset.generator.garments.sewable import SewingFault
 from gcd_dataset.generator.garments.space import leaves, value_at
 from gcd_dataset.records import Measurements, Pattern
 
@@ -25,9 +25,9 @@ def redrawing() -> Redrawing:
     return Redrawing(np.random.default_rng(0), SPACE)
 
 
-def failing(times: int) -> Callable[[GarmentDesign], Fault | None]:
+def failing(times: int) -> Callable[[GarmentDesign], SewingFault | None]:
     """A rule that the first ``times`` designs break."""
-    faults = iter([Fault("too_long", "sleeve")] * times)
+    faults = iter([SewingFault("too_long", "sleeve")] * times)
     return lambda _: next(faults, None)
 
 
