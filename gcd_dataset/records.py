@@ -248,7 +248,7 @@ class Seam:
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
     direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
-    (``validate`` warns if the ends would be nearer when joined the other way).
+    (``check_pattern`` warns if the ends would be nearer when joined the other way).
     """
 
     left: EdgeRef
@@ -270,7 +270,7 @@ class Pattern(Record):
         """Gathers or ease of each seam: length of its left edge over that of its right edge, to four decimals.
 
         1: a plain seam; above 1 the left edge is gathered or eased onto the right one, below 1 the right onto the left.
-        A seam of a missing edge, or of one without length, counts as plain: ``validate`` reports it.
+        A seam of a missing edge, or of one without length, counts as plain: ``check_pattern`` reports it.
         """
         lengths = {panel.name: panel.edge_lengths() for panel in self.panels}
 

@@ -60,7 +60,7 @@ def read_pattern(path: Path | str) -> Pattern:
     """The pattern in a specification file, named after the file; after its folder for a plain ``specification.json``.
 
     Raises ``SpecError`` for a file that is missing or not a specification. Whether the pattern can be sewn is checked
-    by ``validate``, not here.
+    by ``check_pattern``, not here.
     """
     path = Path(path)
     spec = read_json(path, "specification JSON", limit=LARGEST_SPEC)
@@ -288,7 +288,7 @@ def _normalise_loops(panels: Mapping[str, Panel], seams: Iterable[Seam]) -> tupl
     shifts, changed = {}, {}
     for name, panel in panels.items():
         if not panel.edges or any(not 0 <= edge.start < len(panel.vertices) for edge in panel.edges):
-            shifts[name], changed[name] = 0, panel  # ``validate`` reports it
+            shifts[name], changed[name] = 0, panel  # ``check_pattern`` reports it
             continue
         corners = panel.vertices[[edge.start for edge in panel.edges]]
         facing = panel if signed_area(corners) >= 0 else _turned_over(panel)
@@ -364,7 +364,7 @@ def _seam_entry(seam: Seam) -> list[Any]:
 
 def _hanging_point(panel: Panel) -> tuple[float, float, float]:
     """Midpoint of the highest side of the panel's bounding box in space [cm]."""
-    if not len(panel.vertices):  # ``validate`` reports it
+    if not len(panel.vertices):  # ``check_pattern`` reports it
         return (0.0, 0.0, 0.0)
     (x0, y0), (x1, y1) = panel.vertices.min(axis=0), panel.vertices.max(axis=0)
     x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)

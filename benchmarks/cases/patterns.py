@@ -3,7 +3,7 @@
 Every design is drawn for the neutral body and a random one, as in ``gcd generate --bodies both --stage pattern``; it is
 accepted if it fits both. CPU time covers drawing the design, both patterns and all checks; bodies and their
 measures are timed separately. ``redraws`` are the parameters, parts and whole designs drawn again because of a rule,
-rejected attempts included. ``defects`` are patterns in which ``validate`` finds an error or an edge under 0.5 cm.
+rejected attempts included. ``defects`` are patterns in which ``check_pattern`` finds an error or an edge under 0.5 cm.
 """
 
 import argparse

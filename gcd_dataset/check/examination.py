@@ -63,12 +63,10 @@ def examine(
     """
     begun = time.perf_counter()
     of_folder = every_byte or recipe is not None
-    opened = None if of_folder and not user_path(source).is_dir() else _opened(source, endpoint, cache_dir)
+    opened = None if of_folder and _is_remote(str(source)) else _opened(source, endpoint, cache_dir)
     if opened is None or (of_folder and opened.folder is None):
-        raise ConfigError(
-            f"{source}: bytes and recipe are checked in a folder of shards: run gcd download {source} first, then give "
-            "the folder"
-        )
+        remedy = f"run gcd download {source} first, then give the folder" if opened is None else "leave them out"
+        raise ConfigError(f"{source}: bytes and recipe are checked in a folder of shards: {remedy}")
     faults = [] if opened.folder is None else [*set_faults(opened.folder, every_byte=every_byte)]
     if opened.folder is not None and recipe is not None:
         from gcd_dataset.check.recipes import recipe_faults
@@ -121,6 +119,15 @@ def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | No
     if path is not None and path.is_dir() and is_published(path):
         return _published(path, cache_dir)
     return _shards(str(source), endpoint, cache_dir)
+
+
+def _is_remote(source: str) -> bool:
+    from gcd_dataset.hub.source import Folder, parse_source
+
+    try:
+        return not isinstance(parse_source(source), Folder)
+    except ConfigError:  # ``_opened`` tells what is wrong
+        return False
 
 
 def _hdf5_split(path: Path) -> _Split:
@@ -315,8 +322,8 @@ class _Examination:
                         self.tally.add(check, split.name, name, [text])
                 except ShardError as error:
                     self.tally.add(checks.UNREADABLE, split.name, "", [str(error)])
-            names = [split.name for split in self.source.splits]
-            for check, name, text in split_file_faults(self.source.folder, names):
+            names = FolderStore(self.source.folder).manifest().splits
+            for check, name, text in split_file_faults(self.source.folder, [*names]):
                 self.tally.add(check, FILES, name, [text])
         if self.source.published is not None:
             wearers = None if self.quick else self.wearers

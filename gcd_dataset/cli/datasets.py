@@ -136,11 +136,11 @@ def _check_set(options: argparse.Namespace) -> int:
     with Bar("garment", options.quiet, verb="check", again="nothing was changed") as bar:
         work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
         report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
+    if options.errors:
+        report = replace(report, findings=report.harmful)
     is_good = not report.harmful and not report.faults
     if options.strict:
         is_good = is_good and not any(finding.harm is Harm.WARNING for finding in report.findings)
-    if options.errors:
-        report = replace(report, findings=report.harmful)
     if options.json:
         print(json.dumps(report.to_json(), indent=1, ensure_ascii=False))
     else:
@@ -158,12 +158,14 @@ def _check_patterns(options: argparse.Namespace) -> int:
 
     found: list[Severity] = []
     texts: dict[str, list[str]] = {}
-    for path in dict.fromkeys(options.what):
+    for path in dict.fromkeys(map(str, map(Path, options.what))):
         try:
             faults = check_pattern(read_pattern(path))
         except GcdError as error:
             print(f"gcd {options.verb}: {error}", file=sys.stderr)
             found.append(Severity.ERROR)
+            if options.json:
+                texts[path] = [str(error)]
             continue
         listed = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
         texts[path] = list(map(str, listed))

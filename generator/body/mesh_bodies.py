@@ -254,7 +254,7 @@ def read_body(
     The body is found in the mesh, turned upright to face +z, and measured. Its ``height`` [cm] gives the unit; without
     it the mesh must be in metres, centimetres or millimetres. The vertices keep their order; unused ones, and other
     objects that are not connected to the body, are left out, and the centres of closed holes (see
-    ``closing.WIDEST_HOLE``) follow. ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids)
+    ``repair.WIDEST_HOLE``) follow. ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids)
     override what is found; measures far from those of the mesh are reported. ``given`` (JSON, see ``landmarks``)
     overrides the landmarks at which measures are taken.
 

@@ -64,7 +64,7 @@ class DrawnGarment:
     pattern: Pattern
     joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
-    """The faults that ``validate.check_pattern`` found."""
+    """The faults that ``faults.check_pattern`` found."""
 
     @cached_property
     def hulls(self) -> tuple[Complex[np.ndarray, "e 4"], ...]:
@@ -240,7 +240,7 @@ def self_crossing(outfit: DrawnGarment) -> Reject | None:
 
 
 def unsewable(outfit: DrawnGarment) -> Reject | None:
-    """Any other error of ``validate``."""
+    """Any other error of ``check_pattern``."""
     return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
 
 

@@ -12,7 +12,7 @@ from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
-MOST_POINTS = 1_500_000  # points of a pattern: the largest panel that ``validate`` accepts, ten metres square, at 1 cm
+MOST_POINTS = 1_500_000  # points of a pattern: the largest panel accepted, ten metres square, at 1 cm
 ROUNDING = 1e-9  # fraction of the spacing: a 10 cm edge gets 11 points even if computed slightly longer
 
 

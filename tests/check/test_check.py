@@ -24,6 +24,7 @@ from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.tar import END, tar_entry
 from tests.release import published
+from tests.shards.people import fill
 
 TRAIN, TEST = 30, 10
 Samples = list[Sample]
@@ -65,6 +66,24 @@ def test_a_good_data_set_has_no_finding(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ faults of garments
+
+
+def test_a_set_of_bodies_has_no_finding(tmp_path: Path) -> None:
+    fill(tmp_path, range(6))
+    assert main(["check", "--strict", "--quiet", str(tmp_path)]) == 0
+
+
+def test_bytes_of_a_url_of_this_machine_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path / "set", good())
+    assert main(["check", "--bytes", "--quiet", f"file://{folder}"]) == 0
+    assert main(["check", "--bytes", "--quiet", str(tmp_path / "nowhere")]) == 1
+    assert "no such folder" in capsys.readouterr().err
+
+
+def test_a_broken_specification_stands_in_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.json").write_text("{")
+    assert main(["check", "--json", str(tmp_path / "bad.json")]) == 1
+    assert "bad.json" in json.loads(capsys.readouterr().out)[str(tmp_path / "bad.json")][0]
 
 
 def with_mesh(sample: Sample, **arrays: Any) -> Sample:
