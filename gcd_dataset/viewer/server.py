@@ -191,7 +191,7 @@ class ShownDesign:
         if path == "/":
             shown = [_control(one) for one in controls(self._desk.start)]
             measures = [_control(one) for one in measure_controls(self._desk.size)]
-            return _html("design.html", "ShownDesign", {"parameters": shown, "measures": measures})
+            return _html("design.html", "Design", {"parameters": shown, "measures": measures})
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:

@@ -392,4 +392,4 @@ def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> No
         page.select_option("[data-path='meta.wb']", label="StraightWB")
         page.wait_for_selector("#pattern svg")
         page.click("#drape")
-        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("ShownDesign", timeout=120_000)
+        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("Design", timeout=120_000)
