@@ -3,12 +3,8 @@
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
 line; ``decode`` decodes tars that other libraries read. ``generate``, ``convert``, ``index``, ``export`` and
 ``publish`` are the commands of the same names: each can be repeated after it was stopped, and those that take long
-report their progress to a callback. The names are imported on first use: those of records need NumPy
-alone, those of commands what the command needs.
-
->>> from gcd_dataset import generate
->>> generate("shards", 1000, seed=7).made  # doctest: +SKIP
-1000
+report their progress to a callback: ``generate("shards", 1000, seed=7)``. The names are imported on first use: those
+of records need NumPy alone, those of commands what the command needs.
 """
 
 from typing import TYPE_CHECKING
