@@ -155,7 +155,7 @@ def _drape(job: DrapeJob, names: list[str], device: str) -> list[tuple[Drape, fl
 
 TARGETS = Path(__file__).resolve().parents[1] / "data" / "fabric_targets.csv"
 BASES = ("measured", "class", "relation", "set", "none")
-SPECIMENS = 2  # discs whose drape coefficients are averaged; one without a target
+SPECIMENS = 2  # discs, whose mean is the drape coefficient; one for a fabric without a measured one
 FINE = 0.75  # cm: below this spacing only one disc is draped, and none without a target
 UNLIMITED_SPACING = 1.0  # cm
 NOT_RUN = "-"

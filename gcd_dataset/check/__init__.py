@@ -1,4 +1,4 @@
-"""What is wrong with a data set: ``gcd info`` and ``gcd check``.
+"""Finds faults of data sets, for ``gcd check``, and summarises data sets, for ``gcd info``.
 
 ``examine`` reads a data set as a training would, and reports what would stop or spoil it.
 

@@ -214,7 +214,7 @@ def _skin(body: Body) -> Any:
 
 
 def _part_names(panels: Iterable[str]) -> list[str]:
-    """A name for the part of each panel: none is empty, another's, that of the body, or of the root of a scene."""
+    """The name of each panel's part: unique, not empty, and neither that of the body nor that of the scene's root."""
     names: list[str] = []
     for name in panels:
         while name in (*names, "", "body", "world"):

@@ -1,4 +1,4 @@
-"""Fabrics: what is measured of a cloth, the measured cloths by name, and random ones between them.
+"""Fabrics: the parameters of a cloth, the measured fabrics by name, and random fabrics between them.
 
 Where a figure of a named cloth is not published for a cloth, ``source`` names the cloth, or class of cloth, that
 supplies it. All fabrics have the reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70,

@@ -234,7 +234,7 @@ class Measured(Record):
     depth: Float[np.ndarray, "h w"]
     """[cm]; NaN where nothing is measured."""
     source: Int[np.ndarray, "h w"]
-    """Pixel, as a row of the flattened image, whose surface is measured."""
+    """The pixel that is measured, as a row of the flattened image."""
 
 
 def measure(

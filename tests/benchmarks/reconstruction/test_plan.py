@@ -1,4 +1,4 @@
-"""Plans: their runs by name, what is refused, and which of them a call starts."""
+"""A plan names its runs, refuses wrong options, and starts the runs that are not finished."""
 
 import json
 import re
