@@ -41,6 +41,7 @@ from gcd_dataset.shards.layout import (
     is_picture,
     is_view_field,
     joint_fields,
+    member_of,
     members_of,
 )
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
@@ -118,7 +119,7 @@ class StoredItems(Sequence[GarmentItem]):
     def _value(self, field: str, row: int) -> Any:
         if field in JOINT:
             members = {name: rows[row].tobytes() for name, rows in self._views.items() if name.startswith("view_")}
-            return decode_field(field, {_member(name): content for name, content in members.items()})
+            return decode_field(field, {member_of(name): content for name, content in members.items()})
         return value_of(field, self._views[field][row])
 
     def _tensor(self, field: str, value: Any) -> Any:
@@ -128,10 +129,6 @@ class StoredItems(Sequence[GarmentItem]):
             return tensor_of(value.copy() if field in SECTIONS else value, self.dtype)
         except ShardError as error:
             raise ShardError(f"field {field}: {error}") from error
-
-
-def _member(field: str) -> str:
-    return f"{field.removesuffix('_json')}.json" if field.endswith("_json") else f"{field}.jpg"
 
 
 META = MEMBERS[0]

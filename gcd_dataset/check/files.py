@@ -19,7 +19,7 @@ from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Layout, key_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
 from gcd_dataset.shards.notes import hashed, shards_named
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.tar import BLOCK, tar_entries
 
@@ -30,7 +30,7 @@ PEOPLE_FILES = ("measurements/{}.yaml", "meta/{}_meta.json", "meshes/{}_straight
 
 def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
     """Faults of the shards of a split in a local folder, from tar headers. Raises ``ShardError`` for a broken index."""
-    store, names = FolderStore(folder), FolderPlace(folder).names()
+    store, names = FolderStore(folder), Place(folder).names()
     record = store.manifest().splits[split]
     if MANIFEST not in names or index_name(split) not in names:
         yield checks.ORPHANS, index_name(split), "no manifest or index: run gcd index"
@@ -62,7 +62,7 @@ def _member_faults(path: Path, keys: set[str]) -> Iterator[FileFault]:
 
 def split_file_faults(folder: Path, splits: Sequence[str]) -> Iterator[FileFault]:
     """Tars of a local folder that belong to no split."""
-    names = FolderPlace(folder).names()
+    names = Place(folder).names()
     own = {ShardRecord(number, 0, 0, "").name(split) for split, number in shards_named(names) if split in splits}
     for name in sorted(names - own):
         if name.endswith(".tar") and "/" not in name:
@@ -80,7 +80,7 @@ def set_faults(folder: Path, *, every_byte: bool = False) -> Iterator[str]:
     """
     store = FolderStore(folder)
     manifest = store.manifest()
-    names = FolderPlace(folder).names()
+    names = Place(folder).names()
     if MANIFEST not in names:
         yield f"{folder / MANIFEST}: no such file: run gcd index"
     listed = {(split, shard.number) for split, record in manifest.splits.items() for shard in record.shards}

@@ -14,8 +14,7 @@ from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord
-from gcd_dataset.shards.pattern_arrays import stored_patterns
-from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.reader import ShardReader, stored_patterns
 
 SAMPLED = 32  # designs generated again to check a recipe that has no hash of all its patterns
 

@@ -9,7 +9,6 @@ what a server may send, hashes.
 import asyncio
 import contextlib
 import errno
-import fcntl
 import logging
 import math
 import os
@@ -25,7 +24,7 @@ from urllib.request import getproxies, proxy_bypass
 
 from gcd_dataset.errors import ConfigError, GcdError, MissingError, RefusedError, RemoteError, shown
 from gcd_dataset.files import make_folder
-from gcd_dataset.shards.access import writing
+from gcd_dataset.shards.access import lock_file, unlock, writing
 from gcd_dataset.shards.notes import hashed
 
 Headers = Mapping[str, str]
@@ -375,32 +374,25 @@ def fetch(
     part = part or target.with_name(f".{target.name}.part")
     make_folder(part.parent)
     while not target.exists():
-        with _claimed(part, files) as is_mine, writing(part):
-            if is_mine and target.exists():
+        with _claimed(part, files), writing(part):
+            if target.exists():
                 part.unlink()  # made by this call, after another process had finished
-            elif is_mine:
+            else:
                 files.complete(name, part, size, sha256, on_progress)
                 make_folder(target.parent)
                 part.replace(target)
 
 
 @contextlib.contextmanager
-def _claimed(part: Path, files: Files) -> Iterator[bool]:
-    """Hold the lock of ``part``, made if missing; false if another process has finished or removed it meanwhile."""
-    with writing(part):
-        file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+def _claimed(part: Path, files: Files) -> Iterator[None]:
+    """Hold the lock of ``part``, made if missing."""
+    while (file := lock_file(part, wait=False)) is None:
+        files.require_wanted(str(part))  # so that Ctrl-C ends the wait
+        time.sleep(LOOK)
     try:
-        while True:
-            with writing(part), contextlib.suppress(BlockingIOError):
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            files.require_wanted(str(part))  # so that Ctrl-C ends the wait
-            time.sleep(LOOK)
-        yield part.exists() and os.path.samestat(os.fstat(file), part.lstat())
+        yield
     finally:
-        # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
-        fcntl.flock(file, fcntl.LOCK_UN)
-        os.close(file)
+        unlock(file)
 
 
 def first_line(error: object) -> str:

@@ -26,7 +26,7 @@ from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.layout import FAILED
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
 from gcd_dataset.shards.notes import META, gather, hashed, note_name, note_of
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.tar import END
 from gcd_dataset.shards.writer import shard_size_of
@@ -112,7 +112,12 @@ def stage(
         raise ConfigError(f"{dataset}: not whole: {problem}, or publish it with --partial")
     readers = {split: ShardReader(store, split) for split, record in source.splits.items() if record.count}
     divided = _divided(dataset, readers)
-    _prepare(folder)
+    make_folder(folder)
+    with reading(folder):
+        others = sorted(path.name for path in folder.iterdir()) if not (folder / STAGED).exists() else []
+    if others:
+        raise ConfigError(f"{folder}: holds {shown(others[0])}, not files to publish: choose another folder")
+    write_changed(folder / STAGED, b"")
     with locked(folder / ".staging.lock", "staging it"):
         manifest = _copied(folder, readers) if divided is None else _divide(folder, readers, divided, shares)
         write_changed(folder / MANIFEST, manifest.to_bytes())
@@ -182,16 +187,6 @@ def _license(name: str) -> str:
     return known
 
 
-def _prepare(folder: Path) -> None:
-    """Make the staging folder. Raises ``ConfigError`` for a folder that holds anything else."""
-    make_folder(folder)
-    with reading(folder):
-        others = sorted(path.name for path in folder.iterdir()) if not (folder / STAGED).exists() else []
-    if others:
-        raise ConfigError(f"{folder}: holds {shown(others[0])}, not files to publish: choose another folder")
-    write_changed(folder / STAGED, b"")
-
-
 def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
     """The split to divide: the only one besides ``failed``; ``None`` for several. Raises ``ConfigError``."""
     if not readers:
@@ -208,7 +203,7 @@ def _divided(dataset: Path, readers: Mapping[str, ShardReader]) -> str | None:
 
 
 def _copied(folder: Path, readers: Mapping[str, ShardReader]) -> Manifest:
-    """Copy the splits of a data set that has several, under the Hub's names; the manifest."""
+    """Copy the splits of a data set that has several, under the Hub's names; the manifest. Raises ``ShardError``."""
     splits = {}
     for split, reader in readers.items():
         name, content = HUB_NAMES.get(split, split), reader.index.to_bytes()
@@ -216,26 +211,27 @@ def _copied(folder: Path, readers: Mapping[str, ShardReader]) -> Manifest:
         write_changed(folder / index_name(name), content)
         tars = tars_of({name: reader.record})
         for tar, copy in zip(tars_of({split: reader.record}), tars, strict=True):
-            _copy(Path(reader.store.location(tar)), folder / copy, tars[copy])
+            path, target = reader.store.location(tar), folder / copy
+            if target.exists() and hashed(target) == tars[copy]:
+                continue
+            make_folder(target.parent)
+            with drafted(target) as draft:
+                shutil.copyfile(path, draft)
+                if hashed(draft) != tars[copy]:
+                    raise ShardError(f"{path}: its hash differs from {MANIFEST}: {REMEDY}")
     remove_others(folder, tars_of(splits))
     return replace(next(iter(readers.values())).manifest, splits=splits)
-
-
-def _copy(path: Path, target: Path, expected: tuple[int, str]) -> None:
-    """Copy a tar of this size and hash, unless it is there. Raises ``ShardError`` for a damaged original."""
-    if target.exists() and hashed(target) == expected:
-        return
-    make_folder(target.parent)
-    with drafted(target) as draft:
-        shutil.copyfile(path, draft)
-        if hashed(draft) != expected:
-            raise ShardError(f"{path}: its hash differs from {MANIFEST}: {REMEDY}")
 
 
 def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shares: Mapping[str, float]) -> Manifest:
     """Write the parts of a split, and ``failed``, with their notes and indices; the manifest."""
     parts = {name: (readers[divided], own) for name, own in partition(readers[divided], shares).items()}
-    _warn_of_empty_splits(readers[divided].store.location(), shares, parts)
+    if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
+        log.warning(
+            "%s: no garments for %s: garments that share a design or a body stay in one split, and all garments fall "
+            "into %s: add garments of other designs on other bodies, or give --shares 100,0,0",
+            *(readers[divided].store.location(), " and ".join(missing), " and ".join(parts)),
+        )
     parts |= {split: (reader, [*range(len(reader))]) for split, reader in readers.items() if split != divided}
     source, names = readers[divided].manifest, set[str]()
     is_whole = not any(map(source.missing, source.splits))
@@ -247,7 +243,7 @@ def _divide(folder: Path, readers: Mapping[str, ShardReader], divided: str, shar
         for number in range(-(-len(own) // size)):
             names |= _write_shard(folder, split, number, reader, own[number * size : (number + 1) * size], plan)
     remove_others(folder, names)
-    gathered = gather(FolderPlace(folder))
+    gathered = gather(Place(folder))
     for split, index in gathered.indices.items():
         write_changed(folder / index_name(split), index.to_bytes())
     return replace(gathered.manifest, recipe=source.recipe, generator=source.generator)
@@ -272,18 +268,6 @@ def _write_shard(
     note = note_of(folder / names[0], views_path, split, number, plan)
     write_changed(folder / note_name(split, number), note.to_bytes())
     return {*names}
-
-
-def _warn_of_empty_splits(dataset: str, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
-    """Warn of splits that have a share but get no garment: there are fewer families than splits."""
-    if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
-        log.warning(
-            "%s: no garments for %s: garments that share a design or a body stay in one split, and all garments fall "
-            "into %s: add garments of other designs on other bodies, or give --shares 100,0,0",
-            dataset,
-            " and ".join(missing),
-            " and ".join(parts),
-        )
 
 
 def _preview(reader: ShardReader) -> bytes | None:

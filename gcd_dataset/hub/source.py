@@ -70,20 +70,17 @@ def parse_source(source: str | Path, revision: str | None = None) -> Folder | Ur
     """
     if str(source).startswith("~"):
         source = user_path(source)
-    with reading(Path(source)):
-        is_path = "://" not in str(source)
-        is_folder, is_file = is_path and Path(source).is_dir(), is_path and Path(source).is_file()
-    text = str(source)
-    found: Folder | Url | None = Folder(Path(source)) if is_folder else None
-    if is_file:
-        raise ConfigError(f"{shown(text)}: a file, not a folder of shards; Hdf5Garments reads HDF5 files")
+    text, path = str(source), Path(source)
     if text.startswith(LOCAL):
         return parse_source(Path(unquote(urlsplit(text).path)), revision)
-    if found is None and _is_url(text):
-        found = Url(text.rstrip("/"))
-    if found is not None and revision is not None:
-        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, not for {found}: leave it out")
-    if found is not None:
+    with reading(path):
+        is_folder, is_file = "://" not in text and path.is_dir(), "://" not in text and path.is_file()
+    if is_file:
+        raise ConfigError(f"{shown(text)}: a file, not a folder of shards; Hdf5Garments reads HDF5 files")
+    if is_folder or _is_url(text):
+        found = Folder(path) if is_folder else Url(text.rstrip("/"))
+        if revision is not None:
+            raise ConfigError(f"revision={revision!r} is for repositories of the Hub, not for {found}: leave it out")
         return found
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:

@@ -22,15 +22,13 @@ import logging
 import os
 import platform
 import resource
-import stat
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import OutputError
 from gcd_dataset.files import make_folder, user_path, writing_to
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.making.progress import Progress, ProgressCallback
@@ -38,8 +36,6 @@ from gcd_dataset.shards.layout import recipe_hash
 
 EVERY = 100  # samples between two progress lines …
 EVERY_S = 10.0  # … or seconds
-BEGIN = b'{"event": "'
-TAIL = 1 << 20  # bytes read to find the last line; longer than any line
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -55,15 +51,32 @@ def run_log(
 ) -> Iterator[ProgressCallback]:
     """Log the block as a run: yields a callback that calls ``on_progress`` and appends to the log in ``path``.
 
-    Without ``path`` it yields ``on_progress``. A line is written completely or not at all. Raises ``OutputError`` for a
-    file that cannot be opened; if a later write fails, one warning is logged and the run continues.
+    Without ``path`` it yields ``on_progress``. Each line is one write, so that runs may share a log. Raises
+    ``OutputError`` for a file that cannot be opened; if a write fails, one warning is logged and the run continues.
     """
     if path is None:
         yield on_progress
         return
     from gcd_dataset.generator.drape.device import cores, device_names
 
-    with _appended(user_path(path)) as write:
+    path = user_path(path)
+    make_folder(path.parent)
+    with writing_to(path):
+        opened = path.open("ab", buffering=0)
+    with opened as file:
+        is_whole = True
+
+        def write(event: str, entry: Mapping[str, Any]) -> None:
+            nonlocal is_whole
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
+            line = (json.dumps({"event": event, "time": now, **entry}, default=str) + "\n").encode()
+            try:
+                if is_whole and file.write(line) < len(line):
+                    raise OSError(0, "no room for a whole line")
+            except OSError as error:
+                is_whole = False
+                logger.warning("%s: cannot be written (%s): the run goes on without its log", path, error.strerror)
+
         last = logged = Progress(0, 0)
         begun = written = time.monotonic()
         gpus = device_names([device for device in devices if device != "cpu"])
@@ -113,57 +126,3 @@ def _resident() -> float:
     except (OSError, ValueError, IndexError):
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak if sys.platform == "darwin" else peak * 1024
-
-
-# ------------------------------------------------------------------------------------------------------------ the file
-
-
-@contextlib.contextmanager
-def _appended(path: Path) -> Iterator[Callable[[str, Mapping[str, Any]], None]]:
-    """The function that appends a line to a log file: its event and its other keys. Raises ``OutputError``."""
-    make_folder(path.parent)
-    with contextlib.ExitStack() as opened:
-        with writing_to(path):
-            # With O_NONBLOCK, opening a pipe without a reader fails instead of blocking.
-            file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
-            opened.callback(os.close, file)
-            _drop_partial_line(file, path)
-        failed = False
-
-        def write(event: str, entry: Mapping[str, Any]) -> None:
-            nonlocal failed
-            now = datetime.now(UTC).isoformat(timespec="milliseconds")
-            try:
-                _append(file, (json.dumps({"event": event, "time": now, **entry}, default=str) + "\n").encode())
-            except OSError as error:
-                if not failed:
-                    logger.warning("%s: cannot be written (%s): the run goes on without its log", path, error.strerror)
-                failed = True
-
-        yield write
-
-
-def _drop_partial_line(file: int, path: Path) -> None:
-    """Truncate a partial last line, left by a power cut. Raises ``OutputError`` for a file that is not a log."""
-    status = os.fstat(file)
-    if not stat.S_ISREG(status.st_mode):
-        return
-    with path.open("rb") as content:
-        content.seek(max(status.st_size - TAIL, 0))
-        before, _, partial = content.read().rpartition(b"\n")
-    last = before.rpartition(b"\n")[2]
-    is_foreign = last and not last.startswith(BEGIN)
-    if is_foreign or (partial and not (partial.startswith(BEGIN) or BEGIN.startswith(partial))):
-        raise OutputError(f"{path}: its last line is not a line of a run log: choose another file")
-    os.ftruncate(file, status.st_size - len(partial))
-
-
-def _append(file: int, line: bytes) -> None:
-    """Append a whole line, or nothing. Raises ``OSError``."""
-    written = os.write(file, line)
-    if written == len(line):
-        return
-    end = os.lseek(file, 0, os.SEEK_CUR)
-    if os.fstat(file).st_size == end:  # no other process has appended meanwhile
-        os.ftruncate(file, end - written)
-    raise OSError(0, "no room for a whole line")

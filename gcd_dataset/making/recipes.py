@@ -9,7 +9,7 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipes import Recipe
-from gcd_dataset.making.garments import CPU_SECONDS, generate_recipe
+from gcd_dataset.making.garments import generate_recipe
 from gcd_dataset.making.progress import Progress
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.manifest import Manifest, read_manifest
@@ -52,29 +52,14 @@ def _make(recipe: Recipe, folder: Path) -> None:
 
         def report(progress: Progress) -> None:
             if not progress.made:
-                _log_estimate(recipe, folder, progress.count - progress.done)
+                missing = progress.count - progress.done
+                log.warning(
+                    "%s: making %d garments in %s; the next call resumes a stopped one", recipe.name, missing, folder
+                )
             bar.update(progress.done - bar.n)
 
         with without_main_module():
             generate_recipe(folder, recipe, workers=workers, on_progress=report)
-
-
-def _log_estimate(recipe: Recipe, folder: Path, missing: int) -> None:
-    from gcd_dataset.generator.drape import seconds_to_drape
-    from gcd_dataset.generator.drape.device import cores
-
-    config = recipe.config
-    seconds = CPU_SECONDS[config.stage] * missing / cores()
-    if config.stage == "drape":
-        seconds = max(seconds, seconds_to_drape(missing, config.device, config.resolution))
-    takes = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
-    log.warning(
-        "%s: making %d garments in %s takes about %s; the next call resumes a stopped one",
-        recipe.name,
-        missing,
-        folder,
-        takes if seconds < 6000 else f"{seconds / 3600:.1f} h",
-    )
 
 
 @contextmanager

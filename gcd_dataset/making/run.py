@@ -21,7 +21,7 @@ from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore
 from gcd_dataset.making.tasks import Job, Task, Work
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.layout import FAILED, Bytes
-from gcd_dataset.shards.manifest import MANIFEST, Plan, ShardRecord, parse_manifest
+from gcd_dataset.shards.manifest import MANIFEST, Plan, parse_manifest, shard_name
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
     DRAFT,
@@ -37,7 +37,7 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import FolderPlace, Place
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, remove_drafts
 from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
@@ -124,7 +124,7 @@ def begin(work: Work) -> None:
     ``OutputError`` where the place cannot be written.
     """
     place = work.place
-    if isinstance(place, FolderPlace):
+    if place.is_folder:
         make_folder(place.folder)
     for earlier in _earlier_places(place):  # of a run that was stopped before it had a shard
         _count_in(earlier, work.plan)
@@ -165,7 +165,7 @@ def _count_in(place: Place, asked: Plan) -> int:
 def _grow(work: Work) -> None:
     """Move the shards of a smaller data set into ``EARLIER``: their samples are copied into the new shards."""
     place = work.place
-    if not isinstance(place, FolderPlace):
+    if not place.is_folder:
         raise ConfigError(f"{place.location()}: holds fewer samples, and only folders grow: choose another URL")
     earlier = make_folder(place.folder / EARLIER)
     with locked(earlier / "lock", "moving its shards", wait=True):
@@ -173,12 +173,12 @@ def _grow(work: Work) -> None:
         if count in (0, work.plan.count):
             return  # moved by another process
         place.remove(MANIFEST)
-        old, names = FolderPlace(make_folder(earlier / str(count))), place.names()
+        old, names = Place(make_folder(earlier / str(count))), place.names()
         for split, number in shards_named(names):
-            record, note = ShardRecord(number, 0, 0, ""), note_name(split, number)
+            note = note_name(split, number)
             old.write(note, read_note(place, split, number).to_bytes())
-            for name in (record.views_name(split), record.name(split)):  # as long as the tar is here, so is its note
-                if name in names:
+            for views in (True, False):  # as long as the tar is here, so is its note
+                if (name := shard_name(split, number, views=views)) in names:
                     old.put(place.folder / name, name)
             place.remove(note)
 
@@ -194,7 +194,7 @@ def _restore_notes(work: Work) -> None:
     tasks = {(task.split, task.number): task for task in work.tasks()} if shards else {}
     for split, number in lost or shards[:1]:
         own = next(iter(work.splits)) if split == FAILED and FAILED not in work.splits else split
-        task, tar = tasks.get((own, number)), ShardRecord(number, 0, 0, "").name(split)
+        task, tar = tasks.get((own, number)), shard_name(split, number)
         note = None if task is None else read_note(place, split, number, task.plan)
         if task is None or note is None or not note.done <= set(task.indices):
             path = place.location(tar)
@@ -314,13 +314,13 @@ def _content(tar: Path, views: Path) -> dict[int, dict[str, memoryview]]:
     return content
 
 
-def _earlier_places(place: Place) -> list[FolderPlace]:
+def _earlier_places(place: Place) -> list[Place]:
     """The folders in ``EARLIER``, each with shards of a smaller data set."""
     root = place.work / EARLIER
-    if not isinstance(place, FolderPlace) or not root.is_dir():
+    if not place.is_folder or not root.is_dir():
         return []
     with reading(root):
-        return [FolderPlace(folder) for folder in sorted(root.iterdir()) if folder.is_dir()]
+        return [Place(folder) for folder in sorted(root.iterdir()) if folder.is_dir()]
 
 
 # ----------------------------------------------------------------------------------------------------------- completing
@@ -336,7 +336,7 @@ def index(place: Place) -> Gathered:
     if gathered.is_complete:
         remove_drafts(place)
         earlier = place.work / EARLIER
-        while isinstance(place, FolderPlace) and earlier.is_dir():
+        while place.is_folder and earlier.is_dir():
             with writing(earlier), contextlib.suppress(FileNotFoundError):  # another process removes it, too
                 shutil.rmtree(earlier)
         recipe = gathered.manifest.recipe

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.manifest import Plan, ShardRecord
+from gcd_dataset.shards.manifest import Plan, shard_name
 from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import shard_size_of
 
@@ -24,7 +24,7 @@ class Task(NamedTuple):
     @property
     def tar(self) -> str:
         """The name of the shard's file, which exists when the task is done."""
-        return ShardRecord(self.number, 0, 0, "").name(self.split)
+        return shard_name(self.split, self.number)
 
 
 @dataclass(frozen=True)

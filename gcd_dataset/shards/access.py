@@ -5,7 +5,7 @@ import errno
 import fcntl
 import mmap
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
@@ -13,6 +13,11 @@ from gcd_dataset.files import open_regular
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
 """Remedy for a damaged shard: the next writer makes the missing samples again."""
+
+REMEDIES: Mapping[tuple[type[OSError], ...], str] = {
+    (PermissionError,): "ask for the right to read it, or give another folder",
+    (FileNotFoundError, NotADirectoryError): "give a folder made by gcd generate, or copy the missing files again",
+}
 
 
 class reading:  # noqa: N801 -- a context manager, named as functions are
@@ -29,7 +34,8 @@ class reading:  # noqa: N801 -- a context manager, named as functions are
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
-            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_remedy(error)}") from error
+            remedy = next((text for kinds, text in REMEDIES.items() if isinstance(error, kinds)), REMEDY)
+            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {remedy}") from error
 
 
 def read_file(path: Path, limit: int | None = None) -> bytes:
@@ -47,14 +53,6 @@ def mapped(path: Path) -> memoryview:
         if not os.fstat(file.fileno()).st_size:
             return memoryview(b"")
         return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-
-
-def _remedy(error: OSError) -> str:
-    if isinstance(error, PermissionError):
-        return "ask for the right to read it, or give another folder"
-    if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return "give a folder made by gcd generate, or copy the missing files again"
-    return REMEDY
 
 
 @contextlib.contextmanager
@@ -100,7 +98,13 @@ def lock_file(path: Path, *, wait: bool) -> int | None:
     Raises ``OutputError`` for a folder that cannot be written, and on a file system without locks.
     """
     while True:
-        file = _open(path)
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise OutputError(
+                f"{path.parent}: cannot be written ({error.strerror}): its samples can be read; to add some, make room "
+                "and allow writing, or choose another folder"
+            ) from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
             with contextlib.suppress(FileNotFoundError):
@@ -125,13 +129,3 @@ def unlock(file: int) -> None:
     """Release the lock of a descriptor, and close it."""
     fcntl.flock(file, fcntl.LOCK_UN)  # a child forked meanwhile has the file open too, and would keep the lock
     os.close(file)
-
-
-def _open(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-    except OSError as error:
-        raise OutputError(
-            f"{path.parent}: cannot be written ({error.strerror}): its samples can be read; to add some, make room "
-            "and allow writing, or choose another folder"
-        ) from error

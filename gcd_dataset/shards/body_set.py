@@ -106,8 +106,15 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
 
     Raises ``ShardError`` for NaN or infinity.
     """
+    arrays = {"shape": np.asarray(person.shape.weights, float)} | {pose: getattr(person, pose) for pose in POSES}
     try:
-        content = _content(person)
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise ShardError(f"{name} holds NaN or infinity")
+        content = {
+            "measures.json": measures_json(person.measurements),
+            "person.z": pack(arrays, dict.fromkeys(POSES, POSITION)),
+        }
         meta = {
             "schema": SCHEMA,
             "key": key_of(origin["index"]),
@@ -122,18 +129,6 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
         return {"meta.json": sealed(meta), **content}
     except (ShardError, ValueError) as error:
         raise ShardError(f"person {person.name} cannot be stored: {error}") from error
-
-
-def _content(person: Person) -> dict[str, bytes]:
-    """All members except ``meta.json``."""
-    arrays = {"shape": np.asarray(person.shape.weights, float)} | {pose: getattr(person, pose) for pose in POSES}
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise ShardError(f"{name} holds NaN or infinity")
-    return {
-        "measures.json": measures_json(person.measurements),
-        "person.z": pack(arrays, dict.fromkeys(POSES, POSITION)),
-    }
 
 
 def mesh_bytes(mesh: BodyMesh) -> bytes:

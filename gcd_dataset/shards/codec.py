@@ -1,29 +1,13 @@
 """Encodes a sample as the members of a shard (``MEMBERS``), and decodes it.
 
-===================  ===================================================================================================
-``meta.json``        seed, index and recipe; names that the arrays refer to by row; figures of the drape; CRC-32 of
-                     every other member and its own; all keys: ``gcd_dataset.shards.meta``
-``spec.txt``         the pattern as a GarmentCode specification: JSON, but named ``.txt``: its keys differ between
-                     samples, so readers that infer types would fail
-``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
-``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
-                     measurement file; -1.0 for a missing measure, omitted from items
-``caption.txt``      optional: the garment in English, three lines: short, medium and full, see ``gcd_dataset.captions``
-``pattern.z``        panels, edges (f64), stitches (i32), body (f32)
-``mesh.z``           faces_of, rows_of: faces and rows of ``uv`` of each panel; corners, uv, uv_vertex, labels, seams
-``verts.z``          verts
-``points.z``         xyz and normals of surface points, in the order of the faces
-``front.jpg``        pictures of a drape, unless ``picture`` is 0; one grey pixel if none could be rendered. In a tar of
-``back.jpg``         their own, see ``layout``
-``view_K.jpg``       a picture from any side, K = 0, 1, …               } optional: in every sample of a data set,
-``view_K.json``      its camera, light, place and materials             } or in none
-===================  ===================================================================================================
+``docs/format.md`` describes the members, ``gcd_dataset.loaders.GarmentFields`` the fields in them, one row per panel,
+edge, seam, vertex, …, and ``gcd_dataset.shards.meta`` the keys of ``meta.json``. Members of free JSON are named
+``.txt``: their keys differ between samples, so readers that infer types would fail.
 
-``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``), one row per panel, edge, seam, vertex,
-…: ``gcd_dataset.loaders.GarmentFields`` describes them, docs/format.md the members and how ``faces``, ``panel_id``,
-``box`` and the order of ``points`` follow from the stored sections. A mesh in which they do not follow has the sections
-``faces``, ``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``,
-normals as octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
+``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``). ``faces``, ``panel_id``, ``box`` and
+the order of ``points`` follow from the stored sections; a mesh in which they do not follow has the sections ``faces``,
+``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``, normals as
+octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
@@ -152,24 +136,20 @@ def encode_sample(sample: Sample) -> dict[str, bytes]:
     The members are ``MEMBERS``, and caption and views where the sample has them. Raises ``ShardError`` with the
     sample's key for content that the format cannot hold.
     """
-    with _storing(sample):
-        tensor = encode_pattern(sample.pattern)
-        content = _content(sample, tensor)
-        crc = {member: zlib.crc32(data) for member, data in content.items()}
-        return {MEMBERS[0]: sealed(_meta(sample, tensor) | {"crc32": crc}), **content}
+    return _encoded(sample, is_whole=True)
 
 
 def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
     """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
-    with _storing(sample):
-        tensor = encode_pattern(sample.pattern)
-        return {MEMBERS[0]: sealed(_meta(sample, tensor)), **_content(sample, tensor)}
+    return _encoded(sample, is_whole=False)
 
 
-@contextlib.contextmanager
-def _storing(sample: Sample) -> Iterator[None]:
+def _encoded(sample: Sample, *, is_whole: bool) -> dict[str, bytes]:
     try:
-        yield
+        tensor = encode_pattern(sample.pattern)
+        content = _content(sample, tensor)
+        crc = {"crc32": {member: zlib.crc32(data) for member, data in content.items()}} if is_whole else {}
+        return {MEMBERS[0]: sealed(_meta(sample, tensor) | crc), **content}
     except (ShardError, ValueError, TypeError) as error:
         raise ShardError(f"sample {sample.key} cannot be stored: {error}") from error
 
@@ -188,16 +168,13 @@ def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
             (f"view_{number}.json", json_bytes(dict(view.facts))),
         )
     }
-    return {**_texts(sample), **_arrays(sample, tensor), **pictures, **views}
-
-
-def _texts(sample: Sample) -> dict[str, bytes]:
-    return {
+    texts = {
         "spec.txt": json_bytes(spec_from_pattern(sample.pattern)),
         "design.txt": json_bytes(dict(sample.design)),
         "measures.json": measures_json(sample.measurements),
         **({} if sample.caption is None else {CAPTION: sample.caption.encode()}),
     }
+    return {**texts, **_arrays(sample, tensor), **pictures, **views}
 
 
 def measures_json(measurements: Measurements) -> bytes:
@@ -312,13 +289,21 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
     provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
     mesh, drape = sample.box_mesh, sample.drape
     strain = None if drape is None else drape.strain
+    texts = [text.partition(": ") for text in provenance.rejects]
+    rejects = provenance.turned_down or [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
+    figures = dict(NO_DRAPE)
+    if drape is not None:
+        figures |= {"outcome": drape.outcome.name, "frames": drape.frames}
+        figures |= {name: count for name in COUNTS if (count := getattr(drape, name)) is not None}
+        # The stretch of a diverged drape is NaN, which JSON lacks.
+        figures |= {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
     return {
         "schema": SCHEMA,
         "key": sample.key,
         "index": provenance.index,
         "seed": provenance.seed,
         "attempts": provenance.attempts,
-        "rejects": [reject_entry(reject) for reject in _rejects(provenance)] or [NO_REJECT],
+        "rejects": [reject_entry(reject) for reject in rejects] or [NO_REJECT],
         "redraws": [{"rule": rule, "count": n} for rule, n in provenance.redraws.items()] or [NO_REDRAW],
         "versions": json_text(dict(provenance.versions)),
         "recipe": json_text(dict(provenance.recipe)),
@@ -333,7 +318,7 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "panel_labels": list(tensor.panel_labels),
         "edge_labels": list(tensor.edge_labels),
         "vertex_labels": [*(() if mesh is None else mesh.labels)] or [""],
-        "drape": {**NO_DRAPE, **({} if drape is None else _drape_figures(drape))},
+        "drape": figures,
         "strain": NO_STRAIN
         if strain is None
         else {"principal": [*map(float, strain.principal)], "panels": [[*map(float, pair)] for pair in strain.panels]},
@@ -345,21 +330,6 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
-
-
-def _rejects(provenance: Provenance) -> Iterable[Rejected]:
-    """The rejected attempts, with figures where they are known."""
-    if provenance.turned_down:
-        return provenance.turned_down
-    texts = (text.partition(": ") for text in provenance.rejects)
-    return [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
-
-
-def _drape_figures(drape: Drape) -> dict[str, Any]:
-    counts = {name: getattr(drape, name) for name in COUNTS if getattr(drape, name) is not None}
-    # The stretch of a diverged drape is NaN, which JSON lacks.
-    stretches = {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
-    return {"outcome": drape.outcome.name, "frames": drape.frames, **counts, **stretches}
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -460,6 +430,17 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
         if isinstance(error, GcdError):
             raise
         raise ShardError(f"sample {meta['key']}: its members contradict each other ({error}): {REMEDY}") from error
+
+
+PATTERN_FIELDS = ("meta", "panels", "edges", "stitches")
+
+
+def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
+    """The pattern of an encoded garment, from its ``PATTERN_FIELDS``. Raises ``ShardError``."""
+    field = decode_fields(members, PATTERN_FIELDS)
+    meta = field["meta"]
+    names = {name: tuple(meta[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
+    return PatternTensor(**{name: field[name] for name in PATTERN_FIELDS[1:]}, **names, name=meta["key"])
 
 
 REMEDY = "copy its shard again, or delete the shard and run gcd generate again"
@@ -625,15 +606,13 @@ def _decode_joint(field: str, members: Mapping[str, Bytes]) -> np.ndarray:
             )
         return np.stack(pictures)
     entry, shape = ("k", (3, 3)) if field == "camera_k" else ("rt", (3, 4))
-    return np.stack([_matrix(member, facts, entry, shape) for member, facts in zip(found, decoded, strict=True)])
-
-
-def _matrix(member: str, facts: Mapping[str, Any], entry: str, shape: tuple[int, int]) -> np.ndarray:
-    camera: Any = facts.get("camera")
-    try:
-        return np.array(camera[entry], np.float64).reshape(shape)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
+    matrices = []
+    for member, facts in zip(found, decoded, strict=True):
+        try:
+            matrices.append(np.array(facts["camera"][entry], np.float64).reshape(shape))
+        except (KeyError, TypeError, ValueError) as error:
+            raise ShardError(f"member {member}: no camera matrix {entry} of shape {shape}: {REMEDY}") from error
+    return np.stack(matrices)
 
 
 def read_measures(data: Bytes) -> dict[str, float]:
@@ -670,20 +649,15 @@ DECODERS: Mapping[str, Callable[[Bytes], Any]] = {
 
 
 def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -> Provenance:
+    same = ("seed", "index", "attempts", "redraws", "versions", "recipe", "source")
     return Provenance(
-        seed=meta["seed"],
-        index=meta["index"],
-        attempts=meta["attempts"],
+        **{name: meta[name] for name in same},
         rejects=tuple(meta["rejects"]),
         turned_down=tuple(
             Rejected(entry["index"], entry["rule"], entry["reason"], decode_object(entry["figures"].encode()))
             for entry in rejects
         ),
-        redraws=meta["redraws"],
-        versions=meta["versions"],
-        recipe=meta["recipe"],
         body_name=meta["body"],
-        source=meta["source"],
     )
 
 

@@ -13,7 +13,7 @@ import hashlib
 import mmap
 import struct
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,8 +23,7 @@ import numpy as np
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.records import MEASURES
-from gcd_dataset.shards.access import mapped as _mapped
-from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.access import mapped, reading
 from gcd_dataset.shards.cache import make_room, touch
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.index import SplitIndex
@@ -86,16 +85,17 @@ class Columns:
         self.__dict__.update(state)
         self._close()
 
-    def views(self, rows: Iterable[int]) -> dict[str, list[np.ndarray]]:
+    def views(self, rows: Collection[int]) -> dict[str, list[np.ndarray]]:
         """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
 
         ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
         begins = self._starts
         places = [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
-        if unopened := {shard for shard, _ in places} - self._opened_shards:
-            self._fetch(unopened)
-            self._opened_shards |= unopened
+        shards = {shard for shard, _ in places}
+        if not shards <= self._opened_shards:
+            self.fetch(rows)
+            self._opened_shards |= shards
         views: dict[str, list[np.ndarray]] = {}
         for field, opened in self._open.items():
             views[field] = values = []
@@ -106,11 +106,8 @@ class Columns:
 
     def fetch(self, rows: Iterable[int]) -> None:
         """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
-        self._fetch({self._shard_of(row) for row in rows} - self._opened_shards)
-
-    def _fetch(self, shards: Iterable[int]) -> None:
-        """Bring the tars of the shards whose columns are missing onto this machine, at once."""
-        records = [self._index.record.shards[shard] for shard in shards]
+        unopened = {self._shard_of(row) for row in rows} - self._opened_shards
+        records = [self._index.record.shards[shard] for shard in unopened]
         for views in (False, True):
             files = [self._file(field) for field in self._fields if is_picture(member_of(field)) == views]
             missing = [one for one in records if not all((self._folder(one) / name).exists() for name in files)]
@@ -168,8 +165,9 @@ class Columns:
             if not chosen:
                 continue
             path = self._store.path(self._split, shard, views=views)
-            content = _mapped(path)
-            _require_hash(content, shard.views_sha256 if views else shard.sha256, path, self._store.remedy)
+            content = mapped(path)
+            if hashlib.sha256(content).hexdigest() != (shard.views_sha256 if views else shard.sha256):
+                raise ShardError(f"{path}: bytes differ from the written ones: {self._store.remedy}")
             columns: dict[str, list[np.ndarray]] = {field: [] for field in chosen}
             try:
                 for key, members in _samples(content, numbers):
@@ -230,11 +228,6 @@ def _aligned(size: int) -> int:
 
 
 # -------------------------------------------------------------------------------------------------------------- making
-
-
-def _require_hash(content: memoryview, sha256: str, path: Path, remedy: str) -> None:
-    if hashlib.sha256(content).hexdigest() != sha256:
-        raise ShardError(f"{path}: bytes differ from the written ones: {remedy}")
 
 
 def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str, Mapping[str, Bytes]]]:

@@ -19,7 +19,7 @@ from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.store import Store
 
 DOWNLOAD_FILE = "download.json"
@@ -39,7 +39,7 @@ class FolderStore(Store):
             self.remedy = "delete it, and run gcd download again"
         self._manifest: Manifest | None = None
         self._gathered: Gathered | None = None
-        self._place = FolderPlace(self.folder)
+        self._place = Place(self.folder)
         self._files: dict[str, _OpenFile] = {}
 
     def location(self, name: str = "") -> str:
@@ -177,7 +177,7 @@ def is_set(folder: Path) -> bool:
     with reading(folder):
         if not folder.is_dir():
             return False
-    names = FolderPlace(folder).names()
+    names = Place(folder).names()
     return MANIFEST in names or bool(shards_named(names))
 
 

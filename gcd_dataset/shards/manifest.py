@@ -21,7 +21,7 @@ from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import read_file, reading
 from gcd_dataset.shards.layout import MEMBERS, SCHEMA, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
-from gcd_dataset.shards.meta import decode_json
+from gcd_dataset.shards.meta import decode_json, is_count
 
 MANIFEST = "manifest.json"
 REMEDY = "delete it, then run gcd index"
@@ -301,11 +301,6 @@ def checked(kind: type, entry: Any, location: str) -> dict[str, Any]:
             raise ShardError(f"{location}: {one.name} is {found(entry[one.name])}")
     values = ((one.name, entry[one.name]) for one in fields(kind))
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values}
-
-
-def is_count(value: Any) -> bool:
-    """Whether a value is a number from 0 on."""
-    return type(value) is int and 0 <= value < 1 << 62
 
 
 def _fits(value: Any, kind: Any) -> bool:

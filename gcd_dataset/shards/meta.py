@@ -210,7 +210,8 @@ def _has_form(value: Any, form: Any) -> bool:
             return bool(form(value))
 
 
-def _is_count(value: Any) -> bool:
+def is_count(value: Any) -> bool:
+    """Whether a value is a number from 0 on."""
     return type(value) is int and 0 <= value < LONGEST
 
 
@@ -219,9 +220,9 @@ def _is_number(value: Any) -> bool:
 
 
 _ORIGIN: Mapping[str, Any] = {
-    "schema": _is_count,
+    "schema": is_count,
     "key": str,
-    "index": _is_count,
+    "index": is_count,
     "seed": lambda seed: type(seed) is int and seed >= 0,
     "versions": str,
     "recipe": str,
@@ -230,9 +231,9 @@ PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
 _PAIR = (_is_number, _is_number)
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
-    "attempts": _is_count,
+    "attempts": is_count,
     "rejects": [{"index": int, "rule": str, "reason": str, "figures": str}],
-    "redraws": [{"rule": str, "count": _is_count}],
+    "redraws": [{"rule": str, "count": is_count}],
     "pattern": str,
     "body": str,
     "holds": {"shape": bool, "mesh": bool, "drape": bool},

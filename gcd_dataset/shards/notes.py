@@ -33,6 +33,7 @@ from gcd_dataset.files import open_regular
 from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
+from gcd_dataset.shards.codec import stored_pattern
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, MEMBERS, Bytes, is_picture, key_of
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
@@ -45,14 +46,12 @@ from gcd_dataset.shards.manifest import (
     ShardRecord,
     SplitRecord,
     checked,
-    is_count,
     other_schema,
     parse_manifest,
     ranked,
     shard_name,
 )
-from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta, read_rejects
-from gcd_dataset.shards.pattern_arrays import stored_pattern
+from gcd_dataset.shards.meta import decode_json, is_count, json_bytes, read_meta, read_rejects
 from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 

@@ -1,7 +1,6 @@
 """Where a data set is written: a folder, or another place such as a store (``gcd_dataset.making.store``)."""
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -11,74 +10,46 @@ from gcd_dataset.shards.access import read_file, reading, writing
 VIEWS = "views"
 
 
-class Place(ABC):
-    """The files of a data set by their names, ``train-00012.tar`` or ``views/train-00012.tar``.
+class Place:
+    """The files of a data set by their names, ``train-00012.tar`` or ``views/train-00012.tar``: those in a folder.
 
     A file appears whole under its name or not at all. Methods raise ``OutputError`` and ``ShardError``.
     """
 
+    is_folder = True
     work: Path
-    """Folder of the drafts on this machine."""
-
-    @abstractmethod
-    def location(self, name: str = "") -> str:
-        """The path or URL of a file, for messages."""
-
-    @abstractmethod
-    def names(self) -> frozenset[str]:
-        """The names of all files."""
-
-    @abstractmethod
-    def exists(self, name: str) -> bool:
-        """Whether there is a file of this name."""
-
-    @abstractmethod
-    def read(self, names: Iterable[str]) -> Iterator[bytes]:
-        """The contents of files, in order."""
-
-    @abstractmethod
-    def fetch(self, name: str) -> Path:
-        """A file on this machine with the content of ``name``."""
-
-    @abstractmethod
-    def write(self, name: str, content: bytes) -> None:
-        """Write or replace a small file."""
-
-    @abstractmethod
-    def put(self, draft: Path, name: str) -> None:
-        """Move a finished draft, synchronised with the disk, to its name; an existing file is replaced."""
-
-    @abstractmethod
-    def remove(self, name: str) -> None:
-        """Remove a file if it exists."""
-
-
-class FolderPlace(Place):
-    """A data set in a folder; the drafts are hidden files in it."""
+    """Folder of the drafts on this machine: of a folder itself, where they are hidden files."""
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = self.work = user_path(folder)
 
     def location(self, name: str = "") -> str:
+        """The path or URL of a file, for messages."""
         return str(self.folder / name)
 
     def names(self) -> frozenset[str]:
+        """The names of all files."""
         return frozenset(_listed(self.folder)) | {f"{VIEWS}/{name}" for name in _listed(self.folder / VIEWS)}
 
     def exists(self, name: str) -> bool:
+        """Whether there is a file of this name."""
         with reading(self.folder / name):
             return (self.folder / name).exists()
 
     def read(self, names: Iterable[str]) -> Iterator[bytes]:
+        """The contents of files, in order."""
         return (read_file(self.folder / name) for name in names)
 
     def fetch(self, name: str) -> Path:
+        """A file on this machine with the content of ``name``."""
         return self.folder / name
 
     def write(self, name: str, content: bytes) -> None:
+        """Write or replace a small file."""
         write_whole(self.folder / name, content)
 
     def put(self, draft: Path, name: str) -> None:
+        """Move a finished draft, synchronised with the disk, to its name; an existing file is replaced."""
         path = self.folder / name
         if path.parent != self.folder:
             make_folder(path.parent)
@@ -91,6 +62,7 @@ class FolderPlace(Place):
                 os.close(folder)
 
     def remove(self, name: str) -> None:
+        """Remove a file if it exists."""
         with writing(self.folder / name):
             (self.folder / name).unlink(missing_ok=True)
 

@@ -1,6 +1,6 @@
 """Reads samples of a split by position, and checks them when they are first read."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -9,15 +9,17 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import decode_sample
+from gcd_dataset.shards.codec import PATTERN_FIELDS, decode_sample, stored_pattern
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, is_picture, key_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, fields_of, is_picture, key_of, members_of
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.notes import META, checked_meta
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, END, samples_in
+from gcd_dataset.tensors import PatternTensor
 
+BATCH = 256  # samples in one read of ``stored_patterns``
 MAIN, VIEWS = 1, 2  # bits of the tars of a sample that were checked
 Verify = Literal["lazy", "full", "off"]
 Quality = Literal["clean", "paper"]
@@ -77,7 +79,7 @@ class ShardReader:
         self._first = self.index.first
         self._wanted: tuple[bool, Quality | None] = settled_only, quality
         self._row = self._chosen()
-        self._checked = bytearray(len(self.index))
+        self._checked = self._unchecked()
         if verify == "full":
             for position in range(len(self)):
                 self.check(position)
@@ -111,11 +113,6 @@ class ShardReader:
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
         """As ``read``, for several samples; a remote store requests them in parallel."""
-        return self._read_many(positions, members, check=self._verify != "off")
-
-    def _read_many(
-        self, positions: Iterable[int], members: Iterable[str], *, check: bool
-    ) -> Iterator[dict[str, memoryview]]:
         wanted = dict.fromkeys(members)
         if lacking := [member for member in wanted if member not in self.layout.members]:
             raise ConfigError(
@@ -129,7 +126,7 @@ class ShardReader:
             found: dict[str, memoryview] = {}
             for _ in tars:
                 found |= self._members(row, next(parts))
-            if check and mask & ~self._checked[row]:
+            if mask & ~self._checked[row]:
                 self._check(row, found)
                 self._checked[row] |= mask
             if lost := [member for member in wanted if member not in found]:
@@ -146,9 +143,12 @@ class ShardReader:
 
     def check(self, position: int) -> None:
         """Check a whole sample, even if it was checked before. Raises ``ShardError``."""
-        row = int(self._row[position])
-        self._checked[row] = 0
-        next(self._read_many([position], self.layout.members, check=True))
+        self._checked[self._row[position]] = 0
+        self.read(position, self.layout.members)
+
+    def _unchecked(self) -> bytearray:
+        """The bits of the tars of each sample that need no check."""
+        return bytearray([MAIN | VIEWS if self._verify == "off" else 0]) * len(self.index)
 
     def _chosen(self) -> Int[np.ndarray, " n"]:
         settled_only, quality = self._wanted
@@ -222,4 +222,21 @@ class ShardReader:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._checked, self._row = bytearray(len(self.index)), self._chosen()
+        self._checked, self._row = self._unchecked(), self._chosen()
+
+
+def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> Iterator[tuple[int, PatternTensor]]:
+    """Index and pattern of each sample in order; ``of``: indices to read, by default all.
+
+    Raises ``ShardError`` naming shard and sample for a damaged sample, ``ConfigError`` for samples without patterns.
+    """
+    if missing := [field for field in PATTERN_FIELDS if field not in fields_of(reader.layout.members)]:
+        raise ConfigError(
+            f"{reader.store.location()}: its samples have no {missing[0]}: give a data set with all fields"
+        )
+    wanted = [position for position in range(len(reader)) if of is None or reader.number(position) in of]
+    for first in range(0, len(wanted), BATCH):
+        positions = wanted[first : first + BATCH]
+        for position, members in zip(positions, reader.read_many(positions, members_of(PATTERN_FIELDS)), strict=True):
+            with reader.naming(position):
+                yield reader.number(position), stored_pattern(members)

@@ -52,7 +52,8 @@ def tar_entry(name: str, data: Bytes) -> bytes:
             bytes(155 + 12),
         )
     )
-    return b"".join((_signed(header), data, bytes(padded(len(data)) - len(data))))
+    signed = header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
+    return b"".join((signed, data, bytes(padded(len(data)) - len(data))))
 
 
 def tar_entries(file: int) -> Iterator[TarMember]:
@@ -136,10 +137,6 @@ class CheckedTar:
         if len(self._names) > MOST_MEMBERS:
             raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
         return BLOCK + padded(size)
-
-
-def _signed(header: bytes) -> bytes:
-    return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
 
 
 def _octal(digits: bytes) -> int:

@@ -36,7 +36,7 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import FolderPlace, Place
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.tar import END, tar_entry
 
 LARGE, SHARDS, MOST = 8192, 20, 32
@@ -161,7 +161,7 @@ class _DraftTar:
         """Keep the whole samples of a killed process, up to the first damaged one."""
         for path, name in zip(self._paths, self._names, strict=True):
             # Undo the naming of files before the task's own shard had its name.
-            if not path.exists() and isinstance(self._place, FolderPlace) and self._place.exists(name):
+            if not path.exists() and self._place.is_folder and self._place.exists(name):
                 with writing(path):
                     (self._place.folder / name).replace(path)
         main, views = self._paths
@@ -272,7 +272,7 @@ class ShardWriter:
         shard_size: int | None = None,
         layout: Layout = GARMENTS,
     ) -> None:
-        self._place, self._count = FolderPlace(folder), count
+        self._place, self._count = Place(folder), count
         size = (MOST if count is None else shard_size_of(count)) if shard_size is None else shard_size
         plan = Plan(layout.kind, seed, dict(recipe), 0 if count is None else count, size)
         try:

@@ -1,12 +1,10 @@
-"""Loopback servers that log their requests and inject faults: a Hub with a plain web server, and an S3 store by moto.
+"""A loopback server that logs its requests and injects faults: a Hub with a plain web server.
 
 The Hub has the part of the API that ``huggingface_hub`` uses. It redirects large files to another address
 (``localhost`` for ``127.0.0.1``), as the Hub of Hugging Face sends them to its storage.
 """
 
 import base64
-import contextlib
-import functools
 import hashlib
 import json
 import re
@@ -18,13 +16,11 @@ from pathlib import Path
 from typing import Any, Self
 from urllib.parse import quote, unquote
 
-import pytest
 from werkzeug.serving import WSGIRequestHandler, make_server
 from werkzeug.wrappers import Request, Response
 
 LARGE = (".tar",)
 """Endings of files in the large-file storage."""
-KEYS = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_DEFAULT_REGION": "us-east-1"}
 
 
 @dataclass(frozen=True)
@@ -177,7 +173,7 @@ class Repo:
 
     def commit(self, files: Mapping[str, bytes]) -> str:
         """Add a commit; return its hash."""
-        hashes = {name: _sha256(data) for name, data in files.items()}
+        hashes = {name: _git_hash(data) for name, data in files.items()}
         sha = hashlib.sha1(("".join(sha for sha, _ in self.commits) + json.dumps(hashes)).encode()).hexdigest()
         self.commits.append((sha, dict(files)))
         return sha
@@ -230,15 +226,13 @@ class Hub(Server):
     def answer_info(self, request: Request, repo: str, revision: str) -> Response:
         if isinstance(found := self.found(request, repo, revision or "main"), Response):
             return found
-        siblings = [{"rfilename": name} for name in found[1]]
-        facts = {"private": False, "gated": False, "disabled": False, "tags": [], "downloads": 0, "likes": 0}
-        return _json({"_id": "1", "id": repo, "sha": found[0], "siblings": siblings, **facts})
+        return _json({"_id": "1", "id": repo, "sha": found[0], "siblings": [{"rfilename": name} for name in found[1]]})
 
-    def answer_tree(self, request: Request, repo: str, revision: str, folder: str) -> Response:
+    def answer_tree(self, request: Request, repo: str, revision: str) -> Response:
         if isinstance(found := self.found(request, repo, revision), Response):
             return found
-        names = [name for name in found[1] if not folder or name.startswith(f"{folder}/")]
-        return _json([_entry(name, found[1][name]) for name in names])
+        files = found[1].items()
+        return _json([{"type": "file", "path": p, "size": len(data), "oid": _git_hash(data)} for p, data in files])
 
     def answer_resolve(self, request: Request, repo: str, revision: str, path: str) -> Response:
         if isinstance(found := self.found(request, repo, revision), Response):
@@ -248,14 +242,11 @@ class Hub(Server):
             return Response(status=404, headers={"X-Error-Code": "EntryNotFound", **commit})
         if not path.endswith(LARGE):
             return _file(request, data, {"ETag": f'"{_git_hash(data)}"', **commit})
-        oid = _sha256(data)
+        oid = hashlib.sha256(data).hexdigest()
         self.large[oid] = data
         place = f"{self.endpoint.replace('127.0.0.1', 'localhost')}/storage/{oid}/{quote(path)}?signed=yes"
         linked = {"X-Linked-Etag": f'"{oid}"', "X-Linked-Size": str(len(data)), "ETag": f'"{oid}"'}
         return Response(status=302, headers={"Location": place, **linked, **commit})
-
-    def answer_storage(self, request: Request, oid: str, path: str) -> Response:
-        return _file(request, self.large[oid], {"ETag": f'"{oid}"'})
 
     def answer_create(self, request: Request) -> Response:
         if not self.is_allowed(request):
@@ -264,11 +255,8 @@ class Hub(Server):
         name = f"{asked['organization']}/{asked['name']}"
         is_new = name not in self.repos
         if is_new:
-            self.publish(name, {}, private=asked.get("visibility") == "private" or asked.get("private", False))
+            self.publish(name, {})
         return _json({"url": f"{self.endpoint}/datasets/{name}", "name": name}, 200 if is_new else 409)
-
-    def answer_validate(self, request: Request) -> Response:
-        return _json({"errors": [], "warnings": []})
 
     def answer_preupload(self, request: Request, repo: str, revision: str) -> Response:
         paths = [file["path"] for file in json.loads(request.data)["files"]]
@@ -283,8 +271,6 @@ class Hub(Server):
         return _json({"transfer": "basic", "objects": [{**entry, **actions(entry["oid"])} for entry in objects]})
 
     def answer_put(self, request: Request, oid: str) -> Response:
-        if _sha256(request.data) != oid:
-            return Response(status=400)
         self.large[oid] = request.data
         return Response()
 
@@ -321,28 +307,19 @@ def _file(request: Request, data: bytes, headers: Mapping[str, str]) -> Response
     return response
 
 
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
 def _git_hash(data: bytes) -> str:
     return hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
-
-
-def _entry(name: str, data: bytes) -> dict[str, Any]:
-    lfs = {"lfs": {"oid": _sha256(data), "size": len(data), "pointerSize": 130}} if name.endswith(LARGE) else {}
-    return {"type": "file", "path": name, "size": len(data), "oid": _git_hash(data), **lfs}
 
 
 NAME = r"(?P<repo>[^/]+/[^/]+)"
 ROUTES: list[tuple[str, Callable[..., Response]]] = [
     (r"/files/(?P<path>.+)", Hub.answer_static),
     (rf"/api/datasets/{NAME}(?:/revision/(?P<revision>.+))?", Hub.answer_info),
-    (rf"/api/datasets/{NAME}/tree/(?P<revision>[^/]+)/?(?P<folder>.*)", Hub.answer_tree),
+    (rf"/api/datasets/{NAME}/tree/(?P<revision>[^/]+)/?", Hub.answer_tree),
     (rf"/datasets/{NAME}/resolve/(?P<revision>[^/]+)/(?P<path>.+)", Hub.answer_resolve),
-    (r"/storage/(?P<oid>[^/]+)/(?P<path>.+)", Hub.answer_storage),
+    (r"/storage/(?P<oid>[^/]+)/.+", lambda hub, request, oid: _file(request, hub.large[oid], {"ETag": f'"{oid}"'})),
     (r"/api/repos/create", Hub.answer_create),
-    (r"/api/validate-yaml", Hub.answer_validate),
+    (r"/api/validate-yaml", lambda hub, request: _json({"errors": [], "warnings": []})),
     (rf"/api/datasets/{NAME}/preupload/(?P<revision>[^/]+)", Hub.answer_preupload),
     (rf"/datasets/{NAME}\.git/info/lfs/objects/batch", Hub.answer_lfs_batch),
     (r"/put/(?P<oid>[^/]+)", Hub.answer_put),
@@ -350,50 +327,11 @@ ROUTES: list[tuple[str, Callable[..., Response]]] = [
 ]
 
 
-def running_hub() -> Hub:
-    """A Hub that runs within a ``with`` block."""
-    return Hub()
+running_hub = Hub
+"""A Hub that runs within a ``with`` block."""
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:
     """Path to content of the files in a folder that are not hidden."""
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-
-# ------------------------------------------------------------------------------------------------------------------- S3
-
-
-class Store(Server):
-    """An S3 store with the bucket ``bucket``."""
-
-    def application(self, environ: dict[str, Any], start_response: Any) -> Iterable[bytes]:
-        return _moto()(environ, start_response)
-
-
-def s3_fault(pattern: str, code: str, status: int, times: int = 999) -> Fault:
-    """A fault with an error code of S3."""
-    body = f"<?xml version='1.0'?><Error><Code>{code}</Code><Message>{code} by this test</Message></Error>"
-    return Fault(pattern, times, status=status, body=body.encode(), headers={"Content-Type": "application/xml"})
-
-
-@contextlib.contextmanager
-def running_store() -> Iterator[Store]:
-    """A store; within the block, environment variables point to it."""
-    import fsspec
-
-    with Store() as store, pytest.MonkeyPatch.context() as patch:
-        for name, value in {**KEYS, "AWS_ENDPOINT_URL": store.endpoint, "AWS_EC2_METADATA_DISABLED": "true"}.items():
-            patch.setenv(name, value)
-        for name in ("AWS_CONFIG_FILE", "AWS_SHARED_CREDENTIALS_FILE"):
-            patch.setenv(name, "/nonexistent")
-        with contextlib.suppress(FileExistsError):
-            fsspec.filesystem("s3").mkdir("bucket")
-        yield store
-
-
-@functools.cache
-def _moto() -> Any:
-    from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
-
-    return DomainDispatcherApplication(create_backend_app)

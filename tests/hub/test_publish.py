@@ -1,7 +1,6 @@
 """Publishing: division into splits, staging, card, preview and upload."""
 
 import hashlib
-import io
 import json
 import sys
 from collections.abc import Iterable
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.download import download
@@ -22,6 +22,7 @@ from gcd_dataset.hub.partition import families, leaks, partition, traits_of
 from gcd_dataset.hub.publish import Staged, _license, publish, stage, upload
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Repo
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter
@@ -73,6 +74,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 SHARES = {"train": 0.6, "validation": 0.2, "test": 0.2}
+ALL = {"train": 1.0, "validation": 0.0, "test": 0.0}
 
 
 def test_no_design_is_in_two_splits(both: Path) -> None:
@@ -85,18 +87,15 @@ def test_no_design_is_in_two_splits(both: Path) -> None:
     assert [len(parts[name]) for name in SHARES] == pytest.approx([48, 16, 16], abs=14)
 
 
-def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
+def test_garments_that_share_a_body_or_a_pattern_stay_together(tmp_path: Path) -> None:
     worn = [(0, 0), (1, 0), (1, 1), (2, 2), (3, None), (4, None), (4, 3), (5, 3)]
-    put(tmp_path, [sample(i, design=design, body=body) for i, (design, body) in enumerate(worn)])
-    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
-
-
-def test_designs_that_give_the_same_pattern_stay_together(tmp_path: Path) -> None:
-    """They differ in unused parameters only: a strapless bodice has no sleeves, whatever its design says of them."""
+    put(tmp_path / "a", [sample(i, design=design, body=body) for i, (design, body) in enumerate(worn)])
+    assert families(traits_of(ShardReader(tmp_path / "a"))).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
+    # Designs that differ in unused parameters only: a strapless bodice has no sleeves, whatever its design says.
     samples = [sample(i, design=i) for i in range(5)]
     samples[3] = replace(samples[3], pattern=replace(samples[1].pattern, name=samples[3].pattern.name))
-    put(tmp_path, [replace(made, box_mesh=None, drape=None) for made in samples])
-    assert families(traits_of(ShardReader(tmp_path))).tolist() == [0, 1, 2, 1, 3]
+    put(tmp_path / "b", [replace(made, box_mesh=None, drape=None) for made in samples])
+    assert families(traits_of(ShardReader(tmp_path / "b"))).tolist() == [0, 1, 2, 1, 3]
 
 
 def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
@@ -107,13 +106,13 @@ def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path:
 
 
 def test_four_designs_fill_all_splits(tmp_path: Path) -> None:
-    put(tmp_path, (sample(i, design=i) for i in range(4)))
-    parts = partition(ShardReader(tmp_path))
+    reader = ShardReader(put(tmp_path, (sample(i, design=i) for i in range(4))))
+    parts = partition(reader)
     assert list(parts) == ["train", "validation", "test"]
     assert sorted(position for part in parts.values() for position in part) == [0, 1, 2, 3]
-    assert partition(ShardReader(tmp_path), {"train": 1.0, "validation": 0.0, "test": 0.0}) == {"train": [0, 1, 2, 3]}
+    assert partition(reader, ALL) == {"train": [0, 1, 2, 3]}
     with pytest.raises(ConfigError, match="add up to 1"):
-        partition(ShardReader(tmp_path), {"train": 0.5})
+        partition(reader, {"train": 0.5})
 
 
 @pytest.fixture(scope="module")
@@ -137,14 +136,10 @@ def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None
 
 def test_licenses_are_those_of_the_hub(both: Path, tmp_path: Path) -> None:
     assert [_license(name) for name in ("ODbL-1.0", "GPL-3.0-only", "other")] == ["odbl", "gpl-3.0", "other"]
-    for name, told in (
-        ("foo", "license foo: unknown to the Hub"),
-        ("cc-by-4", "mean cc-by-4.0"),
-        ("MIT-0", "or other"),
-    ):
+    for name, told in {"foo": "unknown to the Hub", "cc-by-4": "mean cc-by-4.0", "MIT-0": "or other"}.items():
         with pytest.raises(ConfigError, match=told):
             stage(both, "org/set", tmp_path / "up", license=name)
-        assert not (tmp_path / "up").exists()
+    assert not (tmp_path / "up").exists()
 
 
 def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
@@ -167,26 +162,26 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
 def test_the_library_of_the_hub_loads_every_configuration_and_the_preview(staged: Staged, tmp_path: Path) -> None:
     for name, member in (("default", "verts.z"), ("views", "front.jpg")):
         splits: Any = datasets.load_dataset(str(staged.folder), name, streaming=True, cache_dir=str(tmp_path))
-        assert {split: member in next(iter(samples)) for split, samples in splits.items()} == dict.fromkeys(
-            SHARES, True
-        )
+        assert [split for split, samples in splits.items() if member in next(iter(samples))] == list(SHARES)
     table: Any = datasets.Dataset.from_parquet(str(staged.folder / "preview.parquet"), cache_dir=str(tmp_path))
     reader = ShardReader(staged.folder, "train")
     assert len(table) == min(100, len(reader))
     assert table.features["front"] == datasets.Image()
     assert table[3]["key"] == reader.key(3)
-    front = io.BytesIO()
-    table[3]["front"].save(front, "PNG")
-    assert front.getvalue() and json.loads(table[3]["design"]) == reader.sample(3).design
+    assert table[3]["front"].size == (16, 16)
+    assert json.loads(table[3]["design"]) == reader.sample(3).design
 
 
-def test_without_pyarrow_there_is_no_preview(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_without_pyarrow_there_is_no_preview_and_a_dry_run_sends_nothing(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    up = stage(fill(tmp_path / "data", range(4)), "org/new", tmp_path / "up")
-    assert "preview.parquet" not in up.files
-    assert "preview" not in (up.folder / "README.md").read_text()
+    data, staged = fill(tmp_path / "data", range(4)), list[Staged]()
+    done = publish(data, "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=staged.append)
+    assert done.commit is None and staged == [done] and not hub.log
+    assert done.folder == data / "published"
+    assert "preview.parquet" not in done.files
+    assert "preview" not in (done.folder / "README.md").read_text()
     assert "pip install 'gcd-dataset[publish]'" in caplog.text
 
 
@@ -203,9 +198,6 @@ def test_croissant_lists_the_hash_of_every_file(staged: Staged) -> None:
         assert all(inside["@id"] in files for inside in thing.get("containedIn", ()))
     sources = [field["source"]["fileSet"]["@id"] for records in entry["recordSet"] for field in records["field"]]
     assert all(objects[source]["@type"] == "cr:FileSet" for source in sources)
-
-
-ALL = {"train": 1.0, "validation": 0.0, "test": 0.0}
 
 
 def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:
@@ -238,11 +230,11 @@ def test_a_damaged_copy_is_staged_again_and_a_damaged_original_refused(tmp_path:
 
 def test_staging_overwrites_no_data_set(tmp_path: Path) -> None:
     data, other = fill(tmp_path / "data", range(20)), fill(tmp_path / "other", range(3))
-    before = read_folder(data), read_folder(other)
     for folder in (data, other):
+        before = read_folder(folder)
         with pytest.raises(ConfigError, match=r"holds .*, not files to publish: choose another folder"):
             stage(data, "org/new", folder)
-    assert (read_folder(data), read_folder(other)) == before
+        assert read_folder(folder) == before
 
 
 def test_existing_splits_are_kept(tmp_path: Path) -> None:
@@ -269,30 +261,26 @@ def test_existing_splits_are_kept(tmp_path: Path) -> None:
 
 def test_empty_splits_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
+    stage(tmp_path / "one", "org/new", tmp_path / "all", shares=ALL)
+    assert not caplog.text
     assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
     assert "no garments for validation and test: garments that share a design or a body stay in one" in caplog.text
-    caplog.clear()
-    stage(tmp_path / "one", "org/new", tmp_path / "all", shares={"train": 1.0, "validation": 0.0, "test": 0.0})
-    assert not caplog.text
 
 
 def published(staged: Staged) -> dict[str, bytes]:
     return {name: (staged.folder / name).read_bytes() for name in staged.files}
 
 
-def test_an_upload_is_downloaded_unchanged(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+def test_an_upload_is_downloaded_unchanged_and_replaces_stale_shards(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+    stale = ("train-00099.tar", "views/train-00099.tar", "old.index")
+    hub.publish("org/new-set", dict.fromkeys([*stale, "notes/a.tar", "a.tar"], b"old"))
+    hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]  # repeated
     commit = upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-    assert hub.repos["org/new-set"].commits[-1] == (commit, published(staged))
+    kept = {"notes/a.tar": b"old", "a.tar": b"old"}
+    assert hub.repos["org/new-set"].commits[-1] == (commit, published(staged) | kept)
     download(Repo("org/new-set"), tmp_path / "data", Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "ours"))
     assert read_manifest(tmp_path / "data") == staged.manifest
     assert len(same(tmp_path / "data", "test", ShardReader(staged.folder, "test"))) == staged.manifest.counts["test"]
-
-
-def test_stale_shards_are_removed_from_the_repository(hub: Hub, staged: Staged) -> None:
-    stale = ("train-00099.tar", "views/train-00099.tar", "old.index")
-    hub.publish("org/new-set", dict.fromkeys([*stale, "notes/a.tar", "a.tar"], b"old"))
-    upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar", "a.tar"}
 
 
 def test_a_reader_sees_either_the_old_or_the_new_version(hub: Hub, staged: Staged, tmp_path: Path) -> None:
@@ -308,20 +296,6 @@ def test_a_reader_sees_either_the_old_or_the_new_version(hub: Hub, staged: Stage
     assert hub.repos["org/new-set"].commits[-1][1].items() >= published(staged).items()
 
 
-def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
-    lines: list[Staged] = []
-    done = publish(
-        fill(tmp_path / "data", range(4)), "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=lines.append
-    )
-    assert done.commit is None and lines == [done] and not hub.log
-    assert done.folder == tmp_path / "data" / "published"
-
-
-def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
-    hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
-    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-
-
 def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
@@ -331,3 +305,54 @@ def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: p
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
     with pytest.raises(ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+
+
+# ------------------------------------------------------------------------------------------------------------ commands
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return fill(tmp_path / "data", range(10))
+
+
+def test_publish_and_download(
+    hub: Hub, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_TOKEN", hub.token)
+    monkeypatch.chdir(tmp_path)
+    before, here = read_folder(data), ["--endpoint", hub.endpoint]
+    assert main(["publish", str(data), "me/garments", "--dry-run", *here]) == 0
+    assert "would be uploaded to me/garments; nothing was sent" in capsys.readouterr().out
+    assert not hub.log
+    assert main(["publish", str(data), "me/garments", *here]) == 0
+    commit = hub.repos["me/garments"].commits[-1][0]
+    assert f"me/garments@{commit}" in capsys.readouterr().out
+    assert {name: data for name, data in read_folder(data).items() if not name.startswith("published/")} == before
+
+    assert main(["download", "me/garments", "--quiet", *here]) == 0
+    assert f"train of hf://datasets/me/garments@{commit}: " in capsys.readouterr().out
+    whole = [GarmentDataset("garments", path.name.removesuffix(".index")) for path in Path("garments").glob("*.index")]
+    assert sum(map(len, whole)) == 10 and "front" in whole[0].fields
+    assert main(["check", "garments", "--bytes"]) == 0
+    some = ["download", "me/garments", "--split", "train", "--no-views", "--quiet", "--out", "some", *here]
+    assert main(some) == 0
+    assert main(["check", "some", "--bytes"]) == 0
+    assert not {"front", "back"} & set(GarmentDataset("some").fields)
+    capsys.readouterr()
+    assert main(["info", "me/garments", *here]) == 0
+    assert f"hf://datasets/me/garments@{commit}" in capsys.readouterr().out
+
+
+def test_splits_that_share_designs_are_a_fault(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with ShardWriter(data, split="test", seed=0, recipe={"stage": "drape"}, shard_size=4) as writer:
+        writer.write(fake_sample(0, 3))
+    assert main(["check", str(data)]) == 1
+    assert f"{data}: test and train share 1 design: scores on one are biased" in capsys.readouterr().out
+
+
+def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
+    hub.publish("me/garments", data)
+    pictures = [tmp_path / "here.png", tmp_path / "there.png"]
+    for what, png in zip([str(data), "me/garments"], pictures, strict=True):
+        assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()

@@ -20,7 +20,8 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
 from gcd_dataset.shards import BodyWriter
-from tests.shards.people import MESH, fake_person, fill, publish, segmentation
+from tests.release.published import publish_people, segmentation
+from tests.shards.people import MESH, fake_person, fill
 
 COUNT = 3
 SEED = 5
@@ -40,13 +41,13 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def published(ours: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same people in the published layout."""
     ds = BodyDataset(ours)
-    return publish(tmp_path_factory.mktemp("published") / "5000", [ds.person(i) for i in range(COUNT)], ds.mesh)
+    return publish_people(tmp_path_factory.mktemp("published") / "5000", [ds.person(i) for i in range(COUNT)], ds.mesh)
 
 
 @pytest.fixture
 def few(tmp_path: Path) -> Path:
     """Two people of four vertices in the published layout."""
-    return publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
+    return publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
 
 
 def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:

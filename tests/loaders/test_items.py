@@ -45,8 +45,9 @@ from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.draping import Apart
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
+from tests.release.published import publish_people
 from tests.shards.folders import fill
-from tests.shards.people import MESH, fake_person, publish
+from tests.shards.people import MESH, fake_person
 from tests.shards.people import fill as people_in_shards
 
 COUNT = 4
@@ -72,7 +73,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture
 def few(tmp_path: Path) -> Path:
     """Two people in the published layout."""
-    return publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
+    return publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
 
 
 def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:

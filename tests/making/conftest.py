@@ -1,12 +1,86 @@
-"""A small published recipe, and its data set."""
+"""Small data sets of generated garments, made in seconds, and one of a small published recipe."""
 
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gcd_dataset import generate_recipe
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.making.progress import Progress
+from gcd_dataset.records import Sample
 from tests.generator.test_recipes import written
+
+CUFFED = MakeConfig(
+    stage="pattern",
+    bodies="both",
+    design=Overlay.from_dict(
+        {
+            "meta": {"upper": "none", "bottom": "Pants"},
+            "pants": {"cuff": {"type": {"options": ["CuffBand"]}, "top_ruffle": 2.0}},
+        }
+    ),
+)
+"""Trousers with narrow cuffs on two bodies; some designs are rejected, since the leg does not fit the cuff."""
+
+COUNT = 23
+"""Samples: eleven designs on two bodies each, and a twelfth on one."""
+
+
+@cache
+def _samples(seed: int, config: MakeConfig, count: int) -> tuple[Sample, ...]:
+    return tuple(produce(seed, range(count), config))
+
+
+def made_once(
+    seed: int, indices: Iterable[int], config: MakeConfig, *, finished: Callable[[Sample], Any], workers: int = 0
+) -> Iterator[Any]:
+    """Replaces ``produce``: the samples are cached, so that a test process makes each once."""
+    for index in indices:
+        yield finished(_samples(seed, config, COUNT)[index])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Path to content of every file, hidden ones included."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def killed(work: Callable[..., Any], *, after: int) -> None:
+    """Run ``work(on_progress=…)`` in a forked process that kills itself after ``after`` progress reports."""
+    child = os.fork()
+    if child == 0:
+        steps = 0
+
+        def report(progress: Progress) -> None:
+            nonlocal steps
+            if steps == after:
+                os.kill(os.getpid(), signal.SIGKILL)
+            steps += 1
+
+        try:
+            work(on_progress=report)
+        finally:
+            os._exit(1)
+    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+
+
+def stopped(work: Callable[..., Any], *, after: int) -> None:
+    """Run ``work(on_progress=…)`` until Ctrl-C after ``after`` samples."""
+
+    def report(progress: Progress) -> None:
+        if progress.made == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work(on_progress=report)
 
 
 @pytest.fixture(scope="module")

@@ -1,23 +1,23 @@
-"""The log of a run: complete JSON lines; log errors never stop the run."""
+"""Progress of a run, and its log: JSON lines; log errors never stop the run."""
 
 import json
 import logging
-import os
-import resource
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from gcd_dataset import generate, generate_people
-from gcd_dataset.cli import main
-from gcd_dataset.errors import GcdError
+from gcd_dataset.cli.bar import postfix
+from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.making import log
-from gcd_dataset.making.progress import Progress, ignore_progress
+from gcd_dataset.making.progress import Pace, Progress, ignore_progress
 from gcd_dataset.shards.layout import recipe_hash
+from gcd_dataset.waits import Wait, Waits
 
 FLAT = MakeConfig(stage="pattern")
 FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}
@@ -32,12 +32,9 @@ def test_a_log_has_begin_progress_and_end(tmp_path: Path, monkeypatch: pytest.Mo
     path = tmp_path / "logs" / "run.jsonl"
     generate(tmp_path / "data", 5, seed=3, config=FLAT, workers=1, log=path)
     begin, *progress, end = lines(path)
-    assert begin["event"] == "begin"
-    assert begin["options"]["seed"] == 3
-    assert begin["options"]["stage"] == "pattern"
-    assert begin["versions"]["numpy"]
-    assert begin["recipe"] == recipe_hash(recipe_of(FLAT))
-    assert begin["machine"]["cores"] >= 1
+    assert (begin["event"], begin["recipe"]) == ("begin", recipe_hash(recipe_of(FLAT)))
+    assert (begin["options"]["seed"], begin["options"]["stage"]) == (3, "pattern")
+    assert begin["versions"]["numpy"] and begin["machine"]["cores"] >= 1
     assert [line["event"] for line in progress] == ["progress"] * 2
     assert [line["made"] for line in progress] == [2, 4]
     assert all(set(line) == {"event", "time"} | FIGURES for line in progress)
@@ -54,7 +51,10 @@ def test_a_run_that_goes_on_appends(tmp_path: Path) -> None:
     assert [line["event"] for line in lines(path)] == ["begin", "end", "begin", "end"]
     assert lines(path)[-1]["there"] == 1
     generate_people(tmp_path / "people", 2, log=path)
-    assert [line["event"] for line in lines(path)[4:]] == ["begin", "end"]
+    with pytest.raises(GcdError):
+        generate(tmp_path / "data", 1, seed=1, config=FLAT, log=path)
+    assert [line["event"] for line in lines(path)[4:]] == ["begin", "end", "begin", "failed"]
+    assert "seed" in lines(path)[-1]["error"]
 
 
 @pytest.mark.parametrize(
@@ -79,63 +79,14 @@ def test_the_last_line_holds_the_reason_why_a_run_ended(
     assert (last["event"], last.get("error")) == (event, logged)
 
 
-def test_faults_of_the_folder_are_logged(tmp_path: Path) -> None:
-    generate(tmp_path / "data", 1, config=FLAT)
-    with pytest.raises(GcdError):
-        generate(tmp_path / "data", 1, seed=1, config=FLAT, log=tmp_path / "run.jsonl")
-    assert "seed" in lines(tmp_path / "run.jsonl")[-1]["error"]
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("milk\nbread", "its last line is not a line of a run log: choose another file"),
-        ("bread", "its last line is not a line of a run log: choose another file"),
-        ('{"members": ["meta.json"]}\n', "its last line is not a line of a run log: choose another file"),
-        ("folder", "choose another name"),
-        ("pipe", "cannot be written"),
-    ],
-)
-def test_a_file_that_is_no_log_is_refused_and_kept(
-    content: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "file"
-    others: dict[str, Callable[[], object]] = {"folder": path.mkdir, "pipe": partial(os.mkfifo, path)}
-    others.get(content, partial(path.write_text, content))()
-    arguments = ["generate", str(tmp_path / "data"), "--count=1", "--stage=pattern", "--quiet"]
-    assert main([*arguments, "--log", str(path)]) == 1
-    assert message in capsys.readouterr().err
-    assert not path.is_file() or path.read_text() == content
-    assert not (tmp_path / "data").exists()
-
-
-def test_a_partial_last_line_is_dropped(tmp_path: Path) -> None:
-    path = tmp_path / "run.jsonl"
-    path.write_text('{"event": "begin", "time": "1"}\n{"event": "progr')
-    generate(tmp_path / "data", 1, config=FLAT, log=path)
-    assert [line["event"] for line in lines(path)] == ["begin", "begin", "end"]
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_a_full_disk_ends_the_log_and_not_the_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "gcd_dataset"):
         assert generate(tmp_path / "data", 2, config=FLAT, log="/dev/full").made == 2
     assert len([record for record in caplog.records if "goes on without its log" in record.message]) == 1
-
-
-def test_a_line_for_which_there_is_half_the_room_is_not_begun(tmp_path: Path) -> None:
-    path = tmp_path / "run.jsonl"
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with log.run_log(path, ignore_progress, options={}, recipe={}) as on_progress:
-        size = path.stat().st_size
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 40, before[1]))
-        try:
-            on_progress(Progress(200, 0, made=100))
-            assert path.stat().st_size == size
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        on_progress(Progress(200, 0, made=200))
-    assert [line["event"] for line in lines(path)] == ["begin", "progress", "end"]
+    with pytest.raises(OutputError, match="choose another name"):
+        generate(tmp_path / "other", 2, config=FLAT, log=tmp_path)
+    assert not (tmp_path / "other").exists()
 
 
 def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
@@ -146,3 +97,40 @@ def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
     ):
         pass
     assert [line["event"] for line in lines(path)] == ["begin", "begin", "end", "end"]
+
+
+# ------------------------------------------------------------------------------------------------------------ progress
+
+
+def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress:
+    """The progress after one sample for each step, given as (seconds, waits)."""
+    clock = SimpleNamespace(now=100.0)
+    pace, progress = Pace(lambda: clock.now), Progress(count, 0)
+    for seconds, waits in steps:
+        clock.now += seconds
+        progress = pace.of(progress.with_made(), waits)
+    assert len(pace._marks) <= 62  # for any number of samples
+    return progress
+
+
+def test_rate_and_waits_are_those_of_the_last_minute() -> None:
+    slow: list[tuple[float, Waits]] = [(1.0, {})] * 200
+    fast: list[tuple[float, Waits]] = [(0.1, {})] * 700
+    progress = paced(slow + fast)
+    assert progress.rate == pytest.approx(10.0)
+    assert progress.left_s == pytest.approx((10_000 - 900) / 10.0)
+    assert paced([(5.0, {})] * 4).rate == pytest.approx(0.2)  # a run of less than a minute
+    assert paced([(1.0, {})] * 3, count=3).left_s == 0.0
+    first = paced([(0.0, {})])
+    assert (first.rate, first.left_s) == (None, None)
+    waiting, busy = {"writer": Wait(1.0, 1.0)}, {"writer": Wait(0.25, 1.0)}
+    assert paced([(1.0, waiting)] * 300 + [(1.0, busy)] * 70).waits == {"writer": pytest.approx(0.25)}
+
+
+def test_the_bar_names_outcomes_waits_and_the_most_frequent_rules() -> None:
+    rejects = Counter({"too_heavy": 7, "short_edge": 3, "sharp_corner": 2, "drape": 1})
+    outcomes = Counter({"SETTLED": 90, "NOT_SETTLED": 2})
+    progress = Progress(100, 0, made=92, rejects=rejects, outcomes=outcomes, waits={"cuda:0": 0.123, "writer": 0.6})
+    assert postfix(progress) == (
+        "not_settled 2, waits: cuda:0 12% writer 60%, rejected 13 (too_heavy 7, short_edge 3, sharp_corner 2, …)"
+    )

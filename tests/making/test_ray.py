@@ -18,7 +18,7 @@ from gcd_dataset.making.ray import code_versions, gpu_share, with_cluster_device
 from gcd_dataset.making.run import Made, Maker
 from gcd_dataset.making.tasks import Task
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.place import Place
 from tests.test_cli import one_line
 
 
@@ -40,16 +40,13 @@ def test_ray_does_not_keep_its_handler_of_sigterm(fake_ray: SimpleNamespace) -> 
         assert signal.getsignal(signal.SIGTERM) == before
 
 
-@pytest.mark.parametrize(("asked", "gpus", "device"), [("auto", 4, "cuda"), ("auto", 0, "cpu"), ("cpu", 4, "cpu")])
-def test_the_cluster_decides_the_device(asked: str, gpus: int, device: str) -> None:
-    config = with_cluster_device(MakeConfig(device=asked), gpus)
-    assert recipe_of(config) == recipe_of(MakeConfig(device=device))
-
-
-@pytest.mark.parametrize(("asked", "message"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
-def test_gpus_that_ray_cannot_give_are_reported(asked: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        with_cluster_device(MakeConfig(device=asked), 0)
+def test_the_cluster_decides_the_device() -> None:
+    for asked, gpus, device in (("auto", 4, "cuda"), ("auto", 0, "cpu"), ("cpu", 4, "cpu")):
+        config = with_cluster_device(MakeConfig(device=asked), gpus)
+        assert recipe_of(config) == recipe_of(MakeConfig(device=device))
+    for asked, message in (("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")):
+        with pytest.raises(ConfigError, match=message):
+            with_cluster_device(MakeConfig(device=asked), 0)
 
 
 def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
@@ -64,51 +61,40 @@ def test_the_tasks_of_a_node_need_all_its_gpus() -> None:
 def node_task(place: Path, maker: Maker, wanted: dict[str, str]) -> None:
     """Make a shard on this node; the driver has the versions ``wanted``."""
     task = Task(Plan("garments", 0, {"stage": "pattern"}, 1, 1), "train", 0, [0])
-    ray._make(FolderPlace(place), task, maker, wanted)
+    ray._make(Place(place), task, maker, wanted)
 
 
-def test_versions_that_differ_are_named_with_both(tmp_path: Path, fake_ray: SimpleNamespace) -> None:
+def test_faults_of_a_node_are_named_with_their_remedy(tmp_path: Path, fake_ray: SimpleNamespace) -> None:
     wanted = code_versions() | {"numpy": "1.0", "other": "2.0"}
     assert len(wanted["sources"]) == 12
-    message = (
-        f"node 10.0.0.7: numpy {versions()['numpy']} instead of 1.0, other missing instead of 2.0: install the same"
-    )
+    message = f"node 10.0.0.7: numpy {versions()['numpy']} instead of 1.0, other missing instead of 2.0: install the"
     with pytest.raises(ConfigError, match=re.escape(message)):
         node_task(tmp_path, lambda wanted: iter(()), wanted)
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [
+    for fault, said in (
         (MemoryError(), "node 10.0.0.7: out of memory: free disk or memory there, or give fewer --workers"),
         (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: free disk or memory there"),
-    ],
-)
-def test_a_fault_of_a_node_is_named_with_its_remedy(
-    fault: Exception, message: str, tmp_path: Path, fake_ray: SimpleNamespace
-) -> None:
-    def maker(wanted: object) -> Iterator[Made]:
-        raise fault
+    ):
 
-    with pytest.raises(OutputError, match=f"{message}.*then give the same command again to continue"):
-        node_task(tmp_path, maker, code_versions())
+        def maker(wanted: object, fault: Exception = fault) -> Iterator[Made]:
+            raise fault
+
+        with pytest.raises(OutputError, match=f"{said}.*then give the same command again to continue"):
+            node_task(tmp_path, maker, code_versions())
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
 def test_an_address_without_a_server_fails_soon(
-    address: str,
     tmp_path: Path,
     fake_ray: SimpleNamespace,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("RAY_ADDRESS", address)
     command = ["generate", str(tmp_path / "out"), "--count", "1", "--stage", "pattern", "--engine", "ray"]
-    assert main(command) == 2
-    message = one_line(capsys.readouterr().err)
-    assert f"RAY_ADDRESS {address}: no Ray cluster answers" in message
-    assert "HOST:PORT" in message
-    assert not (tmp_path / "out").exists()
+    for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"):
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        assert main(command) == 2
+        message = one_line(capsys.readouterr().err)
+        assert f"RAY_ADDRESS {address}: no Ray cluster answers" in message and "HOST:PORT" in message
+        assert not (tmp_path / "out").exists()
 
 
 def test_without_ray_the_extra_is_named(

@@ -1,12 +1,10 @@
 """Data sets of recipes: splits, manifest and making on demand."""
 
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,13 +15,12 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.hub.partition import leaks
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
-from gcd_dataset.making.recipes import LOCK, ensure_recipe
+from gcd_dataset.making.recipes import ensure_recipe
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
-from gcd_dataset.shards.access import locked
-from gcd_dataset.shards.pattern_arrays import stored_patterns
+from gcd_dataset.shards.reader import stored_patterns
 from tests.generator.test_recipes import TINY, written
-from tests.making.real import contents, stopped
+from tests.making.conftest import contents, stopped
 
 
 @pytest.fixture
@@ -52,42 +49,28 @@ def test_no_design_and_no_body_but_the_neutral_one_is_in_two_splits(made: Path, 
     assert not set.intersection(*worn.values())
 
 
-def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> None:
-    manifest = read_manifest(made)
-    assert manifest is not None
-    assert manifest.recipe is not None
-    assert (manifest.recipe.name, manifest.recipe.sha256) == ("tiny", recipe.sha256)
-    assert len(manifest.recipe.patterns) == 64
+def test_the_manifest_names_recipe_and_hash_of_the_patterns(made: Path, recipe: Recipe) -> None:
+    record = (read_manifest(made) or pytest.fail("no manifest")).recipe or pytest.fail("no recipe")
+    assert (record.name, record.sha256, len(record.patterns)) == ("tiny", recipe.sha256, 64)
+    stored = (PatternHash.of(stored_patterns(ShardReader(made, split))) for split in recipe.splits)
+    whole = sum(stored, PatternHash())
+    assert (record.patterns, whole.count) == (whole.text, 20)
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+def test_a_stopped_run_and_jobs_make_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The pattern hashes of the shards add up, whoever made them."""
     stopped(partial(generate_recipe, tmp_path, recipe, workers=0), after=7)
     assert any(
         "no split train: run gcd generate --recipe tiny again" in fault for fault in recipe_faults(tmp_path, recipe)
     )
-    assert generate_recipe(tmp_path, recipe, workers=2).made == 13
+    made_by_jobs = [generate_recipe(tmp_path, recipe, workers=number, job=Job(number, 3)).made for number in (1, 0, 2)]
+    assert sum(made_by_jobs) == 13
     assert contents(tmp_path) == contents(made)
 
 
-def test_jobs_make_the_data_set_of_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
-    """The pattern hashes of the shards add up, whoever made them."""
-    for number in (1, 0, 2):
-        generate_recipe(tmp_path, recipe, workers=0, job=Job(number, 3))
-    assert contents(tmp_path) == contents(made)
-
-
-def test_the_hash_of_the_notes_is_that_of_the_stored_patterns(made: Path, recipe: Recipe) -> None:
-    stored = (PatternHash.of(stored_patterns(ShardReader(made, split))) for split in recipe.splits)
-    whole = sum(stored, PatternHash())
-    record = (read_manifest(made) or pytest.fail("no manifest")).recipe
-    assert record is not None
-    assert (record.patterns, whole.count) == (whole.text, 20)
-
-
-def test_a_complete_data_set_is_not_made_again(copy: Path, recipe: Recipe) -> None:
-    before = contents(copy)
+def test_a_complete_data_set_is_not_made_again(copy: Path, made: Path, recipe: Recipe) -> None:
     assert generate_recipe(copy, recipe).made == 0
-    assert contents(copy) == before
+    assert contents(copy) == contents(made)
 
 
 def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
@@ -121,19 +104,15 @@ def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: 
 def test_a_missing_data_set_is_made_on_demand(
     toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    ds = GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, fields=["panels"])
+    ds = GarmentDataset(f"recipe:{toml}", "test", cache_dir=tmp_path, fields=["panels"])
     assert len(ds) == 6
-    assert f"tiny: making 20 garments in {tmp_path / 'tiny'} takes about" in caplog.text
+    folder = tmp_path / "recipes" / "tiny"
+    assert f"tiny: making 20 garments in {folder}; the next call resumes" in caplog.text
     assert "20/20" in capsys.readouterr().err
     caplog.clear()
-    again = GarmentDataset(f"recipe:{toml}", "train+test", root=tmp_path, fields=["panels"], download=False)
+    again = GarmentDataset(f"recipe:{toml}", "train+test", root=folder.parent, fields=["panels"], download=False)
     assert len(again) == 20
     assert not caplog.text
-
-
-def test_the_data_set_of_a_recipe_is_made_in_the_cache(toml: Path, tmp_path: Path) -> None:
-    GarmentDataset(f"recipe:{toml}", cache_dir=tmp_path, fields=["panels"])
-    assert (tmp_path / "recipes" / "tiny" / "manifest.json").exists()
 
 
 def test_impossible_options_are_reported_before_anything_is_made(toml: Path, tmp_path: Path) -> None:
@@ -156,52 +135,10 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
         GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
 
 
-SCRIPT = """
-import sys
-import gcd_dataset.making.garments as garments
-garments.STARTUP = 0.1  # s: start workers for few samples, too
-from gcd_dataset.loaders import GarmentDataset
-print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
-"""
-
-
-@pytest.fixture
-def program(tmp_path: Path) -> Iterator[Path]:
-    path = tmp_path / "train.py"
-    path.write_text(SCRIPT)
-    yield path
-
-
-def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
-    """Two programs request the data set at the same time; its workers do not import the programs again."""
-    command = [sys.executable, str(program), str(toml), str(tmp_path)]
-    with locked(_folder(tmp_path) / LOCK, "making tiny"):
-        both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-        for process in both:
-            assert process.stderr is not None
-            assert "another process is making tiny there: waiting for it" in process.stderr.readline()
-    ended = [process.communicate(timeout=120) for process in both]
-    assert [out for out, _ in ended] == ["6\n", "6\n"], ended
-    assert sum(": making " in err for _, err in ended) == 1
-
-
-def _folder(root: Path) -> Path:
-    folder = root / "tiny"
-    folder.mkdir()
-    return folder
-
-
-def test_an_interrupted_making_goes_on(
-    recipe: Recipe, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "tiny"
-
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr("gcd_dataset.making.run.gather", interrupted)
+def test_an_interrupted_making_goes_on(recipe: Recipe, made: Path, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("gcd_dataset.making.run.gather", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
-            ensure_recipe(recipe, folder)
-    ensure_recipe(recipe, folder)
-    assert contents(folder) == contents(made)
+            ensure_recipe(recipe, tmp_path)
+    ensure_recipe(recipe, tmp_path)
+    assert contents(tmp_path) == contents(made)

@@ -9,7 +9,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,14 @@ from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.making import garments, store
-from gcd_dataset.making.tasks import parse_job
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.making import garments, run, store
+from gcd_dataset.making.tasks import Work
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.manifest import Plan
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import draft_name
-from tests.making.real import COUNT, CUFFED, contents, killed, made_once, stopped
+from tests.making.conftest import COUNT, CUFFED, contents, killed, made_once, stopped
 from tests.shards.folders import forbidden, public_folder
 
 make = partial(generate, config=CUFFED, workers=0)
@@ -74,16 +76,12 @@ def forked(work: Callable[[], Any]) -> int:
 # ---------------------------------------------------------------------------------------------------------- equal bytes
 
 
-def test_the_files_of_a_data_set(whole: dict[str, bytes]) -> None:
+def test_the_files_of_a_data_set(first: Path, whole: dict[str, bytes]) -> None:
     """Twelve shards of a design each, on two bodies: 23 // 20 samples, rounded up to whole designs."""
     names = {f"train-{number:05d}.{ending}" for number in range(12) for ending in ("tar", "json")}
     assert whole.keys() == names | {"manifest.json", "train.index", "rejects.jsonl"}
-
-
-def test_samples_are_encoded_as_ever(first: Path) -> None:
-    reader = ShardReader(first)
-    for position, sample in enumerate(produce(0, range(4), CUFFED)):
-        assert reader.read(position, reader.layout.members) == encode_sample(sample)
+    split = (read_manifest(first) or pytest.fail("no manifest")).splits["train"]
+    assert hashlib.sha256(whole["train.index"]).hexdigest() == split.index_sha256
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
@@ -100,24 +98,20 @@ def test_workers_change_no_byte(tmp_path: Path, whole: dict[str, bytes], monkeyp
     assert contents(tmp_path) == whole
 
 
-def test_whole_samples_of_a_killed_run_are_not_made_again(tmp_path: Path) -> None:
-    killed(partial(make, tmp_path, COUNT), after=5)
-    again = make(tmp_path, COUNT)
-    assert (again.existing, again.made) == (5, COUNT - 5)
-
-
 def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes]) -> None:
     children = [forked(lambda: make(tmp_path, COUNT)) for _ in range(3)]
     assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
     assert contents(tmp_path) == whole
 
 
-def test_ctrl_c_keeps_finished_shards_and_hides_the_one_in_work(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    stopped(partial(make, tmp_path, COUNT), after=5)
+def test_a_killed_run_and_ctrl_c_keep_whole_samples(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    killed(partial(make, tmp_path, COUNT), after=3)
+    stopped(partial(make, tmp_path, COUNT), after=2)
     found = contents(tmp_path)
     shards = {f"train-0000{number}.{ending}" for number in (0, 1) for ending in ("tar", "json")}
     assert found.keys() == shards | {draft_name("train", 2, COUNT)}
-    assert make(tmp_path, COUNT).made == COUNT - 5
+    again = make(tmp_path, COUNT)
+    assert (again.existing, again.made) == (5, COUNT - 5)
     assert contents(tmp_path) == whole
 
 
@@ -149,7 +143,7 @@ def test_a_read_only_folder_is_reported(first: Path) -> None:
 def test_a_deleted_file_is_made_again(name: str, copy: Path, whole: dict[str, bytes]) -> None:
     (copy / name).unlink()
     make(copy, COUNT)
-    index(FolderPlace(copy))
+    index(Place(copy))
     assert contents(copy) == whole
 
 
@@ -159,10 +153,26 @@ def test_index_twice_is_index_once(copy: Path, whole: dict[str, bytes], capsys: 
     for _ in range(2):
         assert main(["index", str(copy)]) == 0
         assert "train: 23 samples in 12 shards" in capsys.readouterr().out
-    assert {name: data for name, data in contents(copy).items() if not name.endswith(".json")} == {
-        name: data for name, data in whole.items() if not name.endswith(".json")
-    }
+    found = contents(copy)
+    assert {*found.items()} <= {*whole.items(), ("manifest.json", found["manifest.json"])}
     assert len(ShardReader(copy, verify="full")) == COUNT
+
+
+def test_sets_of_bodies_are_made_likewise(tmp_path: Path) -> None:
+    people = partial(generate_people, seed=3, bodies="female", workers=0)
+    people(tmp_path / "whole", 12)
+    for number in (1, 0):
+        people(tmp_path / "jobs", 12, job=Job(number, 2))
+    assert contents(tmp_path / "jobs") == contents(tmp_path / "whole")
+    people(tmp_path / "grown", 5)
+    killed(partial(people, tmp_path / "grown", 12), after=3)
+    assert people(tmp_path / "grown", 12).made == 4
+    for name in ("train.index", "manifest.json"):
+        (tmp_path / "grown" / name).unlink()
+    index(Place(tmp_path / "grown"))
+    assert contents(tmp_path / "grown") == contents(tmp_path / "whole")
+    with pytest.raises(ConfigError, match="bodies='female', asked for bodies='male'"):
+        generate_people(tmp_path / "grown", 12, seed=3, bodies="male")
 
 
 # ------------------------------------------------------------------------------------------------------------- growing
@@ -180,11 +190,6 @@ def test_a_set_grows_to_the_bytes_of_the_larger_one(
         assert (tmp_path / ".earlier" / str(counts[-1]) / "train-00000.tar").exists()
     assert make(tmp_path, COUNT).made == COUNT - counts[-1]
     assert contents(tmp_path) == whole
-
-
-def test_a_set_does_not_shrink(copy: Path) -> None:
-    with pytest.raises(ConfigError, match="a data set of 23 samples, asked for 7: give the same number or more"):
-        make(copy, 7)
 
 
 # -------------------------------------------------------------------------------------------------------------- stores
@@ -261,19 +266,18 @@ def test_another_data_set_is_refused(options: dict[str, Any], message: str, copy
         make(tmp_path / "draft", COUNT, **options)
 
 
-def test_garments_and_bodies_do_not_mix(copy: Path) -> None:
+def test_other_kinds_counts_versions_formats_and_tars_are_refused(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="a data set of 23 samples, asked for 7: give the same number or more"):
+        make(copy, 7)
     with pytest.raises(ConfigError, match="kind='garments', asked for kind='bodies'"):
         generate_people(copy, 3)
-
-
-def test_another_version_is_refused(copy: Path) -> None:
+    shutil.copy(copy / "train-00000.tar", copy / "train-00012.tar")
+    with pytest.raises(ConfigError, match=r"train-00012\.tar: not a shard of this data set: move it elsewhere"):
+        make(copy, COUNT)
     path = copy / "train-00000.json"
     path.write_text(path.read_text().replace('"generator":"', '"generator":"7.'))
     with pytest.raises(ConfigError, match=r"made by gcd_dataset 7\..*: choose another folder, or install 7\."):
         make(copy, COUNT)
-
-
-def test_an_older_format_is_refused(tmp_path: Path) -> None:
     (tmp_path / "index-train.npz").write_bytes(b"")
     with pytest.raises(ConfigError, match="a data set of an earlier version: choose another folder"):
         make(tmp_path, COUNT)
@@ -281,26 +285,10 @@ def test_an_older_format_is_refused(tmp_path: Path) -> None:
         ShardReader(tmp_path)
 
 
-def test_tars_of_others_are_not_taken_for_shards(copy: Path, tmp_path: Path) -> None:
-    shutil.copy(copy / "train-00000.tar", copy / "train-00012.tar")
-    with pytest.raises(ConfigError, match=r"train-00012\.tar: not a shard of this data set: move it elsewhere"):
-        make(copy, COUNT)
-
-
-def test_other_files_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "thesis.tex").write_text("")
-    make(tmp_path, 2)
-    make(tmp_path, 2)
-    assert [record.getMessage() for record in caplog.records] == [
-        f"{tmp_path}: holds other files (thesis.tex), which stay beside the data set: right folder?"
-    ]
-
-
 @pytest.mark.parametrize("text", ["8/8", "-1/8", "1", "a/b", "1/0"])
 def test_a_job_that_is_none_is_wrong_usage(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", str(tmp_path / "out"), "--count", "4", f"--job={text}"]) == 2
     assert "give I/N, such as 0/8" in capsys.readouterr().err
-    assert parse_job("7/8") == (7, 8)
 
 
 # ---------------------------------------------------------------------------------------------------- unfinished sets
@@ -334,7 +322,7 @@ def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, byte
     split = (read_manifest(first) or pytest.fail("no manifest")).splits["train"]
     assert split.rejects == {"tight_cuff": sum(2 if 2 * design + 1 < COUNT else 1 for design, _ in attempts)}
     redraws = Counter[str]()
-    for sample in produce(0, range(COUNT), CUFFED):
+    for sample in made_once(0, range(COUNT), CUFFED, finished=lambda sample: sample):
         redraws.update(sample.provenance.redraws)
     assert split.redraws == redraws
 
@@ -343,8 +331,84 @@ def test_progress_counts_an_attempt_once_for_all_wearers(tmp_path: Path, whole: 
     assert make(tmp_path, COUNT).rejects == {"tight_cuff": len(whole["rejects.jsonl"].splitlines())}
 
 
-def test_the_manifest_names_the_hash_of_every_file(first: Path, whole: dict[str, bytes]) -> None:
-    split = (read_manifest(first) or pytest.fail("no manifest")).splits["train"]
-    assert hashlib.sha256(whole["train.index"]).hexdigest() == split.index_sha256
-    for shard in split.shards:
-        assert hashlib.sha256(whole[shard.name("train")]).hexdigest() == shard.sha256
+# ---------------------------------------------------------------------------------------------- kills at each operation
+
+RENAMES = ("replace", "unlink", "mkdir", "rmdir")
+"""The functions of ``os`` between which the files of a data set change."""
+FLAT = MakeConfig(stage="pattern")
+
+
+@cache
+def encoded(index: int) -> dict[str, bytes]:
+    return encode_sample(fake_sample(0, index))
+
+
+def make_fake(folder: Path, count: int) -> None:
+    """Make garments with pictures, on two bodies each; every third is a failed drape."""
+
+    def maker(wanted: run.Wanted) -> Iterator[run.Made]:
+        for number in (number for _, left in wanted for number in left):
+            yield run.Made(number, encoded(number), failed=number % 3 == 1)
+
+    plan = Plan("garments", 0, {"fake": True}, count, 1)
+    run.run(Work(Place(folder), plan, {"train": range(count)}, 2), maker)
+
+
+def killed_at(work: Callable[[], Any], number: int) -> bool:
+    """Run ``work`` in a forked process that kills itself before its ``number``-th call of ``RENAMES``."""
+    child = os.fork()
+    if child == 0:
+        calls = iter(range(number + 1))
+
+        def counted(function: Callable[..., Any]) -> Callable[..., Any]:
+            def call(*arguments: Any, **options: Any) -> Any:
+                if next(calls, None) == number:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return function(*arguments, **options)
+
+            return call
+
+        try:
+            for name in RENAMES:
+                setattr(os, name, counted(getattr(os, name)))
+            work()
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+@pytest.fixture(scope="module")
+def fakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("whole")
+    make_fake(folder, 5)
+    return contents(folder)
+
+
+@pytest.mark.parametrize("before", [0, 3])
+def test_a_run_killed_anywhere_goes_on_to_the_same_bytes(before: int, tmp_path: Path, fakes: dict[str, bytes]) -> None:
+    """Of a new data set, and of one that grows."""
+    for number in range(1000):
+        folder = tmp_path / str(number)
+        if before:
+            make_fake(folder, before)
+        was_killed = killed_at(lambda folder=folder: make_fake(folder, 5), number)  # type: ignore[misc]
+        make_fake(folder, 5)
+        assert contents(folder) == fakes, f"killed before call {number}"
+        if not was_killed:
+            break
+    assert 30 < number < 999
+
+
+def test_a_stopped_growth_and_lost_notes_are_not_mixed_with_another_data_set(tmp_path: Path) -> None:
+    generate(tmp_path, 3, config=FLAT, workers=0)
+    killed(lambda **options: generate(tmp_path, 5, config=FLAT, workers=0, **options), after=0)
+    assert not list(tmp_path.glob("*.tar"))
+    with pytest.raises(ConfigError, match="made with seed=0, asked for seed=1"):
+        generate(tmp_path, 5, seed=1, config=FLAT, workers=0)
+    with pytest.raises(ConfigError, match="a data set of 3 samples, asked for 2"):
+        generate(tmp_path, 2, config=FLAT, workers=0)
+    generate(tmp_path, 5, config=FLAT, workers=0)
+    for path in tmp_path.glob("*.json"):
+        path.unlink()
+    with pytest.raises(ConfigError, match="made with seed=0, asked for seed=1"):
+        generate(tmp_path, 5, seed=1, config=FLAT, workers=0)

@@ -4,7 +4,7 @@ import atexit
 import json
 import shutil
 import tarfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,9 +13,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import yaml
 
+from gcd_dataset.bodies import POSES, BodyMesh, Person
+from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.exports.published import export_published, exported_splits
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import MEASURES, Measurements, Sample
+from gcd_dataset.records import MEASURES, BodyPart, Measurements, Sample
 from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.shards import ShardWriter
 
@@ -113,3 +115,36 @@ def touch_vertex(sample: Sample) -> Sample:
     vertices = np.array(sample.drape.vertices)
     vertices[-1] = vertices[-2]
     return replace(sample, drape=replace(sample.drape, vertices=vertices))
+
+
+def publish_people(folder: Path, people: Sequence[Person], mesh: BodyMesh) -> Path:
+    """The people in the layout of GarmentCodeData's ``5000_body_shapes_and_measures``, in metres, named by number."""
+    for kind in ("meshes", "measurements", "meta"):
+        (folder / kind).mkdir(parents=True)
+    corners = "".join(f"f {a} {b} {c}\n" for a, b, c in np.asarray(mesh.faces) + 1)
+    for number, person in enumerate(people):
+        for pose in POSES:
+            metres = np.asarray(getattr(person, pose), float) / 100.0
+            text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in metres.tolist())
+            (folder / "meshes" / f"{number:05d}_{pose}.obj").write_text("# OBJ export\n" + text + corners)
+        write_measurements(person.measurements, folder / "measurements" / f"{number:05d}.yaml")
+        meta = {
+            "arm_inclination": float(np.degrees(person.shape.arm_angle)),
+            "pca_weights": person.shape.weights.tolist(),
+        }
+        (folder / "meta" / f"{number:05d}_meta.json").write_text(json.dumps(meta, indent=2))
+    return folder
+
+
+def segmentation(path: Path, mesh: BodyMesh) -> Path:
+    """The mesh's parts as a JSON of vertex ids by GarmentCode's names."""
+    names = {
+        "body": BodyPart.TRUNK, "left_arm": BodyPart.LEFT_ARM, "right_arm": BodyPart.RIGHT_ARM, "head": BodyPart.HEAD,
+        "left_leg": BodyPart.LEFT_LEG, "right_leg": BodyPart.RIGHT_LEG, "hands": BodyPart.HANDS, "feet": BodyPart.FEET,
+        "face_internal": BodyPart.INTERNAL,
+    }  # fmt: skip
+    assert mesh.parts is not None
+    path.write_text(
+        json.dumps({name: np.flatnonzero(mesh.parts == part.value).tolist() for name, part in names.items()})
+    )
+    return path

@@ -1,13 +1,11 @@
-"""People of a few vertices, as body sets and in the published layout."""
+"""People of a few vertices, as body sets."""
 
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from gcd_dataset.bodies import POSES, BodyMesh, Person
-from gcd_dataset.bodyfiles import write_measurements
+from gcd_dataset.bodies import BodyMesh, Person
 from gcd_dataset.records import MEASURES, BodyPart, BodyShape, Measurements
 from gcd_dataset.shards.body_set import BodyWriter
 
@@ -48,36 +46,3 @@ def fill(folder: Path, indices: Iterable[int], *, seed: int = 0, mesh: BodyMesh 
 
 def open_writer(folder: Path, *, seed: int = 0, mesh: BodyMesh = MESH) -> BodyWriter:
     return BodyWriter(folder, mesh, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)
-
-
-def publish(folder: Path, people: Sequence[Person], mesh: BodyMesh) -> Path:
-    """The people in the layout of GarmentCodeData's ``5000_body_shapes_and_measures``, in metres, named by number."""
-    for kind in ("meshes", "measurements", "meta"):
-        (folder / kind).mkdir(parents=True)
-    corners = "".join(f"f {a} {b} {c}\n" for a, b, c in np.asarray(mesh.faces) + 1)
-    for number, person in enumerate(people):
-        for pose in POSES:
-            metres = np.asarray(getattr(person, pose), float) / 100.0
-            text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in metres.tolist())
-            (folder / "meshes" / f"{number:05d}_{pose}.obj").write_text("# OBJ export\n" + text + corners)
-        write_measurements(person.measurements, folder / "measurements" / f"{number:05d}.yaml")
-        meta = {
-            "arm_inclination": float(np.degrees(person.shape.arm_angle)),
-            "pca_weights": person.shape.weights.tolist(),
-        }
-        (folder / "meta" / f"{number:05d}_meta.json").write_text(json.dumps(meta, indent=2))
-    return folder
-
-
-def segmentation(path: Path, mesh: BodyMesh) -> Path:
-    """The mesh's parts as a JSON of vertex ids by GarmentCode's names."""
-    names = {
-        "body": BodyPart.TRUNK, "left_arm": BodyPart.LEFT_ARM, "right_arm": BodyPart.RIGHT_ARM, "head": BodyPart.HEAD,
-        "left_leg": BodyPart.LEFT_LEG, "right_leg": BodyPart.RIGHT_LEG, "hands": BodyPart.HANDS, "feet": BodyPart.FEET,
-        "face_internal": BodyPart.INTERNAL,
-    }  # fmt: skip
-    assert mesh.parts is not None
-    path.write_text(
-        json.dumps({name: np.flatnonzero(mesh.parts == part.value).tolist() for name, part in names.items()})
-    )
-    return path

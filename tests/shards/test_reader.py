@@ -3,22 +3,25 @@
 import multiprocessing
 import os
 import pickle
+import random
 import shutil
+from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gcd_dataset.check.summary import info_lines
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_manifest
+from gcd_dataset.shards import MEMBERS, ShardReader, buffers, encode_sample
 from gcd_dataset.shards import folder as folders
+from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.writer import draft_name
 from tests.shards.folders import fill, forbidden, public_folder
@@ -39,29 +42,17 @@ def flip(folder: Path, sample: int, member: str) -> None:
             path.write_bytes(content)
 
 
-def test_members_are_read_in_any_order(folder: Path) -> None:
-    shards = ShardReader(folder)
+def test_members_are_read_in_any_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shards, real = ShardReader(folder), os.preadv
     for position in np.random.default_rng(0).permutation(10).tolist():
         assert shards.read(position, MEMBERS) == encode_sample(fake_sample(0, position))
-    assert list(shards.read(3, ["verts.z", "mesh.z"])) == ["verts.z", "mesh.z"]
-    assert list(shards.read(3, ["back.jpg", "meta.json"])) == ["back.jpg", "meta.json"]
+    for members in (["verts.z", "mesh.z"], ["back.jpg", "meta.json"]):
+        assert list(shards.read(3, members)) == members
     with pytest.raises(ConfigError, match=r"its samples have no caption\.txt"):
         shards.read(3, ["caption.txt"])
-
-
-def test_the_caller_owns_what_is_read(folder: Path) -> None:
-    shards = ShardReader(folder)
-    shards.read(3, ["verts.z"])["verts.z"][:] = bytes(len(shards.read(3, ["verts.z"])["verts.z"]))
+    shards.read(3, ["verts.z"])["verts.z"][:] = bytes(len(shards.read(3, ["verts.z"])["verts.z"]))  # the caller's own
     assert shards.read(3, ["verts.z"])["verts.z"] == encode_sample(fake_sample(0, 3))["verts.z"]
-
-
-def test_short_reads_are_continued(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = os.preadv
-
-    def some(fd: int, buffers: Sequence[memoryview], place: int) -> int:
-        return real(fd, [buffers[0][:1000]], place)
-
-    monkeypatch.setattr(os, "preadv", some)
+    monkeypatch.setattr(os, "preadv", lambda fd, buffers, place: real(fd, [buffers[0][:1000]], place))  # short reads
     assert ShardReader(folder).read(4, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 
@@ -97,9 +88,7 @@ def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
 
 def test_other_members_are_read_where_pictures_are_missing(folder: Path) -> None:
     shutil.rmtree(folder / "views")
-    message = (
-        r"views/train-00000\.tar: no such file, but manifest\.json lists it: copy it again, or delete train-00000\.t"
-    )
+    message = r"views/train-00000\.tar: no such file, but manifest\.json lists it: copy it again, or delete train-00000"
     assert len(GarmentDataset(folder, fields=["verts"])[[0, 1]]) == 2
     for read in (lambda: ShardReader(folder).read(0, ["front.jpg"]), lambda: GarmentDataset(folder, fields=["front"])):
         with pytest.raises(ShardError, match=message):
@@ -129,6 +118,9 @@ def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
         ShardReader(folder, "test")
     with pytest.raises(ShardError, match="no shards: give a folder made by gcd generate"):
         ShardReader(tmp_path)
+    (tmp_path / draft_name("train", 0, 400)).write_bytes(bytes(512))
+    with pytest.raises(ShardError, match=r"no shard of 400 samples is finished yet: give the command .* again"):
+        ShardReader(tmp_path)
     with pytest.raises(ConfigError, match="verify='sometimes'"):
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
 
@@ -149,6 +141,9 @@ def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
     for position, index in enumerate([1, 3, 7]):
         assert shards.number(position) == index
         assert shards.read(position, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, index))["meta.json"]
+    again = pickle.loads(pickle.dumps(shards.index))  # as its file
+    assert again.to_bytes() == shards.index.to_bytes() == (tmp_path / "train.index").read_bytes()
+    assert again.end.tolist() == shards.index.end.tolist()
 
 
 @pytest.mark.parametrize("verify", ["lazy", "off"])
@@ -166,14 +161,12 @@ def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, mon
     shards = ShardReader(folder)
     expected = [encode_sample(fake_sample(0, position))["verts.z"] for position in range(10)]
     assert shards.read(0, ["verts.z"])["verts.z"] == expected[0]
-    copy = pickle.loads(pickle.dumps(shards))
-    assert copy.read(9, ["verts.z"])["verts.z"] == expected[9]
+    assert pickle.loads(pickle.dumps(shards)).read(9, ["verts.z"])["verts.z"] == expected[9]
     order = np.random.default_rng(1).integers(10, size=200).tolist()
     with ThreadPoolExecutor(4) as pool:
         read = list(pool.map(lambda position: shards.read(position, ["verts.z"])["verts.z"], order))
     assert all(data == expected[position] for position, data in zip(order, read, strict=True))
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as processes:
+    with multiprocessing.get_context("spawn").Pool(1) as processes:
         assert processes.map(shards_length, [shards]) == [(10, len(expected[3]))]
 
 
@@ -181,15 +174,52 @@ def shards_length(shards: ShardReader) -> tuple[int, int]:
     return len(shards), len(shards.read(3, ["verts.z"])["verts.z"])
 
 
-def test_an_index_pickles_as_its_file(folder: Path) -> None:
-    index = ShardReader(folder).index
-    again = pickle.loads(pickle.dumps(index))
-    assert again.to_bytes() == index.to_bytes() == (folder / "train.index").read_bytes()
-    record = (read_manifest(folder) or pytest.fail("no manifest")).splits["train"]
-    assert SplitIndex.from_bytes(index.to_bytes(), record, "train.index").end.tolist() == index.end.tolist()
+# -------------------------------------------------------------------------------------------------------------- buffers
+
+LARGE = 100_000
 
 
-def test_a_data_set_without_a_finished_shard_says_how_it_goes_on(tmp_path: Path) -> None:
-    (tmp_path / draft_name("train", 0, 400)).write_bytes(bytes(512))
-    with pytest.raises(ShardError, match=r"no shard of 400 samples is finished yet: give the command .* again"):
-        ShardReader(tmp_path)
+def marked(number: int, size: int) -> np.ndarray:
+    memory = read_buffer(size)
+    memory[:] = number % 251
+    return memory
+
+
+def test_buffers_and_views_in_use_are_not_shared() -> None:
+    tensor = torch.from_numpy(read_buffer(LARGE)).view(torch.float32)[5:9]
+    tensor.fill_(7.0)
+    chance, held = random.Random(0), dict[int, np.ndarray]()
+    for number in range(2000):
+        held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
+        if len(held) > 20:
+            del held[chance.choice(list(held))]
+        assert all((memory == number % 251).all() for number, memory in list(held.items())[-3:])
+    assert all((memory == number % 251).all() for number, memory in held.items())
+    assert tensor.tolist() == 4 * [7.0]
+
+
+def test_free_buffers_are_reused_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(buffers, "MOST_KEPT", 3 << 17)
+    monkeypatch.setattr(buffers, "_kept", defaultdict(list))
+    memories = [read_buffer(LARGE) for _ in range(9)]
+    places = [memory.ctypes.data for memory in memories]
+    assert len(set(places)) == 9
+    del memories
+    assert [len(kept) for kept in buffers._kept.values()] == [3]
+    again = [read_buffer(LARGE + change) for change in (1, 0, -1)]
+    assert {memory.ctypes.data for memory in again} == set(places[:3])
+
+
+def _sums(sizes: Sequence[int]) -> list[int]:
+    return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
+
+
+def test_threads_and_forked_processes_do_not_share_buffers() -> None:
+    sizes = [LARGE + number for number in range(60)]
+    expected = [number % 251 * size for number, size in enumerate(sizes)]
+    with ThreadPoolExecutor(4) as threads:
+        assert all(sums == expected for sums in threads.map(_sums, 8 * [sizes]))
+    held = marked(9, LARGE)
+    with multiprocessing.get_context("fork").Pool(2) as processes:
+        assert all(sums == expected for sums in processes.map(_sums, 4 * [sizes]))
+    assert (held == 9).all()

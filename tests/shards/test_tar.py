@@ -1,8 +1,13 @@
-"""Our archives, read by other programs and by this package."""
+"""Our archives, read by other programs, with ``gcd_dataset.decode``, and by this package."""
 
 import io
 import json
+import os
+import re
+import subprocess
+import sys
 import tarfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,18 +15,18 @@ from typing import Any
 import datasets
 import numpy as np
 import pytest
+import webdataset as wds
 
+from gcd_dataset import decode
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Grade, NamedFabric, Sample
-from gcd_dataset.shards import MEMBERS, encode_sample
+from gcd_dataset.records import View
+from gcd_dataset.shards import MEMBERS, decode_fields, encode_sample
+from gcd_dataset.shards.body_set import encode_person
 from gcd_dataset.shards.layout import is_picture
-from gcd_dataset.shards.sections import unpack
 from gcd_dataset.shards.tar import BLOCK, END, samples_in, tar_entries, tar_entry
-from gcd_dataset.spec import spec_from_pattern
-from gcd_dataset.tensors import encode_pattern
-from tests.shards.folders import fill
-from tests.shards.real import patterns
+from tests.shards.folders import fake_shard, fill, write_shard, write_tar
+from tests.shards.people import fake_person
 
 MAIN = [member for member in MEMBERS if not is_picture(member)]
 
@@ -42,90 +47,27 @@ def test_tarfile_reads_a_shard(shard: Path) -> None:
         assert file.read() == encode_sample(fake_sample(0, 1))["verts.z"]
 
 
-@pytest.mark.parametrize("size", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 100_000])
-def test_entries_of_any_size_are_read_back(tmp_path: Path, size: int) -> None:
-    archive = tar_entry("first", b"x" * size) + tar_entry("second", b"yy") + bytes(END)
-    (tmp_path / "a.tar").write_bytes(archive)
-    with (tmp_path / "a.tar").open("rb") as file:
-        entries = list(tar_entries(file.fileno()))
-        assert [(entry.name, entry.size) for entry in entries] == [("first", size), ("second", 2)]
-        assert archive[entries[1].offset :][:2] == b"yy"
-    with tarfile.open(fileobj=io.BytesIO(archive)) as read:
-        assert [member.size for member in read] == [size, 2]
+def test_entries_of_any_size_are_read_back_and_damage_is_reported_with_its_offset(tmp_path: Path) -> None:
+    def entries_of(archive: bytes) -> list[tuple[str, int, int]]:
+        (tmp_path / "a.tar").write_bytes(archive)
+        with (tmp_path / "a.tar").open("rb") as file:
+            return list(tar_entries(file.fileno()))
 
-
-def test_damage_is_reported_with_its_offset(tmp_path: Path) -> None:
-    archive = bytearray(tar_entry("first", b"x") + tar_entry("second", b"yy"))
-    archive[BLOCK * 2 + 3] ^= 1
-    (tmp_path / "a.tar").write_bytes(archive)
-    with (tmp_path / "a.tar").open("rb") as file, pytest.raises(ShardError, match="no tar header at byte 1024"):
-        list(tar_entries(file.fileno()))
-    (tmp_path / "b.tar").write_bytes(tar_entry("first", b"x" * 2000)[:1500])
-    with (tmp_path / "b.tar").open("rb") as file, pytest.raises(ShardError, match="first is cut off at byte 1500"):
-        list(tar_entries(file.fileno()))
-
-
-def test_names_too_long_for_a_header_are_refused() -> None:
+    for size in (0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 100_000):
+        archive = tar_entry("first", b"x" * size) + tar_entry("second", b"yy") + bytes(END)
+        first, second = entries_of(archive)
+        assert (first[0], first[2], second[0], second[2]) == ("first", size, "second", 2)
+        assert archive[second[1] :][:2] == b"yy"
+        with tarfile.open(fileobj=io.BytesIO(archive)) as read:
+            assert [member.size for member in read] == [size, 2]
+    damaged = bytearray(tar_entry("first", b"x") + tar_entry("second", b"yy"))
+    damaged[BLOCK * 2 + 3] ^= 1
+    with pytest.raises(ShardError, match="no tar header at byte 1024"):
+        entries_of(bytes(damaged))
+    with pytest.raises(ShardError, match="first is cut off at byte 1500"):
+        entries_of(tar_entry("first", b"x" * 2000)[:1500])
     with pytest.raises(ShardError, match="do not fit into a tar header"):
         tar_entry("x" * 101, b"")
-
-
-def barest_first() -> list[Sample]:
-    """Real garments: the first five with as many missing values as possible, the others with all values."""
-    bare = sorted(patterns(16), key=lambda sample: len(sample.pattern.panels))
-    rich = [
-        replace(
-            sample,
-            provenance=replace(
-                sample.provenance,
-                attempts=3,
-                rejects=("self_crossing: sleeve", "drape: not_settled"),
-                turned_down=(),
-                redraws={"too_long": 2, "narrow": 1},
-                recipe={**sample.provenance.recipe, "design": {"meta": {"bottom": ["Pants", None, 1.5]}}},
-                source="GarmentCodeData_v2/garments_5000_0/default_body/rand_0",
-            ),
-            measurements=replace(sample.measurements, bust=np.nan),
-            grade=Grade.CLEAN,
-            fabric=NamedFabric("denim", {"density": 0.4, "tensile": [90.0, 80.0, 30.0]}),
-            gathers=tuple(1.5 for _ in sample.pattern.seams),
-            tags=("dress", "long"),
-        )
-        for sample in bare[8:]
-    ]
-    return [replace(sample, gathers=(), tags=()) for sample in bare[:5]] + rich
-
-
-def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:
-    options = {"data_files": {"train": str(shard)}, "split": "train", "cache_dir": str(cache)}
-    return list(datasets.load_dataset("webdataset", streaming=streaming, **options))
-
-
-@pytest.mark.parametrize("streaming", [False, True])
-def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: bool) -> None:
-    """``datasets`` infers types from the first five samples."""
-    samples = barest_first()
-    entries = [
-        tar_entry(f"{sample.key}.{member}", data)
-        for sample in samples
-        for member, data in encode_sample(sample).items()
-    ]
-    (tmp_path / "train-00000.tar").write_bytes(b"".join([*entries, bytes(END)]))
-    rows = loaded(tmp_path / "train-00000.tar", tmp_path / "cache", streaming)
-    assert [row["__key__"] for row in rows] == [sample.key for sample in samples]
-    for row, sample in zip(rows, samples, strict=True):
-        assert isinstance(row["spec.txt"], str)
-        assert json.loads(row["spec.txt"]) == json.loads(json.dumps(spec_from_pattern(sample.pattern)))
-        assert json.loads(row["design.txt"]) == dict(sample.design)
-        assert row["meta.json"]["index"] == sample.provenance.index
-        assert json.loads(row["meta.json"]["recipe"]) == dict(sample.provenance.recipe)
-        rejects = [f"{entry['rule']}: {entry['reason']}" for entry in row["meta.json"]["rejects"] if entry["rule"]]
-        assert rejects == list(sample.provenance.rejects)
-        assert row["measures.json"]["waist"] == sample.measurements.to_file_values()["waist"]
-        assert np.array_equal(unpack(row["pattern.z"])["panels"], encode_pattern(sample.pattern).panels)
-    assert rows[-1]["meta.json"]["grade"] == "clean"
-    assert rows[-1]["meta.json"]["redraws"] == [{"rule": "too_long", "count": 2}, {"rule": "narrow", "count": 1}]
-    assert (rows[-1]["measures.json"]["bust"], rows[0]["meta.json"]["tags"]) == (-1.0, [""])
 
 
 def test_samples_of_an_archive_in_memory_are_found(shard: Path) -> None:
@@ -137,3 +79,109 @@ def test_samples_of_an_archive_in_memory_are_found(shard: Path) -> None:
     for damaged, message in ((content[:3000], "is cut off"), (again, "occurs twice")):
         with pytest.raises(ShardError, match=message):
             list(samples_in(damaged))
+
+
+# --------------------------------------------------------------------------------------------------------------- decode
+
+# webdataset closes no tar.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+COUNT = 3
+ARRAYS = {
+    "panels", "edges", "stitches", "body", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box",
+    "verts", "points",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def tars(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A shard, and the tar of its pictures."""
+    return fake_shard(tmp_path_factory.mktemp("tars"), COUNT)
+
+
+def assert_arrays(found: Mapping[str, Any], index: int) -> None:
+    for name, array in decode_fields(encode_sample(fake_sample(0, index)), ARRAYS).items():
+        assert np.array_equal(found[name], array), name
+
+
+def test_webdataset_decodes_members_and_maps_whole_samples(tars: tuple[Path, Path]) -> None:
+    tar = wds.WebDataset(str(tars[0]), shardshuffle=False)
+    for index, (sample, whole) in enumerate(zip(tar.decode(decode), list(tar.map(decode)), strict=True)):
+        found = {name: array for member in sample if member.endswith(".z") for name, array in sample[member].items()}
+        assert found.keys() == ARRAYS - {"box"}
+        assert_arrays({**found, "box": whole["box"]}, index)
+        assert sample["__key__"] == whole["__key__"] == f"gcd_{index:09d}"
+        assert sample["meta.json"]["index"] == index
+        assert sample["design.txt"] == fake_sample(0, index).design
+        assert sample["measures.json"] == fake_sample(0, index).measurements.to_file_values()
+        assert whole.keys() == ARRAYS | {"meta", "spec", "design", "measures", "__key__"}
+        assert_arrays(whole, index)
+    assert next(iter(tar.decode(decode).map(decode))).keys() == whole.keys() - {"box"}
+
+
+def test_pictures_are_left_to_webdataset(tmp_path: Path) -> None:
+    sample = fake_sample(0, 0)
+    view = View(sample.front or b"", {"camera": {"size": [16, 16]}})
+    tars = write_shard(tmp_path, [replace(sample, caption="a skirt", views=(view,))])
+    (pictures,) = wds.WebDataset(str(tars[1]), shardshuffle=False).decode(decode, "rgb8")
+    assert pictures["front.jpg"].shape == pictures["view_0.jpg"].shape == (16, 16, 3)
+    assert pictures["view_0.json"] == view.facts
+    (item,) = wds.WebDataset(str(tars[0]), shardshuffle=False).map(decode)
+    assert item["caption"] == "a skirt"
+    assert decode(".front.jpg", sample.front or b"") is None
+    assert decode({"front.jpg": sample.front}) == {}
+
+
+@pytest.mark.parametrize("streaming", [True, False])
+def test_datasets_maps_whole_samples(tars: tuple[Path, Path], tmp_path: Path, streaming: bool) -> None:
+
+    def rows(path: Path) -> Any:
+        given = {"data_files": str(path), "streaming": streaming, "cache_dir": str(tmp_path), "split": "train"}
+        return datasets.load_dataset("webdataset", **given)
+
+    items = rows(tars[0]).map(decode, remove_columns=rows(tars[0]).column_names)
+    for index, item in enumerate(items):
+        assert item.keys() == ARRAYS | {"meta", "spec", "design", "measures"}
+        assert_arrays(item, index)
+        assert item["meta"]["index"] == index
+        assert json.loads(item["design"]) == fake_sample(0, index).design  # a text: its keys differ between samples
+    pictures = next(iter(rows(tars[1]).map(decode)))
+    assert pictures["front.jpg"].size == (16, 16)
+
+
+def test_people_are_decoded(tmp_path: Path) -> None:
+    origin = {"index": 3, "seed": 0, "recipe": {}, "versions": {}}
+    tar = write_tar(tmp_path / "people.tar", {"gcd_000000003": encode_person(fake_person(3), origin)})
+    (person,) = wds.WebDataset(str(tar), shardshuffle=False).map(decode)
+    assert person["meta"]["name"] == "fake:3"
+    assert np.abs(person["apart"] - fake_person(3).apart).max() < 1e-3
+
+
+def test_a_damaged_member_is_named() -> None:
+    members = encode_sample(fake_sample(0, 0))
+    damaged = bytearray(members["verts.z"])
+    damaged[-1] ^= 1
+    with pytest.raises(ShardError, match=r"member verts\.z: not a whole frame"):
+        decode(".verts.z", bytes(damaged))
+    with pytest.raises(ShardError, match=r"member verts\.z"):
+        decode({**members, "verts.z": bytes(damaged)})
+    with pytest.raises(ShardError, match=r"member future\.z: not a whole frame"):
+        decode(".future.z", b"abc")
+
+
+def test_the_examples_of_the_documentation_run_and_the_face_imports_neither_torch_nor_warp(tmp_path: Path) -> None:
+    def run(code: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False
+        )
+
+    code = "import sys, gcd_dataset; gcd_dataset.decode; sys.exit(any(n in sys.modules for n in ('torch', 'warp')))"
+    assert run(code).returncode == 0
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text()
+    for number in range(20):
+        write_shard(tmp_path / "garments", [fake_sample(0, number)], number)
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        done = run(block)
+        assert done.stdout.count("gcd_0000000") == 20, done.stderr

@@ -14,11 +14,12 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample, read_manifest
+from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.access import lock_file, unlock
 from gcd_dataset.shards.layout import is_picture, recipe_hash
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.notes import gather
-from gcd_dataset.shards.place import FolderPlace
+from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, shard_size_of
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
@@ -29,35 +30,23 @@ def whole(tmp_path: Path) -> Path:
     return fill(tmp_path / "whole", range(10))
 
 
-def test_members_lie_in_two_tars(whole: Path) -> None:
+def test_members_lie_in_two_tars_that_the_manifest_lists(whole: Path, tmp_path: Path) -> None:
     reader = ShardReader(whole)
+    assert reader.record.plan == Plan("garments", 0, RECIPE, 10, SHARD_SIZE)
     assert [shard.count for shard in reader.record.shards] == [4, 4, 2]
     for position in range(10):
         assert reader.read(position, reader.layout.members) == encode_sample(fake_sample(0, position))
     assert [member for member in reader.layout.members if is_picture(member)] == ["front.jpg", "back.jpg"]
-    pictures = (whole / "views" / "train-00000.tar").read_bytes()
-    assert b"front.jpg" in pictures
-    assert b"front.jpg" not in (whole / "train-00000.tar").read_bytes().replace(b'"front.jpg"', b"")
-
-
-def test_a_set_without_pictures_has_no_folder_of_views(tmp_path: Path) -> None:
+    for shard in reader.record.shards:
+        main, views = ((whole / shard.name("train", views=views)).read_bytes() for views in (False, True))
+        assert b"front.jpg" in views and b"front.jpg" not in main.replace(b'"front.jpg"', b"")
+        assert (shard.size, shard.sha256) == (len(main), hashlib.sha256(main).hexdigest())
+        assert (shard.views_size, shard.views_sha256) == (len(views), hashlib.sha256(views).hexdigest())
     members = {name: data for name, data in encode_sample(fake_sample(0, 0)).items() if not is_picture(name)}
-    with open_writer(tmp_path) as writer:
+    with open_writer(tmp_path / "bare") as writer:
         writer.add(0, members)
-    assert not (tmp_path / "views").exists()
-    assert ShardReader(tmp_path).read(0, members) == members
-
-
-def test_the_manifest_lists_each_file_with_its_hash(whole: Path) -> None:
-    split = (read_manifest(whole) or pytest.fail("no manifest")).splits["train"]
-    assert split.plan == Plan("garments", 0, RECIPE, 10, SHARD_SIZE)
-    for shard in split.shards:
-        for name, size, sha256 in (
-            (shard.name("train"), shard.size, shard.sha256),
-            (shard.views_name("train"), shard.views_size, shard.views_sha256),
-        ):
-            content = (whole / name).read_bytes()
-            assert (size, sha256) == (len(content), hashlib.sha256(content).hexdigest())
+    assert not (tmp_path / "bare" / "views").exists()
+    assert ShardReader(tmp_path / "bare").read(0, members) == members
 
 
 def test_samples_ascend_and_splits_are_new(whole: Path, tmp_path: Path) -> None:
@@ -95,8 +84,8 @@ def test_samples_have_the_same_members(tmp_path: Path) -> None:
             writer.add(7, encode_sample(fake_sample(0, 1)))
 
 
-def test_an_error_leaves_nothing(tmp_path: Path, whole: Path) -> None:
-    """Neither between two samples, nor before the second of three shards gets its name: then equal bytes."""
+def test_nothing_stays_of_an_error_and_a_kill_is_no_hindrance(tmp_path: Path, whole: Path) -> None:
+    """Between two samples, and before the second of three shards gets its name: then equal bytes."""
     folder = tmp_path / "new"
     with pytest.raises(KeyboardInterrupt), open_writer(folder) as writer:
         for index in range(6):
@@ -106,33 +95,28 @@ def test_an_error_leaves_nothing(tmp_path: Path, whole: Path) -> None:
     with no_name(1), pytest.raises(KeyboardInterrupt):
         fill(folder, range(10))
     assert not contents(folder)
+    if (child := os.fork()) == 0:
+        writer = open_writer(folder)
+        for index in range(6):
+            writer.write(fake_sample(0, index))
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
     assert contents(fill(folder, range(10))) == contents(whole)
 
 
 @contextlib.contextmanager
 def no_name(number: int) -> Iterator[None]:
     """Stop the process before a shard gets its name."""
-    put = FolderPlace.put
+    put = Place.put
 
-    def refused(place: FolderPlace, path: Path, name: str) -> None:
+    def refused(place: Place, path: Path, name: str) -> None:
         if name == f"train-{number:05d}.tar":
             raise KeyboardInterrupt
         put(place, path, name)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(FolderPlace, "put", refused)
+        patched.setattr(Place, "put", refused)
         yield
-
-
-def test_a_killed_writer_is_no_hindrance(tmp_path: Path, whole: Path) -> None:
-    child = os.fork()
-    if child == 0:
-        writer = open_writer(tmp_path / "killed")
-        for index in range(6):
-            writer.write(fake_sample(0, index))
-        os.kill(os.getpid(), signal.SIGKILL)
-    os.waitpid(child, 0)
-    assert contents(fill(tmp_path / "killed", range(10))) == contents(whole)
 
 
 def test_a_set_of_fewer_samples_than_planned_is_unfinished(tmp_path: Path) -> None:
@@ -167,9 +151,8 @@ def test_counts_of_rules_add_up(tmp_path: Path) -> None:
     with ShardWriter(tmp_path, seed=0, recipe=RECIPE, shard_size=2) as writer:
         for index, (rejects, redrawn) in enumerate(zip(reasons, redraws, strict=True)):
             sample = fake_sample(0, index)
-            made = replace(sample.provenance, rejects=rejects, redraws=redrawn)
-            writer.write(replace(sample, provenance=made))
-    split = (read_manifest(tmp_path) or pytest.fail("no manifest")).splits["train"]
+            writer.write(replace(sample, provenance=replace(sample.provenance, rejects=rejects, redraws=redrawn)))
+    split = ShardReader(tmp_path).record
     assert list(split.rejects.items()) == [("too_long", 3), ("self_crossing", 1)]
     assert list(split.redraws.items()) == [("self_crossing", 5), ("tight_cuff", 3)]
 
@@ -179,8 +162,7 @@ def test_recipes_with_4_and_4_0_are_equal() -> None:
     plans[0].require_same(plans[1], "here")
     with pytest.raises(ConfigError, match=r"here: made with nested=.*, asked for nested=True"):
         plans[0].require_same(replace(plans[0], recipe={"spacing": 4, "nested": True}), "here")
-    assert recipe_hash({"n": 1}) != recipe_hash({"n": True})
-    assert recipe_hash({"n": 1}) != recipe_hash({"n": 1.5})
+    assert len({recipe_hash({"n": value}) for value in (1, True, 1.5)}) == 3
 
 
 # -------------------------------------------------------------------------------------------------------------- drafts
@@ -190,7 +172,7 @@ PLAN = Plan("garments", 0, fake_sample(0, 0).provenance.recipe, 10, SHARD_SIZE)
 
 
 def draft(folder: Path, *, wait: bool = False) -> Draft | None:
-    return Draft.open(FolderPlace(folder), PLAN, "train", 0, INDICES, wait=wait)
+    return Draft.open(Place(folder), PLAN, "train", 0, INDICES, wait=wait)
 
 
 def own_draft(folder: Path) -> Draft:
@@ -263,6 +245,21 @@ def test_skipped_samples_are_noted(tmp_path: Path) -> None:
         opened.finish()
     note = json.loads((tmp_path / "train-00000.json").read_text())
     assert note["skipped"] == {"1": "unreadable", "2": "unreadable", "3": "unreadable"}
-    manifest = gather(FolderPlace(tmp_path)).manifest
-    assert manifest.splits["train"].skipped == 3
-    assert manifest.missing("train") == (4, 10)
+    manifest = gather(Place(tmp_path)).manifest
+    assert (manifest.splits["train"].skipped, manifest.missing("train")) == (3, (4, 10))
+
+
+def test_a_forked_child_does_not_keep_the_lock(tmp_path: Path) -> None:
+    """A worker, forked by a process that holds the lock, outlives it."""
+    held = lock_file(tmp_path / ".lock", wait=False) or pytest.fail("locked")
+    ended, end = os.pipe()
+    if (child := os.fork()) == 0:
+        os.close(end)
+        os.read(ended, 1)
+        os._exit(0)
+    assert lock_file(tmp_path / ".lock", wait=False) is None
+    unlock(held)
+    unlock(lock_file(tmp_path / ".lock", wait=False) or pytest.fail("locked"))
+    for pipe in (end, ended):
+        os.close(pipe)
+    os.waitpid(child, 0)

@@ -10,8 +10,11 @@ from gcd_dataset.shards import ShardReader
 from gcd_dataset.viewer import garments as albums
 from gcd_dataset.viewer.garments import ShardAlbum
 from gcd_dataset.viewer.server import Gallery
+from tests.hub import conftest
+from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub
-from tests.hub.sets import COUNT
+
+commit, folder, hub, no_long_waits = conftest.commit, conftest.folder, conftest.hub, conftest.no_long_waits
 
 
 def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
@@ -19,34 +22,25 @@ def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
     return ShardAlbum(ShardReader(store), "org/garments", tmp_path / "cache")
 
 
-def test_the_first_page_requests_no_more_than_its_garment_and_a_part_of_the_tags(
+def test_tags_are_requested_in_parts_on_demand_and_kept(
     hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The first page requests no more than its garment and a part of the tags."""
     monkeypatch.setattr(albums, "REQUESTED", 4)
     album = opened(hub, tmp_path)
-    assert album.facets().outcomes == {"settled": COUNT}
+    assert album.waits and album.facets().outcomes == {"settled": COUNT}
     assert not hub.asked(r"\.tar")
     gallery = Gallery(album)  # makes the first page in a thread
     gallery.get("/garment", {"position": "9"})
     gallery._tag_reader.shutdown(wait=True)
-    assert album.known == 4
-    gallery.close()
-
-
-def test_more_tags_are_requested_on_demand_and_kept(
-    hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(albums, "REQUESTED", 4)
-    album = opened(hub, tmp_path)
-    assert album.waits
     for known in (4, 8, COUNT):
-        album.read_tags()
         assert album.known == known
+        album.read_tags()
+    gallery.close()
     hub.log.clear()
     again = opened(hub, tmp_path)
     again.read_tags()
-    assert again.known == COUNT
-    assert not hub.asked(r"\.tar")
+    assert again.known == COUNT and not hub.asked(r"\.tar")
 
 
 def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_path: Path) -> None:

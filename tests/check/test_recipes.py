@@ -13,6 +13,9 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.shards.manifest import RecipeRecord
 from tests.generator.test_recipes import TINY, written
+from tests.making import conftest
+
+made, recipe, toml = conftest.made, conftest.recipe, conftest.toml
 
 
 @pytest.fixture
@@ -20,11 +23,8 @@ def copy(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "copy"))
 
 
-def test_a_folder_is_the_data_set_of_its_recipe(made: Path, recipe: Recipe) -> None:
+def test_the_data_set_of_a_recipe_and_of_another(made: Path, recipe: Recipe, tmp_path: Path) -> None:
     assert not list(recipe_faults(made, recipe))
-
-
-def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
     other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
     (message,) = recipe_faults(made, other)
     assert "names recipe tiny" in message
@@ -113,21 +113,14 @@ def test_the_command_line_makes_describes_and_verifies(
     assert "names recipe tiny" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("given", "option"),
-    [("--count 5", "count"), ("--seed 0", "seed"), ("--resolution 2", "resolution"), ("--stage body", "stage")],
-)
-def test_options_that_a_recipe_gives_are_refused(
-    given: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["generate", str(tmp_path / "a"), "--recipe", "smoke-64-draft", *given.split()]) == 2
-    assert f"--{option} is fixed by the recipe: leave it out" in capsys.readouterr().err
-    assert not (tmp_path / "a").exists()
-
-
-def test_without_count_and_recipe_there_is_nothing_to_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["generate", str(tmp_path / "a")]) == 2
+def test_options_that_a_recipe_gives_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "a")
+    for given in ("--count 5", "--seed 0", "--resolution 2", "--stage body"):
+        assert main(["generate", out, "--recipe", "smoke-64-draft", *given.split()]) == 2
+        assert f"{given.split()[0]} is fixed by the recipe: leave it out" in capsys.readouterr().err
+    assert main(["generate", out]) == 2
     assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
 
 
 def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:

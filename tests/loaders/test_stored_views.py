@@ -19,9 +19,8 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.views import MISSING_VIEW
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.loaders.generated import SampleCache
 from gcd_dataset.records import Sample, View
-from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.layout import garments_layout
 
 RECIPE = {"fake": True}
@@ -67,33 +66,17 @@ def test_all_views_are_one_field(tmp_path: Path, streaming: bool) -> None:
         assert torch.equal(ds[1:][0]["views"], ds[1]["views"])
 
 
-def test_views_of_different_sizes_are_read_one_by_one(tmp_path: Path) -> None:
-    folder = write(tmp_path, [viewed(0, (16, 24))])
+def test_views_that_are_no_array_are_reported(tmp_path: Path) -> None:
+    folder = write(tmp_path / "sizes", [viewed(0, (16, 24))])
     with pytest.raises(ShardError, match="views have the sizes 16 x 16, 24 x 24, and one array needs equal sizes"):
         GarmentDataset(folder, fields=["views"])[0]
     item: Any = GarmentDataset(folder, fields=["view_1"])[0]
     assert item["view_1"].shape == (3, 24, 24)
-
-
-def test_views_without_a_camera_name_the_member(tmp_path: Path) -> None:
     sample = replace(fake_sample(0, 0), views=(View(jpeg(1), {"fov": 40.0}),))
     with pytest.raises(ShardError, match=r"sample gcd_000000000.*view_0\.json: no camera matrix k"):
-        GarmentDataset(write(tmp_path, [sample]), fields=["camera_k"])[0]
-
-
-def test_a_data_set_without_views_says_so(tmp_path: Path) -> None:
-    with ShardWriter(tmp_path, seed=0, recipe=RECIPE) as writer:
-        writer.write(fake_sample(0, 0))
+        GarmentDataset(write(tmp_path / "camera", [sample]), fields=["camera_k"])[0]
     with pytest.raises(ConfigError, match="no field views"):
-        GarmentDataset(tmp_path, fields=["views"])
-
-
-def test_a_cache_keeps_views(tmp_path: Path) -> None:
-    for index in range(2):
-        SampleCache(tmp_path).keep(index, encode_sample(viewed(index)))
-        read = SampleCache(tmp_path).read(index)
-        assert read is not None
-        assert {name: bytes(data) for name, data in read.items()} == encode_sample(viewed(index))
+        GarmentDataset(write(tmp_path / "none", [fake_sample(0, 0)]), fields=["views"])
 
 
 def test_options_of_views_leave_other_recipes_alone() -> None:
