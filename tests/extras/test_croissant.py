@@ -1,15 +1,20 @@
-"""The Croissant description of a published data set, read by MLCommons' own library."""
+"""A published data set, read by the library of the Hub, and its Croissant description by that of MLCommons."""
 
+import hashlib
+import json
 import logging
 import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import datasets
 import pytest
 
 from gcd_dataset.hub.publish import Staged, stage
-from tests.hub.test_publish import put, sample
+from gcd_dataset.shards import ShardReader
+from tests.hub.test_publish import SHARES, put, sample
 
 MISSING = {"citeAs", "datePublished"}
 """Recommended properties that an unpublished data set lacks."""
@@ -30,8 +35,36 @@ def mlc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
 @pytest.fixture(scope="module")
 def staged(tmp_path_factory: pytest.TempPathFactory) -> Staged:
     folder = tmp_path_factory.mktemp("published")
-    made = put(folder / "made", (sample(i, design=i) for i in range(12)))
-    return stage(made, "org/new-set", folder / "up", license="cc-by-4.0", endpoint="https://hub.example")
+    made = put(folder / "made", (sample(i, design=i) for i in range(40)))
+    return stage(made, "org/new-set", folder / "up", shares=SHARES, license="cc-by-4.0", endpoint="https://hub.example")
+
+
+def test_the_library_of_the_hub_loads_every_configuration_and_the_preview(staged: Staged, tmp_path: Path) -> None:
+    for name, member in (("default", "verts.z"), ("views", "front.jpg")):
+        splits: Any = datasets.load_dataset(str(staged.folder), name, streaming=True, cache_dir=str(tmp_path))
+        assert [split for split, samples in splits.items() if member in next(iter(samples))] == list(SHARES)
+    table: Any = datasets.Dataset.from_parquet(str(staged.folder / "preview.parquet"), cache_dir=str(tmp_path))
+    reader = ShardReader(staged.folder, "train")
+    assert len(table) == min(100, len(reader))
+    assert table.features["front"] == datasets.Image()
+    assert table[3]["key"] == reader.key(3)
+    assert table[3]["front"].size == (16, 16)
+    assert json.loads(table[3]["design"]) == reader.sample(3).design
+
+
+def test_croissant_lists_the_hash_of_every_file(staged: Staged) -> None:
+    entry = json.loads((staged.folder / "croissant.json").read_text())
+    assert entry["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    objects = {thing["@id"]: thing for thing in entry["distribution"]}
+    files = {name: thing for name, thing in objects.items() if thing["@type"] == "cr:FileObject"}
+    assert files.keys() == staged.files.keys() - {"README.md", "croissant.json"}
+    for name, thing in files.items():
+        assert thing["sha256"] == hashlib.sha256((staged.folder / name).read_bytes()).hexdigest()
+        assert thing["contentUrl"] == f"https://hub.example/datasets/org/new-set/resolve/main/{name}"
+    for thing in objects.values():
+        assert all(inside["@id"] in files for inside in thing.get("containedIn", ()))
+    sources = [field["source"]["fileSet"]["@id"] for records in entry["recordSet"] for field in records["field"]]
+    assert all(objects[source]["@type"] == "cr:FileSet" for source in sources)
 
 
 def test_the_description_is_valid_croissant(mlc: ModuleType, staged: Staged, caplog: pytest.LogCaptureFixture) -> None:

@@ -16,7 +16,7 @@ ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras"
 from gcd_dataset import Progress, generate  # noqa: E402
 from gcd_dataset.cli import main  # noqa: E402
 from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
-from tests.making.conftest import contents  # noqa: E402
+from tests.shards.folders import contents  # noqa: E402
 from tests.test_cli import one_line  # noqa: E402
 
 pytestmark = [

@@ -3,6 +3,8 @@
 import contextlib
 import functools
 import json
+import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,6 +22,7 @@ from gcd_dataset.hub import fetch
 from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote, RemoteStore
 from gcd_dataset.hub.source import Url
+from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.recipes import LOCK
 from gcd_dataset.records import Grade, NamedFabric, Sample
 from gcd_dataset.shards import encode_sample
@@ -32,7 +35,7 @@ from tests.hub import conftest
 from tests.hub.conftest import ensure, read
 from tests.hub.server import Fault, Hub, Server, read_folder
 from tests.making import conftest as recipes
-from tests.shards.folders import patterns, write_tar
+from tests.shards.folders import patterns, write_shard, write_tar
 
 folder, no_long_waits, hub, commit = conftest.folder, conftest.no_long_waits, conftest.hub, conftest.commit
 toml = recipes.toml
@@ -260,3 +263,21 @@ def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, tmp_path: Pa
     ended = [process.communicate(timeout=120) for process in both]
     assert [out for out, _ in ended] == ["6\n", "6\n"], ended
     assert sum(": making " in err for _, err in ended) == 1
+
+
+def test_the_examples_of_the_documentation_run(tmp_path: Path) -> None:
+    def run(code: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False
+        )
+
+    code = "import sys, gcd_dataset; gcd_dataset.decode; sys.exit(any(n in sys.modules for n in ('torch', 'warp')))"
+    assert run(code).returncode == 0
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text()
+    for number in range(20):
+        write_shard(tmp_path / "garments", [fake_sample(0, number)], number)
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        done = run(block)
+        assert done.stdout.count("gcd_0000000") == 20, done.stderr

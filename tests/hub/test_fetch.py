@@ -83,9 +83,7 @@ def test_a_silent_server_is_asked_again_and_an_outage_waited_out(hub: Hub, files
     assert brought(Files(files.url, patience=30), tmp_path / "again") == DATA
 
 
-def test_servers_without_ranges_or_lengths_and_compressed_files(
-    hub: Hub, files: Files, tmp_path: Path
-) -> None:
+def test_servers_without_ranges_or_lengths_and_compressed_files(hub: Hub, files: Files, tmp_path: Path) -> None:
     hub.faults = [Fault("a.tar", cut=50_000, whole=True), Fault("a.tar", whole=True, times=9)]
     assert brought(files, tmp_path) == DATA
     with pytest.raises(RemoteError, match=r"a\.tar: this server sends whole files only.*gcd download"):

@@ -47,12 +47,6 @@ def made_once(
         yield finished(_samples(seed, config, COUNT)[index])
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    """Path to content of every file, hidden ones included."""
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
-
-
 def killed(work: Callable[..., Any], *, after: int) -> None:
     """Run ``work(on_progress=…)`` in a forked process that kills itself after ``after`` progress reports."""
     child = os.fork()

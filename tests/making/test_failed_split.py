@@ -21,7 +21,8 @@ from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making import garments
 from gcd_dataset.records import Drape, Outcome, Sample
-from tests.making.conftest import contents, stopped
+from tests.making.conftest import stopped
+from tests.shards.folders import contents
 
 COUNT = 8
 FAILED, SETTLED = [1, 4, 5], [0, 2, 3, 6, 7]

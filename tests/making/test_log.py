@@ -3,10 +3,11 @@
 import json
 import logging
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -57,26 +58,17 @@ def test_a_run_that_goes_on_appends(tmp_path: Path) -> None:
     assert "seed" in lines(path)[-1]["error"]
 
 
-@pytest.mark.parametrize(
-    ("error", "event", "logged"),
-    [
+def test_the_last_line_holds_the_reason_why_a_run_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for error, event, logged in (
         (GcdError("a worker was killed"), "failed", "a worker was killed"),
         (RuntimeError("a bug\nof ours"), "failed", "a bug of ours"),
         (KeyboardInterrupt(), "stopped", None),
-    ],
-)
-def test_the_last_line_holds_the_reason_why_a_run_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, event: str, logged: str | None
-) -> None:
-    def broken(*_: Any, **__: Any) -> Iterator[Any]:
-        yield from ()
-        raise error
-
-    monkeypatch.setattr("gcd_dataset.making.garments.produce", broken)
-    with pytest.raises(type(error)):
-        generate(tmp_path / "data", 1, config=FLAT, log=tmp_path / "run.jsonl")
-    last = lines(tmp_path / "run.jsonl")[-1]
-    assert (last["event"], last.get("error")) == (event, logged)
+    ):
+        monkeypatch.setattr("gcd_dataset.making.garments.produce", Mock(side_effect=error))
+        with pytest.raises(type(error)):
+            generate(tmp_path / "data", 1, config=FLAT, log=tmp_path / "run.jsonl")
+        last = lines(tmp_path / "run.jsonl")[-1]
+        assert (last["event"], last.get("error")) == (event, logged)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")

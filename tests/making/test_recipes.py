@@ -20,7 +20,8 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.reader import stored_patterns
 from tests.generator.test_recipes import TINY, written
-from tests.making.conftest import contents, stopped
+from tests.making.conftest import stopped
+from tests.shards.folders import contents
 
 
 @pytest.fixture

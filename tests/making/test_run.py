@@ -29,8 +29,8 @@ from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import draft_name
-from tests.making.conftest import COUNT, CUFFED, contents, killed, made_once, stopped
-from tests.shards.folders import forbidden, public_folder
+from tests.making.conftest import COUNT, CUFFED, killed, made_once, stopped
+from tests.shards.folders import contents, forbidden, public_folder
 
 make = partial(generate, config=CUFFED, workers=0)
 

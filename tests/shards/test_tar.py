@@ -2,10 +2,6 @@
 
 import io
 import json
-import os
-import re
-import subprocess
-import sys
 import tarfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -167,21 +163,3 @@ def test_a_damaged_member_is_named() -> None:
         decode({**members, "verts.z": bytes(damaged)})
     with pytest.raises(ShardError, match=r"member future\.z: not a whole frame"):
         decode(".future.z", b"abc")
-
-
-def test_the_examples_of_the_documentation_run_and_the_face_imports_neither_torch_nor_warp(tmp_path: Path) -> None:
-    def run(code: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False
-        )
-
-    code = "import sys, gcd_dataset; gcd_dataset.decode; sys.exit(any(n in sys.modules for n in ('torch', 'warp')))"
-    assert run(code).returncode == 0
-    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text()
-    for number in range(20):
-        write_shard(tmp_path / "garments", [fake_sample(0, number)], number)
-    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    assert len(blocks) == 2
-    for block in blocks:
-        done = run(block)
-        assert done.stdout.count("gcd_0000000") == 20, done.stderr

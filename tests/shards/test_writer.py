@@ -8,7 +8,6 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -68,11 +67,17 @@ def test_samples_ascend_and_splits_are_new(whole: Path, tmp_path: Path) -> None:
     assert before.items() <= {**contents(whole), "manifest.json": before["manifest.json"]}.items()
 
 
-@pytest.mark.parametrize("options", [{"seed": -1}, {"count": -1}, {"shard_size": 0}])
-def test_what_no_manifest_can_say_is_refused_at_once(tmp_path: Path, options: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match=rf"{tmp_path}: .* no data set can be written with it"):
-        ShardWriter(tmp_path, **{"seed": 0, "recipe": RECIPE, **options})
+def test_what_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
+    for options in ({"seed": -1}, {"count": -1}, {"shard_size": 0}):
+        given: dict[str, Any] = {"seed": 0, "recipe": RECIPE, **options}
+        with pytest.raises(ConfigError, match=rf"{tmp_path}: .* no data set can be written with it"):
+            ShardWriter(tmp_path, **given)
     assert not contents(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file/out: cannot be written"):
+        open_writer(tmp_path / "file" / "out")
+    with public_folder() as folder, forbidden(folder, 0o555), pytest.raises(OutputError, match="cannot be written"):
+        fill(folder, range(2))
 
 
 def test_samples_have_the_same_members(tmp_path: Path) -> None:
@@ -137,14 +142,6 @@ def test_shards_hold_whole_designs_and_are_a_function_of_the_count() -> None:
             assert count < 20 * wearers or -(-count // size) >= 20
 
 
-def test_unwritable_folders_are_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="file/out: cannot be written"):
-        open_writer(tmp_path / "file" / "out")
-    with public_folder() as folder, forbidden(folder, 0o555), pytest.raises(OutputError, match="cannot be written"):
-        fill(folder, range(2))
-
-
 def test_counts_of_rules_add_up(tmp_path: Path) -> None:
     reasons = [(), ("too_long: 180 cm", "too_long: 190 cm"), ("self_crossing: panel a",), ("too_long: 170 cm",)]
     redraws = [{}, {"tight_cuff": 2}, {"tight_cuff": 1, "self_crossing": 5}, {}]
@@ -187,7 +184,7 @@ def begun(folder: Path, count: int) -> Path:
     return folder
 
 
-def finished(folder: Path) -> dict[str, str]:
+def finished(folder: Path) -> dict[str, bytes]:
     with own_draft(folder) as opened:
         for index in INDICES:
             if index not in opened.done:
