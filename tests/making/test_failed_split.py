@@ -66,7 +66,7 @@ def test_settled_drapes_go_to_train_and_others_to_failed(
         train[f"gcd_{FAILED[0]:09d}"]
     assert sorted(ElasticSampler(train, seed=1)) == list(range(len(SETTLED)))
     assert [train.recipe(position)["index"] for position in range(len(train))] == SETTLED
-    assert export(out, tmp_path / "published", "published").made == len(SETTLED)
+    assert export(out, tmp_path / "train.h5").made == len(SETTLED)
     assert main(["info", str(out)]) == 0
     said = capsys.readouterr().out
     assert f"failed: {len(FAILED)} samples" in said and f"train: {len(SETTLED)} samples" in said
@@ -104,8 +104,8 @@ def test_publishing_divides_train_and_keeps_failed(out: Path, tmp_path: Path) ->
 
 
 def test_a_rejected_drape_is_reported_with_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a judge whom the first drape does not pass."""
-    judge, is_first = outcome._judge, iter([True])
+    """By a judge whom the first drape, coarse and fine, does not pass."""
+    judge, is_first = outcome._judge, iter([True, True])
 
     def judged(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> tuple[Outcome, str]:
         found, reason = judge(job, drape, config, status, overfull=overfull)
