@@ -43,9 +43,6 @@ def short_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetching, "_web", fetching._web.__wrapped__)
 
 
-# ------------------------------------------------------------------------------------------------------------ continued
-
-
 def test_no_byte_is_sent_twice_after_cuts(hub: Hub, files: Files, tmp_path: Path) -> None:
     hub.faults = [Fault("a.tar", cut=50_000), Fault("a.tar", cut=600, times=3), Fault("a.tar", drop=True)]
     assert brought(files, tmp_path) == DATA
@@ -103,9 +100,6 @@ def test_the_proxy_of_the_environment_is_used(hub: Hub, files: Files, monkeypatc
     assert [request.path for request in hub.asked()] == ["http://data.invalid/files/a.tar", "/files/a.tar"]
 
 
-# ------------------------------------------------------------------------------------------------------------- verified
-
-
 def test_wrong_bytes_are_refused_and_nothing_is_left(hub: Hub, files: Files, tmp_path: Path) -> None:
     for stale in (b"x" * 1000, b"x" * (len(DATA) + 1)):  # a part of another file
         (tmp_path / ".a.tar.part").write_bytes(stale)
@@ -122,9 +116,6 @@ def test_wrong_bytes_are_refused_and_nothing_is_left(hub: Hub, files: Files, tmp
         brought(files, tmp_path / "short")
 
 
-# ----------------------------------------------------------------------------------------------------------------- once
-
-
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_threads_and_processes_share_a_download(hub: Hub, files: Files, tmp_path: Path) -> None:
     with ThreadPoolExecutor(4) as threads:
@@ -134,9 +125,6 @@ def test_threads_and_processes_share_a_download(hub: Hub, files: Files, tmp_path
     with multiprocessing.get_context("fork").Pool(2) as pool:  # the parent has an HTTP client
         assert pool.starmap(brought, 2 * [(files, tmp_path / "other")]) == 2 * [DATA]
     assert len(hub.asked()) == 2
-
-
-# -------------------------------------------------------------------------------------------------------------- bounded
 
 
 def answer(status: int, **headers: str) -> Fault:

@@ -311,16 +311,14 @@ def test_publish_and_download(
     assert f"hf://datasets/me/garments@{commit}" in capsys.readouterr().out
 
 
-def test_splits_that_share_designs_are_a_fault(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with ShardWriter(data, split="test", seed=0, recipe={"stage": "drape"}, shard_size=4) as writer:
-        writer.write(fake_sample(0, 3))
-    assert main(["check", str(data)]) == 1
-    assert f"{data}: test and train share 1 design: scores on one are biased" in capsys.readouterr().out
-
-
-def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
+def test_show_draws_a_sample_of_a_repository_and_check_finds_shared_designs(
+    hub: Hub, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     hub.publish("me/garments", data)
     pictures = [tmp_path / "here.png", tmp_path / "there.png"]
     for what, png in zip([str(data), "me/garments"], pictures, strict=True):
         assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
+    put(data, [fake_sample(0, 3)], split="test")
+    assert main(["check", str(data)]) == 1
+    assert f"{data}: test and train share 1 design: scores on one are biased" in capsys.readouterr().out

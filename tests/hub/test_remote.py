@@ -83,6 +83,10 @@ def test_an_error_ends_all_requests_of_a_window(hub: Hub, commit: str, tmp_path:
     with pytest.raises(RefusedError, match=r"train-000\d\d\.tar: refused \(403\)"):
         ensure(store)
     assert len(hub.asked("storage/")) <= PARALLEL
+    hub.faults = [Fault(r"garments/.*\.tar", status=403, times=99)]
+    stream = GarmentDataset(url_of(hub).url, streaming=True, cache_dir=tmp_path / "cache")
+    with pytest.raises(RefusedError, match=r"^http://[^ ]*/train-00000\.tar: refused \(403\)"):
+        next(iter(stream))
 
 
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
@@ -148,13 +152,6 @@ def test_what_is_cached_is_read_without_a_server(
         opened(hub, tmp_path / "other", source, allowed=False)
 
 
-def test_the_hub_must_name_a_commit(hub: Hub, commit: str, tmp_path: Path) -> None:
-    body = hub.static["garments/manifest.json"]
-    hub.static["datasets/org/garments/resolve/main/manifest.json"] = body
-    with pytest.raises(RemoteError, match=r"'' is not a commit of the Hub: check endpoint"):
-        RemoteStore(REPO, Remote(endpoint=f"{hub.endpoint}/files", cache_dir=tmp_path))
-
-
 def test_missing_data_sets_and_options_out_of_place_are_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="refused"):
         opened(hub, tmp_path, Repo("org/nothing"))
@@ -172,23 +169,16 @@ def test_missing_data_sets_and_options_out_of_place_are_reported(hub: Hub, commi
         opened(hub, tmp_path, Url("memory://x"))
     with pytest.raises(ConfigError, match="patience is for URLs and the Hub"):
         open_store(tmp_path, Remote(patience=3.0))
-
-
-def test_garments_without_pictures_have_no_tar_of_them(hub: Hub, tmp_path: Path) -> None:
-    hub.publish("org/garments", write_set(tmp_path, views=False))
+    hub.static["datasets/org/garments/resolve/main/manifest.json"] = hub.static["garments/manifest.json"]
+    with pytest.raises(RemoteError, match=r"'' is not a commit of the Hub: check endpoint"):
+        RemoteStore(REPO, Remote(endpoint=f"{hub.endpoint}/files", cache_dir=tmp_path / "other"))
+    hub.publish("org/garments", write_set(tmp_path / "bare", views=False))
     store = opened(hub, tmp_path)
     with pytest.raises(ShardError, match=r"views/train-00000\.tar: these garments have no pictures"):
         store.path("train", store.manifest().splits["train"].shards[0], views=True)
 
 
 # -------------------------------------------------------------------------------------------------------------- damaged
-
-
-def test_a_stream_tells_the_error_of_the_server(hub: Hub, commit: str, tmp_path: Path) -> None:
-    hub.faults = [Fault(r"garments/.*\.tar", status=403, times=99)]
-    stream = GarmentDataset(url_of(hub).url, streaming=True, cache_dir=tmp_path / "cache")
-    with pytest.raises(RefusedError, match=r"^http://[^ ]*/train-00000\.tar: refused \(403\)"):
-        next(iter(stream))
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "train.index"])

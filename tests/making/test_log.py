@@ -91,9 +91,6 @@ def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
     assert [line["event"] for line in lines(path)] == ["begin", "begin", "end", "end"]
 
 
-# ------------------------------------------------------------------------------------------------------------ progress
-
-
 def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress:
     """The progress after one sample for each step, given as (seconds, waits)."""
     clock = SimpleNamespace(now=100.0)

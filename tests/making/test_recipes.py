@@ -64,14 +64,9 @@ def test_a_stopped_run_and_jobs_make_the_same_bytes(made: Path, recipe: Recipe, 
     assert any(
         "no split train: run gcd generate --recipe tiny again" in fault for fault in recipe_faults(tmp_path, recipe)
     )
-    made_by_jobs = [generate_recipe(tmp_path, recipe, workers=number, job=Job(number, 3)).made for number in (1, 0, 2)]
-    assert sum(made_by_jobs) == 13
+    assert sum(generate_recipe(tmp_path, recipe, workers=0, job=Job(number, 3)).made for number in (1, 0, 2)) == 13
+    assert generate_recipe(tmp_path, recipe).made == 0  # it is complete
     assert contents(tmp_path) == contents(made)
-
-
-def test_a_complete_data_set_is_not_made_again(copy: Path, made: Path, recipe: Recipe) -> None:
-    assert generate_recipe(copy, recipe).made == 0
-    assert contents(copy) == contents(made)
 
 
 def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
@@ -85,9 +80,6 @@ def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Reci
         generate_recipe(tmp_path / "plain", recipe)
 
 
-# ------------------------------------------------------------------------------------------------------------- publish
-
-
 def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
     staged = stage(made, "org/tiny", tmp_path / "up", endpoint="https://hub.example")
     assert {split: sum(shard.count for shard in record.shards) for split, record in staged.manifest.splits.items()} == (
@@ -97,9 +89,6 @@ def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: 
     card = (staged.folder / "README.md").read_text()
     assert "No design, and no body but the neutral one, is in two splits." in card
     assert f"- recipe `tiny` of sha256 `{recipe.sha256}`" in card
-
-
-# -------------------------------------------------------------------------------------------------------------- loading
 
 
 def test_a_missing_data_set_is_made_on_demand(

@@ -94,8 +94,9 @@ def test_jobs_in_any_order_are_one_run(order: tuple[int, ...], tmp_path: Path, w
 
 def test_workers_change_no_byte(tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(garments, "produce", produce)
-    generate(tmp_path, COUNT, config=CUFFED, workers=2)
+    made = generate(tmp_path, COUNT, config=CUFFED, workers=2)
     assert contents(tmp_path) == whole
+    assert made.rejects == {"tight_cuff": len(whole["rejects.jsonl"].splitlines())}  # once for all wearers
 
 
 def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes]) -> None:
@@ -115,7 +116,7 @@ def test_a_killed_run_and_ctrl_c_keep_whole_samples(tmp_path: Path, whole: dict[
     assert contents(tmp_path) == whole
 
 
-def test_a_full_disk_is_reported_and_the_next_run_goes_on(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_a_full_disk_and_a_read_only_folder_are_reported(tmp_path: Path, whole: dict[str, bytes]) -> None:
     size = max(len(content) for name, content in whole.items() if name.startswith("train-"))
 
     def limited() -> None:
@@ -127,11 +128,8 @@ def test_a_full_disk_is_reported_and_the_next_run_goes_on(tmp_path: Path, whole:
     assert os.waitpid(forked(limited), 0)[1] == 0
     make(tmp_path, COUNT)
     assert contents(tmp_path) == whole
-
-
-def test_a_read_only_folder_is_reported(first: Path) -> None:
     with public_folder() as parent:
-        folder = Path(shutil.copytree(first, parent / "set"))
+        folder = Path(shutil.copytree(tmp_path, parent / "set"))
         (folder / "train-00003.tar").unlink()
         with forbidden(folder, 0o555), pytest.raises(OutputError, match="cannot be written"):
             make(folder, COUNT)
@@ -242,12 +240,6 @@ def test_a_store_that_does_not_answer_is_reported(
     assert f"{url}: no answer for 0 s; still trying, and Ctrl-C stops" in caplog.text
 
 
-@pytest.mark.parametrize("out", ["http://server/set", "hf://org/set", "zip://a::http://b", "nothing://bucket"])
-def test_urls_that_cannot_be_written_to_are_refused(out: str) -> None:
-    with pytest.raises(ConfigError, match=r"cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX"):
-        make(out, COUNT)
-
-
 # ------------------------------------------------------------------------------------------------------ other data sets
 
 
@@ -285,10 +277,13 @@ def test_other_kinds_counts_versions_formats_and_tars_are_refused(copy: Path, tm
         ShardReader(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["8/8", "-1/8", "1", "a/b", "1/0"])
-def test_a_job_that_is_none_is_wrong_usage(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["generate", str(tmp_path / "out"), "--count", "4", f"--job={text}"]) == 2
-    assert "give I/N, such as 0/8" in capsys.readouterr().err
+def test_jobs_and_urls_that_are_none_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("8/8", "-1/8", "1", "a/b", "1/0"):
+        assert main(["generate", str(tmp_path / "out"), "--count", "4", f"--job={text}"]) == 2
+        assert "give I/N, such as 0/8" in capsys.readouterr().err
+    for out in ("http://server/set", "hf://org/set", "zip://a::http://b", "nothing://bucket"):
+        with pytest.raises(ConfigError, match=r"cannot be written to: give a folder, or a URL such as s3://BUCKET/PRE"):
+            make(out, COUNT)
 
 
 # ---------------------------------------------------------------------------------------------------- unfinished sets
@@ -325,10 +320,6 @@ def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, byte
     for sample in made_once(0, range(COUNT), CUFFED, finished=lambda sample: sample):
         redraws.update(sample.provenance.redraws)
     assert split.redraws == redraws
-
-
-def test_progress_counts_an_attempt_once_for_all_wearers(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    assert make(tmp_path, COUNT).rejects == {"tight_cuff": len(whole["rejects.jsonl"].splitlines())}
 
 
 # ---------------------------------------------------------------------------------------------- kills at each operation
@@ -387,10 +378,12 @@ def fakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 @pytest.mark.parametrize("before", [0, 3])
 def test_a_run_killed_anywhere_goes_on_to_the_same_bytes(before: int, tmp_path: Path, fakes: dict[str, bytes]) -> None:
     """Of a new data set, and of one that grows."""
+    begun = tmp_path / "begun"
+    begun.mkdir()
+    if before:
+        make_fake(begun, before)
     for number in range(1000):
-        folder = tmp_path / str(number)
-        if before:
-            make_fake(folder, before)
+        folder = Path(shutil.copytree(begun, tmp_path / str(number)))
         was_killed = killed_at(lambda folder=folder: make_fake(folder, 5), number)  # type: ignore[misc]
         make_fake(folder, 5)
         assert contents(folder) == fakes, f"killed before call {number}"

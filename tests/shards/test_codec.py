@@ -122,9 +122,6 @@ def test_the_first_points_lie_all_over_the_surface() -> None:
         assert gaps.max(initial=0) < 4 * 8  # of 8 on average
 
 
-# ---------------------------------------------------------------------------------------------------------- derived
-
-
 def moved(mesh: BoxMesh) -> BoxMesh:
     return replace(mesh, vertices=mesh.vertices + [0.0, 0.0, 0.5])
 
@@ -159,9 +156,6 @@ def test_what_follows_is_not_stored(
     assert np.array_equal(read["faces"], mesh.faces)
     assert np.array_equal(read["panel_id"], mesh.panel_id)
     assert np.abs(read["box"] - mesh.vertices).max() < 1e-3
-
-
-# ----------------------------------------------------------------------------------------------------------- texts
 
 
 def full(sample: Sample) -> Sample:
@@ -244,9 +238,6 @@ def test_pictures_are_channels_first_and_a_missing_one_is_a_valid_jpeg(sample: S
     read = decode_fields(members, ["front", "back"])
     assert (read["front"].shape, read["back"].shape) == ((3, 8, 24), (3, 0, 0))
     assert read["front"][0].mean() > 240 > 20 > read["front"][1].mean()
-
-
-# ---------------------------------------------------------------------------------------------------- damage, strangers
 
 
 def section(name: str, rows: int, columns: int, kind: bytes, order: int, planes: int, body: bytes) -> bytes:
@@ -359,9 +350,6 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
         stored = dict(unpack(members["points.z"])) | points
         with pytest.raises(ShardError, match=r"^member points\.z"):
             decode_fields({**members, "points.z": pack(stored)}, ["points"])
-
-
-# -------------------------------------------------------------------------------------------- a reader by a stranger
 
 
 def test_a_reader_after_the_documentation_finds_the_same_arrays(tmp_path: Path) -> None:

@@ -101,9 +101,6 @@ def test_processes_and_threads_open_their_own_file(file: Path) -> None:
     assert len(list(GarmentLoader(one, 2))) == COUNT // 2
 
 
-# ------------------------------------------------------------------------------------------------------------- writing
-
-
 def test_a_file_appears_when_it_is_complete(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "train.h5"
     path.write_bytes(b"before")
@@ -114,9 +111,6 @@ def test_a_file_appears_when_it_is_complete(folder: Path, tmp_path: Path) -> Non
     assert [file.name for file in tmp_path.iterdir()] == ["train.h5"]
     with pytest.raises(OutputError, match="cannot be written"):
         list(write_hdf5(ShardReader(folder), tmp_path / "no" / "train.h5"))
-
-
-# -------------------------------------------------------------------------------------------------------------- damage
 
 
 def test_files_by_other_programs_are_reported(file: Path, tmp_path: Path) -> None:

@@ -146,14 +146,14 @@ def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
     assert again.end.tolist() == shards.index.end.tolist()
 
 
-@pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_data_set_replaced_meanwhile_is_reported(folder: Path, tmp_path: Path, verify: str) -> None:
+def test_a_data_set_replaced_meanwhile_is_reported(folder: Path) -> None:
     """By one with shards of the same size."""
-    reader = ShardReader(folder, verify=verify)  # type: ignore[arg-type]
+    readers = ShardReader(folder), ShardReader(folder, verify="off")
     shard = folder / "train-00001.tar"
     shard.write_bytes(shard.read_bytes().replace(b"gcd_000000005", b"gcd_000000077"))
-    with pytest.raises(ShardError, match=r"train-00001\.tar: sample gcd_000000005: "):
-        reader.read(5, MEMBERS)
+    for reader in readers:
+        with pytest.raises(ShardError, match=r"train-00001\.tar: sample gcd_000000005: "):
+            reader.read(5, MEMBERS)
 
 
 def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
