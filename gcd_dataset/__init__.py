@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from gcd_dataset.exports.datasets import export
     from gcd_dataset.hub.publish import publish
     from gcd_dataset.making.conversion import convert
-    from gcd_dataset.making.garments import generate, generate_recipe
-    from gcd_dataset.making.people import generate_people
+    from gcd_dataset.making.garments import generate, generate_people, generate_recipe
     from gcd_dataset.making.progress import Progress, ProgressCallback
     from gcd_dataset.making.run import index
     from gcd_dataset.making.tasks import Job
@@ -73,8 +72,7 @@ _NAMES_OF_MODULE = {
     "exports.datasets": ("export",),
     "hub.publish": ("publish",),
     "making.conversion": ("convert",),
-    "making.garments": ("generate", "generate_recipe"),
-    "making.people": ("generate_people",),
+    "making.garments": ("generate", "generate_people", "generate_recipe"),
     "making.progress": ("Progress", "ProgressCallback"),
     "making.run": ("index",),
     "making.tasks": ("Job",),

@@ -1,4 +1,4 @@
-"""Generating garments: the data set of a seed and a config, or of a recipe."""
+"""Generating garments, the data set of a seed and a config or of a recipe, and people."""
 
 import contextlib
 import math
@@ -10,7 +10,8 @@ from typing import Any, Literal, get_args
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
+from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of, versions
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.run import Made, MakeShards, Wanted, make_shards, run
@@ -18,15 +19,18 @@ from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import encode_sample
-from gcd_dataset.shards.layout import GARMENTS, TRAIN
+from gcd_dataset.shards.body_set import encode_person, mesh_bytes
+from gcd_dataset.shards.layout import BODIES, GARMENTS, TRAIN, mesh_name
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.waits import take_waits
+from gcd_dataset.workers import parallel_map_chunks
 
 Engine = Literal["local", "ray"]
 
 STARTUP = 4.0  # s for a worker to start
-CPU_SECONDS: Mapping[str, float] = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}
-"""Stage to a worker's CPU time per garment [s], without draping."""
+CPU_SECONDS: Mapping[str, float] = {"body": 0.016, "pattern": 0.03, "mesh": 0.1, "drape": 0.22}
+"""Stage to a worker's CPU time per sample [s], without draping."""
+CHUNK = 16  # people per task of a worker: a quarter of a second of work, 10 MB of results
 
 
 def generate(
@@ -161,3 +165,45 @@ def workers_for(config: MakeConfig, count: int) -> int:
     if config.stage == "drape" and device_kind(config) == "cpu":
         seconds += seconds_per_garment("cpu", config.resolution)
     return min(cores(), int(seconds * count / STARTUP), math.ceil(count / config.wearers))
+
+
+def generate_people(
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    bodies: str = "random",
+    job: Job | None = None,
+    workers: int | None = None,
+    on_progress: ProgressCallback = ignore_progress,
+    log: Path | str | None = None,
+) -> Progress:
+    """Generate people 0 … ``count`` - 1 of ``seed`` in ``out``, in two poses, with their measures.
+
+    ``bodies``: the group they are drawn from: ``random`` (women and men), ``female``, ``male`` or ``pooled``. The other
+    options, resumption and errors as for ``generate``; raises ``ConfigError`` for an unknown group, too.
+    """
+    check_count(count)
+    mesh = model_mesh()
+    recipe = {**people_recipe(bodies), "mesh": mesh.sha256}
+    plan, files = Plan(BODIES.kind, seed, recipe, count, 1), {mesh_name(TRAIN): mesh_bytes(mesh)}
+    work = Work(place_for(out), plan, {TRAIN: range(count)}, files=files)
+    maker = partial(_make_people, seed, bodies, recipe, workers)
+    return run(work, maker, job=job, on_progress=on_progress, log=log, options={"workers": workers})
+
+
+def _make_people(seed: int, bodies: str, recipe: dict[str, Any], workers: int | None, wanted: Wanted) -> Iterator[Made]:
+    from gcd_dataset.generator.drape.device import cores
+
+    indices = [index for _, left in wanted for index in left]
+    processes = min(cores(), int(CPU_SECONDS["body"] * len(indices) / STARTUP)) if workers is None else workers
+    return parallel_map_chunks(partial(_make_chunk, seed, bodies, recipe), indices, processes, chunk=CHUNK)
+
+
+def _make_chunk(seed: int, bodies: str, recipe: dict[str, Any], indices: Sequence[int]) -> list[Made]:
+    origin = {"seed": seed, "versions": versions()}
+    people = ((index, make_person(seed, index, bodies=bodies)) for index in indices)
+    return [
+        Made(index, encode_person(person, {**origin, "index": index, "recipe": recipe}), waits=take_waits())
+        for index, person in people
+    ]

@@ -34,8 +34,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.records import POSITION_STEP, BodyShape, Measurements
 from gcd_dataset.shards.access import REMEDY, read_file
 from gcd_dataset.shards.codec import measures_json, read_measures
-from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
+from gcd_dataset.shards.layout import BODIES, LARGEST_SAMPLE, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.meta import json_text, read_meta, sealed
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.shards.writer import ShardWriter

@@ -46,7 +46,9 @@ from gcd_dataset.shards.layout import (
     ARRAYS,
     CAPTION,
     JOINT,
+    LARGEST_SAMPLE,
     MEMBERS,
+    MOST_PIXELS,
     MOST_VIEWS,
     SCHEMA,
     Bytes,
@@ -57,7 +59,6 @@ from gcd_dataset.shards.layout import (
     recipe_hash,
     select_fields,
 )
-from gcd_dataset.shards.limits import LARGEST_SAMPLE, MOST_PIXELS
 from gcd_dataset.shards.meta import (
     COUNTS,
     NO_DRAPE,

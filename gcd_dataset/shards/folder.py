@@ -14,8 +14,7 @@ from gcd_dataset.shards.access import read_file, reading
 from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
-from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON
+from gcd_dataset.shards.layout import LARGEST_FILE, LARGEST_JSON, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Int, UInt8
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import require_name
 from gcd_dataset.records import Grade, Outcome
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
+from gcd_dataset.shards.layout import LARGEST_SAMPLE
 from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.shards.tar import BLOCK, END

@@ -19,8 +19,7 @@ from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import require_name
 from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import read_file, reading
-from gcd_dataset.shards.layout import MEMBERS, SCHEMA, recipe_hash
-from gcd_dataset.shards.limits import LARGEST_MANIFEST
+from gcd_dataset.shards.layout import LARGEST_MANIFEST, MEMBERS, SCHEMA, recipe_hash
 from gcd_dataset.shards.meta import decode_json, is_count
 
 MANIFEST = "manifest.json"

@@ -59,8 +59,7 @@ from typing import Any
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
 from gcd_dataset.records import Rejected
-from gcd_dataset.shards.layout import SCHEMA, Bytes
-from gcd_dataset.shards.limits import LARGEST_JSON
+from gcd_dataset.shards.layout import LARGEST_JSON, SCHEMA, Bytes
 
 
 def _no_constant(text: str) -> float:

@@ -35,8 +35,7 @@ from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
 from gcd_dataset.shards.codec import stored_pattern
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, MEMBERS, Bytes, is_picture, key_of
-from gcd_dataset.shards.limits import LARGEST_MANIFEST
+from gcd_dataset.shards.layout import BODIES, GARMENTS, LARGEST_MANIFEST, MEMBERS, Bytes, is_picture, key_of
 from gcd_dataset.shards.manifest import (
     MANIFEST,
     MOST,

@@ -34,7 +34,7 @@ import zstandard
 from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
+from gcd_dataset.shards.layout import LARGEST_SAMPLE
 
 HEAD = struct.Struct("<16sIH2sBBbxI")
 TYPES = frozenset({b"f8", b"f4", b"i8", b"i4", b"u4", b"u2", b"u1"})

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.shards.layout import MOST_VIEWS, Bytes
-from gcd_dataset.shards.limits import LARGEST_SAMPLE
+from gcd_dataset.shards.layout import LARGEST_SAMPLE, MOST_VIEWS, Bytes
 
 BLOCK = 512
 ZEROS = bytes(BLOCK)

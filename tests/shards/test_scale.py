@@ -14,8 +14,7 @@ import pytest
 from gcd_dataset.errors import ShardError
 from gcd_dataset.making.tasks import MOST
 from gcd_dataset.shards.index import SplitIndex
-from gcd_dataset.shards.layout import MEMBERS
-from gcd_dataset.shards.limits import LARGEST_MANIFEST
+from gcd_dataset.shards.layout import LARGEST_MANIFEST, MEMBERS
 from gcd_dataset.shards.manifest import Manifest, Plan, ShardRecord, SplitRecord, parse_manifest
 from gcd_dataset.shards.notes import shards_named
 from gcd_dataset.shards.sections import pack
