@@ -23,22 +23,11 @@ from gcd_dataset.loaders.base import (
 )
 from gcd_dataset.loaders.fields import absent_when_empty
 from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS
-from gcd_dataset.shards.hdf5 import FORMAT, crc_of, form_of
-from gcd_dataset.shards.layout import (
-    ARRAYS,
-    FIELDS,
-    MOST_VIEWS,
-    SCHEMA,
-    Bytes,
-    fields_of,
-    garments_layout,
-    key_of,
-    members_of,
-)
+from gcd_dataset.shards.hdf5 import FORMAT, MEMBER_OF, crc_of, form_of
+from gcd_dataset.shards.layout import ARRAYS, FIELDS, SCHEMA, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.sections import pack
 
 REMEDY = "copy it again, or make it again with gcd export"
-MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
 
 
 class Hdf5Garments(Garments):
@@ -72,10 +61,13 @@ class Hdf5Garments(Garments):
             raise ShardError(f"{self.path}: cannot be read ({error.strerror}): give a file by gcd export") from error
         with self._reading() as file:
             self._ends = self._checked(file)
-            self._numbers = self._column(file, "index", np.dtype("<i8"), (self._count,))[:]
+            self._numbers = self._column(file, "index", "<i8", (self._count,))[:]
             self.split = bytes(file.attrs["split"]).decode()
         available = {field: MEMBER_OF[field] for field in self._ends}
-        absent = absent_when_empty(self._is_empty, [field for field in FIELDS if field in available])
+        least = {field: len(NO_PICTURE) if available[field].endswith(".jpg") else 0 for field in available}
+        longest = {field: int(np.diff(ends).max(initial=0)) for field, ends in self._ends.items()}
+        empty = {field for field in FIELDS if field in available and longest[field] <= least[field]}
+        absent = absent_when_empty(empty.__contains__, [field for field in FIELDS if field in available])
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
 
     def __len__(self) -> int:
@@ -109,11 +101,6 @@ class Hdf5Garments(Garments):
         values = {member: self._values(position, fields_of([member])) for member in members}
         return {m: pack(rows) if m in ARRAYS else next(iter(rows.values())).tobytes() for m, rows in values.items()}
 
-    def _is_empty(self, field: str) -> bool:
-        """Whether a field is empty in all garments of the file."""
-        least = len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0
-        return int(np.diff(self._ends[field]).max(initial=0)) <= least
-
     def _description(self) -> list[str]:
         return [f"{self.split} of {self.path}"]
 
@@ -135,16 +122,16 @@ class Hdf5Garments(Garments):
         if not isinstance(count, np.integer) or count < 0:
             raise self._broken(f"its count is {count!s:.40}")
         self._count, found = int(count), dict[str, np.ndarray]()
-        self._column(file, "crc32", np.dtype("<u4"), (self._count,))
+        self._column(file, "crc32", "<u4", (self._count,))
         for field in [field for field in MEMBER_OF if field in file]:
-            found[field] = ends = self._column(file, f"{field}_ptr", np.dtype("<i8"), (self._count + 1,))[:]
+            found[field] = ends = self._column(file, f"{field}_ptr", "<i8", (self._count + 1,))[:]
             if ends[0] != 0 or (np.diff(ends) < 0).any():
                 raise self._broken(f"{field}_ptr does not rise from 0")
             dtype, row = form_of(field)
             self._column(file, field, dtype, (int(ends[-1]), *row))
         return found
 
-    def _column(self, file: h5py.File, name: str, dtype: np.dtype, shape: tuple[int, ...]) -> h5py.Dataset:
+    def _column(self, file: h5py.File, name: str, dtype: str | np.dtype, shape: tuple[int, ...]) -> h5py.Dataset:
         """An array in this file. Raises ``ShardError`` for another type, shape or place."""
         column = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
         if not isinstance(column, h5py.Dataset) or column.external or column.is_virtual or column.chunks:

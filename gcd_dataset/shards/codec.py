@@ -440,8 +440,8 @@ def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
     """The pattern of an encoded garment, from its ``PATTERN_FIELDS``. Raises ``ShardError``."""
     field = decode_fields(members, PATTERN_FIELDS)
     meta = field["meta"]
-    names = {name: tuple(meta[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
-    return PatternTensor(**{name: field[name] for name in PATTERN_FIELDS[1:]}, **names, name=meta["key"])
+    names: dict[str, Any] = {name: tuple(meta[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
+    return PatternTensor(field["panels"], field["edges"], field["stitches"], **names, name=meta["key"])
 
 
 REMEDY = "copy its shard again, or delete the shard and run gcd generate again"

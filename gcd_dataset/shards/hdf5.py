@@ -1,13 +1,9 @@
 """A split as one HDF5 file, for programs that read no tars.
 
-==========================  ==========================================================================================
-``verts``, ``faces``, …     an array field: the rows of all samples, one sample after the other
-``spec``, ``front``, …      a text or picture, likewise: the bytes of its JSON, text or JPEG file
-``verts_ptr``, …            int64 [n+1]: sample i has the rows from ``ptr[i]`` to ``ptr[i + 1]``
-``index``                   int64 [n]: number of each sample, as in its key
-``crc32``                   u4 [n]: CRC-32 of the rows of each sample, in the order of its fields
-attributes                  ``format`` and ``split``, of fixed length; ``schema``, ``count``
-==========================  ==========================================================================================
+A field is one array: the rows of all samples, one after the other, or the bytes of their JSON, texts or pictures;
+sample i has the rows from ``FIELD_ptr[i]`` to ``FIELD_ptr[i + 1]``. ``index``, int64 [n], are the numbers of the
+samples, as in their keys; ``crc32``, u4 [n], checksums of the rows of each, in the order of its fields. Attributes:
+``format`` and ``split``, of fixed length; ``schema``, ``count``.
 
 Arrays are contiguous and uncompressed: a sample takes one read per field. There are no strings of variable length: on
 a damaged heap, where they would lie, libhdf5 loops forever.
@@ -24,10 +20,12 @@ import numpy as np
 
 from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.codec import IDS, WIDTHS, decode_fields
-from gcd_dataset.shards.layout import SCHEMA, Bytes, fields_of
+from gcd_dataset.shards.layout import MOST_VIEWS, SCHEMA, Bytes, fields_of, garments_layout
 from gcd_dataset.shards.reader import ShardReader
 
 FORMAT = "gcd_dataset garments"
+MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
+"""Field to member, of all fields that a file may hold."""
 
 
 def form_of(field: str) -> tuple[np.dtype, tuple[int, ...]]:
