@@ -323,14 +323,11 @@ def _asking(address: str) -> Iterator[None]:
     # Each store raises errors of its own library, which may not be installed.
     except Exception as error:
         kinds, message = " ".join(kind.__name__ for kind in type(error).__mro__), first_line(error)
-        if NO_CREDENTIALS.search(kinds):
+        if NO_CREDENTIALS.search(kinds) or isinstance(error, PermissionError):
             raise RefusedError(
-                f"{address}: no credentials ({message}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the "
-                """variables of your store; for a public bucket FSSPEC_S3='{"anon": true}'"""
-            ) from error
-        if isinstance(error, PermissionError):
-            raise RefusedError(
-                f"{address}: refused ({message}): ask for the rights to read and list there, or set other credentials"
+                f"{address}: refused, or no credentials ({message}): ask for the rights to read and list there, and "
+                "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the variables of your store; for a public bucket "
+                """FSSPEC_S3='{"anon": true}'"""
             ) from error
         if isinstance(error, INVALID) or "Validation" in kinds or getattr(error, "errno", None) in PERMANENT:
             raise RemoteError(f"{address}: the store rejects the request ({message}): check the address") from error

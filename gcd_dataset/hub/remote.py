@@ -28,7 +28,6 @@ from gcd_dataset.errors import (
     RefusedError,
     RemoteError,
     ShardError,
-    did_you_mean,
 )
 from gcd_dataset.files import make_folder, safe_name, user_path, write_whole
 from gcd_dataset.hub.fetch import WEB, Files, fetch
@@ -156,11 +155,8 @@ class RemoteStore(Store):
         return self._manifest
 
     def index(self, split: str) -> SplitIndex:
-        splits, name = self.manifest().splits, index_name(split)
-        if split not in splits or not splits[split].count:
-            available = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
-            raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
-        record, location = splits[split], self.location(name)
+        record, name = self.record(split), index_name(split)
+        location = self.location(name)
         if record.count > MOST_SAMPLES:
             raise RemoteError(f"{self.location()}: {record.count} samples in a split, over the limit of {MOST_SAMPLES}")
 

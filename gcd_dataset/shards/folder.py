@@ -7,7 +7,7 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import ShardError, did_you_mean
+from gcd_dataset.errors import ShardError
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import read_file, reading
@@ -55,14 +55,7 @@ class FolderStore(Store):
         return self._manifest
 
     def index(self, split: str) -> SplitIndex:
-        manifest = self.manifest()
-        if split not in manifest.splits:
-            nearest = did_you_mean(split, manifest.splits)
-            known = ", ".join(manifest.splits)
-            raise ShardError(f"{self.folder}: no samples of split {split}: choose from {known}{nearest}")
-        record, path = manifest.splits[split], self.folder / index_name(split)
-        if not record.count:
-            raise ShardError(f"{self.folder}: no samples of split {split}: none is finished")
+        record, path = self.record(split), self.folder / index_name(split)
         names = self._place.names()
         for shard in record.shards:
             if shard.name(split) not in names:

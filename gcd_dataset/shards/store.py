@@ -5,10 +5,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.manifest import Manifest, ShardRecord
+from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord
 
 
 class Store(ABC):
@@ -27,6 +28,15 @@ class Store(ABC):
     @abstractmethod
     def manifest(self) -> Manifest:
         """The manifest; gathered from the notes of the shards where there is none. Raises ``ShardError``."""
+
+    def record(self, split: str) -> SplitRecord:
+        """The record of a split. Raises ``ShardError`` where it is missing or empty."""
+        splits = self.manifest().splits
+        if split in splits and splits[split].count:
+            return splits[split]
+        choice = f"choose from {', '.join(splits)}{did_you_mean(split, splits)}"
+        fault = "none is finished" if split in splits else choice
+        raise ShardError(f"{self.location()}: no samples of split {split}: {fault}")
 
     @abstractmethod
     def index(self, split: str) -> SplitIndex:

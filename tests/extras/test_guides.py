@@ -65,7 +65,7 @@ GUIDES = [
     *sorted(f"concepts/{path.stem}" for path in (DOCS / "concepts").glob("*.md")),
     *("index", "pictures", "scans", "sketches", "evaluate", "exports"),
 ]
-NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/hub/test_objects.py runs them against an S3 API
+NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/extras/test_storage.py runs them against an S3 API
 OWN_TESTS = {"training", "viewer", "check", "reconstruction"}  # the commands of these pages are tested elsewhere
 
 

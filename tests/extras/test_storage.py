@@ -169,7 +169,7 @@ def test_missing_data_sets_and_credentials_are_reported(
         opened("s3://No_Bucket!/set", tmp_path)
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.setattr(fetch, "_store", fetch._store.__wrapped__)
-    with pytest.raises(RefusedError, match=r"no credentials .*: set AWS_ACCESS_KEY_ID and .* public bucket FSSPEC_S3="):
+    with pytest.raises(RefusedError, match=r"no credentials .* set AWS_ACCESS_KEY_ID and .* public bucket FSSPEC_S3="):
         opened(published, tmp_path)
 
 
