@@ -412,16 +412,13 @@ def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -
         if (split, number) not in notes:
             plan = plans.get(split) or next(iter(plans.values()), None)
             notes[split, number] = read_note(place, split, number, plan)
-    return [_with_count(notes[shard], notes) for shard in shards]
-
-
-def _with_count(note: Note, notes: Mapping[tuple[str, int], Note]) -> Note:
-    """The note; one whose plan is lost gets the number of samples that there are."""
-    if note.plan.count:
-        return note
-    count = sum(len(other.done) for other in notes.values())
-    size = max(other.record.count for other in notes.values())
-    return replace(note, plan=replace(note.plan, count=max(count, 1), shard_size=max(size, 1)))
+    # A note whose plan is lost gets the number of samples that there are.
+    count = max(sum(len(note.done) for note in notes.values()), 1)
+    size = max(1, *(note.record.count for note in notes.values()))
+    return [
+        note if note.plan.count else replace(note, plan=replace(note.plan, count=count, shard_size=size))
+        for note in map(notes.__getitem__, shards)
+    ]
 
 
 def _gathered_split(place: Place, notes: list[Note]) -> tuple[SplitRecord, SplitIndex]:
