@@ -1,8 +1,8 @@
 # make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
-#                   make garments on a Ray cluster of several nodes, check a Croissant description, carry out the
-#                   examples of CONTRIBUTING.md, try 200 inputs instead of 20 in each test of properties,
+#                   make garments on a Ray cluster of several nodes, read an S3 store, check a Croissant description,
+#                   carry out the examples of CONTRIBUTING.md, try 200 inputs instead of 20 in each test of properties,
 #                   and import a garment into Blender
 # make docs         write the documentation into site/
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
