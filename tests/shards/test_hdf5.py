@@ -54,7 +54,7 @@ def test_items_equal_the_items_of_the_shards(folder: Path, file: Path, dtype: to
     assert one.sample(2) == shards.sample(2)
     for error, missing in ((IndexError, COUNT), (KeyError, "gcd_000000002")):
         with pytest.raises(error):
-            one[missing]  # type: ignore[call-overload]
+            one[missing]
     with pytest.raises(ConfigError, match="no field views: there are"):
         Hdf5Garments(file, fields=["views"])
 
