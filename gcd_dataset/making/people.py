@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.drape.device import cores
-from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.run import Made, Wanted, run

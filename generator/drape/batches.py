@@ -18,7 +18,7 @@ from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import keep_freed_memory, launch_lock, to_host
+from gcd_dataset.generator.drape.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts
 from gcd_dataset.generator.drape.kernels.refine import refine
@@ -26,7 +26,6 @@ from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
 from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.drape.streams import WorkStream, work_streams
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape

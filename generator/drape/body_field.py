@@ -21,8 +21,8 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
 from gcd_dataset.generator.body.surface import kept_per_body
+from gcd_dataset.generator.drape.device import native_builds
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
-from gcd_dataset.generator.drape.streams import native_builds
 from gcd_dataset.records import Body, BodyPart
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist

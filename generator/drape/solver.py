@@ -9,13 +9,11 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import launch_lock, to_host
+from gcd_dataset.generator.drape.device import launch_lock, native_builds, to_host
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
-from gcd_dataset.generator.drape.model import ClothModel
-from gcd_dataset.generator.drape.state import new_state
-from gcd_dataset.generator.drape.streams import native_builds
+from gcd_dataset.generator.drape.model import ClothModel, new_state
 
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4

@@ -22,8 +22,7 @@ Without a GPU each worker drapes on its CPU by itself (``LocalDraper``). The tas
 too.
 """
 
-from gcd_dataset.generator.drapers.address import DraperAddress, address_for, addresses_for
+from gcd_dataset.generator.drapers.address import DraperAddress, SharedDraper, address_for, addresses_for
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
-from gcd_dataset.generator.drapers.shared import SharedDraper
 
 __all__ = ["DrapeReply", "DrapeRequest", "Draper", "DraperAddress", "SharedDraper", "address_for", "addresses_for"]

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from gcd_dataset.generator.dressing.frame import wearer_of
 from gcd_dataset.generator.dressing.hanging import label_panels
 from gcd_dataset.generator.dressing.hold_edges import has_legs, label_edges
 from gcd_dataset.generator.dressing.placing import place_panels, turn_sleeves
-from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.records import Body, Measurements, Pattern
 
 __all__ = ["Dressing", "dress", "has_legs"]

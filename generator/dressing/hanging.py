@@ -16,9 +16,8 @@ from jaxtyping import Complex, Float
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.dressing.frame import height_for
+from gcd_dataset.generator.dressing.frame import Wearer, height_for
 from gcd_dataset.generator.dressing.openings import edge_points, middle_of, openings_of, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import role_by_name
 

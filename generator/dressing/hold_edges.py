@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.frame import placed_outline
+from gcd_dataset.generator.dressing.frame import Wearer, placed_outline
 from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 

@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.limbs import Limb
-from gcd_dataset.generator.dressing.frame import in_body_frame, moved, placed_outline
+from gcd_dataset.generator.dressing.frame import Wearer, in_body_frame, moved, placed_outline
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import edge_points, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import Body, BodyPart, Panel, PanelRole, Pattern, Placement
 
 SKIN = 0.5  # cm: a point nearer than this to a face centre counts as inside

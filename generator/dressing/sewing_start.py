@@ -19,9 +19,8 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
-from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 

@@ -18,7 +18,6 @@ from gcd_dataset.generator.garments.description import TAGS
 from gcd_dataset.generator.garments.design import GarmentDesign, Kind, design_from_dict, design_to_dict, read_design
 from gcd_dataset.generator.garments.drawn import garment_tags
 from gcd_dataset.generator.garments.outfit import outfit
-from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.rules import DrawnGarment, Reject, check_design, try_on
 from gcd_dataset.generator.garments.sampling import (
     attempted_design,
@@ -27,6 +26,7 @@ from gcd_dataset.generator.garments.sampling import (
     sample_draft,
     sample_kind,
 )
+from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw
 
 __all__ = [
     "TAGS",

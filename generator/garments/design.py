@@ -23,7 +23,7 @@ from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, Neckline
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
-from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
+from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign, UpperHalf
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import (
     Design,
@@ -38,7 +38,6 @@ from gcd_dataset.generator.garments.space import (
     with_parts,
 )
 from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.jsonfile import read_toml

@@ -16,7 +16,6 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
-from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
@@ -30,7 +29,7 @@ from gcd_dataset.generator.garments.sewable import (
     shortest_shoulder,
     strap_width,
 )
-from gcd_dataset.generator.garments.tightness import tightest_ring, trunk_rings
+from gcd_dataset.generator.garments.tightness import STRAPS_GIVE, hip_load, strap_stretch, tightest_ring, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure

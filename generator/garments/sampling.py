@@ -38,9 +38,8 @@ from gcd_dataset.generator.garments.design import (
 )
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
-from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.space import DesignSpace, draw, with_new_numbers
-from gcd_dataset.generator.garments.wearable import wearable
+from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw, wearable
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as stream

@@ -18,9 +18,9 @@ from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom, upper
+from gcd_dataset.generator.garments.shirt import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.garments.sleeve import sleeve_of
 from gcd_dataset.generator.garments.upper import Shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 

@@ -21,9 +21,8 @@ from gcd_dataset.generator.garments.neckline import (
     neckline_words,
     worn_neckline,
 )
-from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.shirt import BACK_NAME, FRONT_NAME, ShirtDesign, UpperHalf, right_torso
 from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tag, sleeve_words
-from gcd_dataset.generator.garments.upper_half import BACK_NAME, FRONT_NAME, UpperHalf, right_torso
 from gcd_dataset.records import Measurements
 
 LOOSE = 1.18  # least girth of the chest over the bust of a loose shirt

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.shirt import ShirtDesign, UpperHalf, right_half
 from gcd_dataset.generator.garments.shirt_words import describe_shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half
 from gcd_dataset.generator.pattern import (
     Component,
     backwards,

@@ -9,9 +9,9 @@ import pytest
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.dressing.frame import wearer_of
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
-from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern

@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
-from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
 from gcd_dataset.generator.garments import GarmentDesign, outfit
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign

@@ -13,11 +13,10 @@ from gcd_dataset.generator.body.section import girth, section
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
 from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, outfit
-from gcd_dataset.generator.garments.load import FRICTION, STIFFNESS, hip_load, strap_stretch
 from gcd_dataset.generator.garments.rules import broken_by_weight, is_too_tight
 from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.sewable import CLOTH_GIVES, CLOTH_OFF_SKIN, girth_of_cloth
-from gcd_dataset.generator.garments.tightness import rings, trunk_rings
+from gcd_dataset.generator.garments.tightness import FRICTION, STIFFNESS, hip_load, rings, strap_stretch, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.records import BodyPart, Measurements, Panel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse_border import Borders, thin
+from gcd_dataset.generator.mesh.coarse import Borders, thin
 from gcd_dataset.records import Pattern
 from tests.generator.mesh.shapes import panel, rectangle, sewn, tube
 from tests.generator.mesh.test_box_mesh import darted, patchwork
