@@ -56,7 +56,7 @@ NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 
 
-def build_pattern(size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Pattern:
+def build_pattern(size: Measurements, design: GarmentDesign, *, name: str = "garment") -> Pattern:
     """The pattern of a design for a wearer. Raises ``PatternError`` if it cannot be drawn or a rule rejects it."""
     pattern = try_on(size, design, name=name)
     if isinstance(pattern, Reject):

@@ -1,4 +1,4 @@
-"""The facts of an outfit in words, from its design, its wearer and its drawn pattern.
+"""The facts of a garment in words, from its design, its wearer and its drawn pattern.
 
 A depth is the distance of a hem below the hips, as a fraction of hips to floor, as ``hem_depth``. Words divide
 the classes of the tags (``HEMS``) further at the wearer's knee: a "mini", "midi" or "maxi" skirt has that tag.
@@ -7,6 +7,7 @@ the classes of the tags (``HEMS``) further at the wearer's knee: a "mini", "midi
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import (
     ASYMMETRIC,
     HEMS,
@@ -19,7 +20,6 @@ from gcd_dataset.generator.garments.description import (
 )
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
@@ -91,7 +91,7 @@ PLAIN_LEGS: Words = ("plain leg ends", "plain hems")
 
 @dataclass(frozen=True, slots=True)
 class GarmentFacts:
-    """An outfit in words."""
+    """A garment in words."""
 
     length: Words
     """Adjectives for its length; empty if no word fits."""
@@ -101,7 +101,7 @@ class GarmentFacts:
     cut: tuple[Words, ...]
     """Adjectives of the cut, after the length: fitted, flared; of a dress or jumpsuit they are in ``parts``."""
     parts: tuple[Words, ...]
-    """Nouns for bodice and bottom of a dress or jumpsuit, or for the bottom alone; empty for other outfits."""
+    """Nouns for bodice and bottom of a dress or jumpsuit, or for the bottom alone; empty for other garments."""
     lower: str
     """The name of the bottom in a sentence: skirt, trousers or shorts; empty without one."""
     details: tuple[Detail, ...]
@@ -116,7 +116,7 @@ class GarmentFacts:
 
 
 def garment_facts(size: Measurements, design: GarmentDesign, pattern: Pattern) -> GarmentFacts:
-    """The facts of a design as drawn for a wearer in ``pattern``. Raises ``PatternError`` as ``outfit`` does."""
+    """The facts of a design as drawn for a wearer in ``pattern``. Raises ``PatternError`` as ``draw_garment`` does."""
     upper, bottom = described(size, design, pattern)
     facts = _kind(size, design, upper, bottom)
     found = [*facts.details, *_darts(pattern), *_waist(size, design, pattern)]

@@ -7,7 +7,7 @@ from math import atan, atan2, cos, degrees, hypot, pi, sin, sqrt, tan
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
-from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.skirt import (
     SHORTEST,
     across,
@@ -219,7 +219,7 @@ def _cut_tags(cut: tuple[Detail, ...]) -> tuple[Tag, ...]:
     return (Tag.SLIT,) if cut else ()
 
 
-CIRCLE_SKIRT = SimpleBottom(
+CIRCLE_SKIRT = BottomGarment(
     name="SkirtCircle",
     section="flare-skirt",
     design=FlareSkirtDesign,
@@ -233,7 +233,7 @@ CIRCLE_SKIRT = SimpleBottom(
     remedies=CUT_REMEDIES,
 )
 
-ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
+ASYMMETRIC_CIRCLE_SKIRT = BottomGarment(
     name="AsymmSkirtCircle",
     section="flare-skirt",
     design=FlareSkirtDesign,
@@ -307,7 +307,7 @@ def _describe_panels(setting: Setting, design: FlareSkirtDesign) -> Description:
     return Description(nouns, (), tuple(details), tags=(Tag.PANELLED, flare_tag(design)))
 
 
-PANEL_SKIRT = SimpleBottom(
+PANEL_SKIRT = BottomGarment(
     name="SkirtManyPanels",
     section="flare-skirt",
     design=FlareSkirtDesign,

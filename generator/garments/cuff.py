@@ -16,7 +16,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import RUFFLES, CuffGathers
 from gcd_dataset.generator.garments.skirt import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.pattern import Component, Interface, Piece
+from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
 LONGEST_ON_SLEEVE = 0.7  # longest cuff, as a share of the sleeve, GarmentCode
@@ -142,12 +142,10 @@ def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component
     )
     placed = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
     sewn = Component.of(sleeve, placed).sewn(sleeve.interface("end"), placed.interface("top"), gathered=True)
-    band = min(sleeve.interface("end"), placed.interface("top"), key=lambda ring: _length(sewn, ring))
+    band = min(
+        sleeve.interface("end"), placed.interface("top"), key=lambda ring: sewn.offering(ring=ring).length("ring")
+    )
     return sewn.offering(opening=sleeve.interface("opening"), band=band)
-
-
-def _length(component: Component, ring: Interface) -> float:
-    return component.offering(ring=ring).length("ring")
 
 
 def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:

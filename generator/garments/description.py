@@ -3,7 +3,7 @@
 Each garment's record describes it (``Garment.describe``), in the file that draws it. A description names only what is
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
 
-Tags state what is drawn too. ``garment_tags`` collects those of the garments and adds those of the outfit as a whole.
+Tags state what is drawn too. ``garment_tags`` collects those of the garments and adds those of the garment as a whole.
 """
 
 from collections.abc import Iterable, Mapping
@@ -125,7 +125,7 @@ UNGATHERED = CuffGathers()
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The wearer, and how a bottom is sewn in its outfit."""
+    """The wearer, and how a bottom is sewn in its garment."""
 
     size: Measurements
     rise: float = 1.0
@@ -146,9 +146,9 @@ class Description:
     """Adjectives of its cut, for before the noun: "flared"."""
     details: tuple[Detail, ...] = ()
     traits: tuple[Words, ...] = ()
-    """Adjectives for the outfit that it is part of: "sleeveless"."""
+    """Adjectives for the garment that it is part of: "sleeveless"."""
     tags: tuple[Tag, ...] = ()
-    """The tags of the same facts; ``garment_tags`` adds those of the outfit as a whole."""
+    """The tags of the same facts; ``garment_tags`` adds those of the garment as a whole."""
 
     def adding(self, *details: Detail) -> Self:
         """The description with more details."""

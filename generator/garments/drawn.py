@@ -1,4 +1,4 @@
-"""Facts of a drawn outfit: the gathers between its parts, and whether its sides match."""
+"""Facts of a drawn garment: the gathers between its parts, and whether its sides match."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -7,9 +7,9 @@ from math import hypot
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import HEMS, RUFFLES, CuffGathers, Description, Detail, Setting, Tag
 from gcd_dataset.generator.garments.design import GarmentDesign
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
@@ -22,7 +22,7 @@ OTHER = "other"
 
 
 def part_of(panel: Panel) -> str:
-    """The part of an outfit that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
+    """The part of a garment that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
     if any(name in panel.name for name in ON_LIMBS):
         return panel.name.removesuffix("_f").removesuffix("_b")
     if panel.label == PanelRole.LEG:
@@ -124,7 +124,7 @@ def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:
 
 
 def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple[str, ...]:
-    """The tags of an outfit, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
+    """The tags of a garment, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
     parts = [part for part in described(size, design, pattern) if part]
     found = {_kind(design)} | {tag for part in parts for tag in part.tags}
     details = [detail for part in parts for detail in part.details]
@@ -140,7 +140,7 @@ def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) ->
 def described(
     size: Measurements, design: GarmentDesign, pattern: Pattern
 ) -> tuple[Description | None, Description | None]:
-    """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
+    """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the garment lacks."""
     meta = design.meta
     above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
     setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Place, Setting, Tag
-from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, skirt_panel, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
@@ -91,7 +91,7 @@ def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
     return Description(("A-line skirt" if is_flared else "straight skirt",), (), tuple(details), tags=tuple(tags))
 
 
-GATHERED_SKIRT = SimpleBottom(
+GATHERED_SKIRT = BottomGarment(
     name="Skirt2",
     section="skirt",
     mends=frozenset({Mend.SLIT_LENGTH}),

@@ -209,7 +209,9 @@ def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, de
     end = (half_width, -depth)
     match kind:
         case Neckline.CIRCLE:
-            return _curve(end, _circle(half_width, depth))
+            # Half of the arc through both shoulders and the lowest point, level there. Both halves of a neckline deeper
+            # than ``half_width`` form more than half a circle, wider than the shoulder points.
+            return _curve(end, Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True))
         case Neckline.CURVY:
             return _curve(end, CURVY_FLIPPED if flip else CURVY)
         case Neckline.V:
@@ -224,14 +226,6 @@ def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, de
         case Neckline.BEZIER:
             x, y = (design.f_bezier_x, design.f_bezier_y) if front else (design.b_bezier_x, design.b_bezier_y)
             return _curve(end, Quadratic((x, y if flip else -y)))
-
-
-def _circle(half_width: float, depth: float) -> Arc:
-    """Half of the arc through both shoulders and the lowest point, level there: its radius is ``(h² + d²) / 2d``.
-
-    Both halves of a neckline deeper than ``half_width`` form more than half a circle, wider than the shoulder points.
-    """
-    return Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True)
 
 
 def _curve(end: Point, curve: Curve) -> tuple[Stroke, ...]:

@@ -249,7 +249,7 @@ def right_half(
     return half.labelled(PanelRole.BODY)
 
 
-@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
+@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the garment draws it again
 def right_torso(
     size: Measurements,
     shirt: ShirtDesign,

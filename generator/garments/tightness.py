@@ -1,7 +1,7 @@
 """Rings of cloth round the body, and how far each must stretch.
 
 A ring is a closed line of cloth: a seam or hem round the trunk, a skirt's cloth round both legs, the end of a sleeve or
-of a trouser leg. The parts of an outfit hang one under the other: a band under a long shirt is worn at the hips,
+of a trouser leg. The parts of a garment hang one under the other: a band under a long shirt is worn at the hips,
 although it is drawn for the waist.
 
 Cloth is also a load that hangs from shoulder seams or rests on the hips. Both limits depend on a fabric's tensile
@@ -14,9 +14,9 @@ from itertools import pairwise
 from math import nan, pi
 from typing import NamedTuple
 
+from gcd_dataset.generator.garments.assembly import bottom_rise, parts
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import Ring
-from gcd_dataset.generator.garments.outfit import bottom_rise, parts
 from gcd_dataset.generator.garments.sewable import girth_of_cloth
 from gcd_dataset.generator.garments.trunk import girth_at_rise, girth_below_waist
 from gcd_dataset.generator.garments.upper import Shirt
@@ -32,14 +32,14 @@ WIDER_HEM = "raise waistband.waist or shirt.flare, or shorten shirt.length"
 
 
 class _Hung(NamedTuple):
-    """A part of an outfit, and the depth of its lower end below the waist [cm]."""
+    """A part of a garment, and the depth of its lower end below the waist [cm]."""
 
     part: Component
     bottom: float
 
 
 def tightest_ring(size: Measurements, design: GarmentDesign) -> Ring | None:
-    """The ring that has to stretch most; ``None`` for an outfit without rings. Raises ``PatternError`` as ``parts``."""
+    """The ring that has to stretch most; ``None`` for a garment without rings. Raises ``PatternError`` as ``parts``."""
     return max(rings(size, design), key=lambda ring: ring.stretch, default=None)
 
 
@@ -51,7 +51,7 @@ def rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
 
 
 def trunk_rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
-    """The seams between the parts, a straight shirt at the hips, and the hem of an outfit without a bottom."""
+    """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom."""
     hung = _hung(size, design)
     for above, below in pairwise(hung):
         cloth = min(above.part.length("bottom"), below.part.length("top"))
@@ -106,7 +106,7 @@ SHOULDERS = frozenset({"shoulder", "left_shoulder"})
 
 
 class HipLoad(NamedTuple):
-    """The cloth of an outfit that hangs from the hips, and the most that they hold [m²]."""
+    """The cloth of a garment that hangs from the hips, and the most that they hold [m²]."""
 
     cloth: float
     held: float
@@ -118,7 +118,7 @@ class HipLoad(NamedTuple):
 
 
 def strap_stretch(size: Measurements, design: GarmentDesign) -> float:
-    """Stretch of the cloth at the shoulder seams under the weight of the outfit; 1 for one without shoulder seams.
+    """Stretch of the cloth at the shoulder seams under the weight of the garment; 1 for one without shoulder seams.
 
     A strap of width w [m] that carries an area A [m²] is stretched by A · density · g / (w · stiffness). All seams
     share the weight, and none rests on the hips: the worst case. Raises ``PatternError`` as ``parts``.
@@ -134,7 +134,7 @@ def shoulder_width(upper: Component) -> float:
 
 
 def hip_load(size: Measurements, design: GarmentDesign) -> HipLoad | None:
-    """The load on the hips of a flared skirt that does not hang from shoulders; ``None`` for any other outfit.
+    """The load on the hips of a flared skirt that does not hang from shoulders; ``None`` for any other garment.
 
     Trousers hang from the crotch; pencil and gathered skirts touch the hips all round, and did not slide.
 
@@ -159,7 +159,7 @@ def hip_load(size: Measurements, design: GarmentDesign) -> HipLoad | None:
 
 
 def _is_off_shoulders(design: GarmentDesign) -> bool:
-    """Whether no part of the outfit hangs from a shoulder."""
+    """Whether no part of the garment hangs from a shoulder."""
     upper = design.meta.upper
     if upper is None:
         return True

@@ -15,9 +15,9 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, choice_of
 from gcd_dataset.generator.garments.garment import GarmentChoice
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.rules import (
     FIRM_BAND,
     LIGHT_LENGTH,
@@ -149,7 +149,8 @@ class Redrawing:
                 break
             trials = chain.from_iterable(self.tried(design, fault.rule, remedy) for remedy in remedies(fault))
             found = ((trial, find(trial)) for trial in map(limited, trials))
-            design, left = next((pair for pair in found if _is_other(pair[1], fault)), (design, fault))
+            others = (pair for pair in found if pair[1] is None or pair[1].part != fault.part)
+            design, left = next(others, (design, fault))
             if left is fault:
                 break
             fault = left
@@ -162,10 +163,6 @@ def _garments(part: object) -> dict[str, GarmentChoice]:
     return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
 
 
-def _is_other(found: SewingFault | None, fault: SewingFault) -> bool:
-    return found is None or found.part != fault.part
-
-
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length for such a shirt
 WIDEST_END = 2.0  # largest sleeve.end_width
@@ -174,29 +171,26 @@ TRUNK = "trunk"  # the part at fault where cloth is too tight or too heavy for t
 FLARED_CUFF = "sl_right_cuff_skirt_f"
 
 
-def _remedy(path: str) -> Remedy:
-    """The remedy for a path, which may end in ``-`` or ``+``: see ``BottomGarment.remedies``."""
-    return Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+"))
-
-
 def _remedies(*paths: str) -> tuple[Remedy, ...]:
-    return tuple(map(_remedy, paths))
+    """The remedies for paths, which may end in ``-`` or ``+``: see ``BottomGarment.remedies``."""
+    return tuple(Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+")) for path in paths)
 
 
-SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": _remedies("collar.fc_depth-", "collar.f_collar", "collar.width"),
-    "right_btorso": _remedies("collar.bc_depth-", "collar.b_collar", "collar.width"),
-    FLARED_CUFF: _remedies("sleeve.cuff.skirt_flare-", "sleeve.cuff.cuff_len+"),
-    "": _remedies("shirt.flare-", "collar.width", "shirt.width"),
-}
-"""Panel at fault of a shirt's right half to the remedies; the empty name: a seam does not match or drawing fails."""
-LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": _remedies("collar.fc_depth-", "left.collar.f_collar", "left.collar.width"),
-    "right_btorso": _remedies("collar.bc_depth-", "left.collar.b_collar", "left.collar.width"),
-    FLARED_CUFF: _remedies("left.sleeve.cuff.skirt_flare-", "left.sleeve.cuff.cuff_len+"),
-    "": _remedies("left.shirt.flare-", "left.collar.width", "left.shirt.width"),
-}
-"""The same for the left half of an asymmetric shirt."""
+def _half_remedies(half: str) -> Mapping[str, tuple[Remedy, ...]]:
+    """Panel at fault of a shirt's half to the remedies; the empty name: a seam does not match or drawing fails.
+
+    Both halves of a neckline have the same depth.
+    """
+    return {
+        "right_ftorso": _remedies("collar.fc_depth-", f"{half}collar.f_collar", f"{half}collar.width"),
+        "right_btorso": _remedies("collar.bc_depth-", f"{half}collar.b_collar", f"{half}collar.width"),
+        FLARED_CUFF: _remedies(f"{half}sleeve.cuff.skirt_flare-", f"{half}sleeve.cuff.cuff_len+"),
+        "": _remedies(f"{half}shirt.flare-", f"{half}collar.width", f"{half}shirt.width"),
+    }
+
+
+SHIRT_REMEDIES, LEFT_REMEDIES = _half_remedies(""), _half_remedies(LEFT)
+"""For the right half of a shirt, and for the left half of an asymmetric one."""
 WHOLE_SHIRT = tuple(map(Remedy, (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))))
 WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", "left.collar"))))
 
@@ -244,7 +238,9 @@ class _Fitting:
             design = self._with_wide_ends(limited(design))
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
         section = Remedy((garment.section,))
-        return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
+        return self.redrawing.repaired(
+            design, lambda trial: _first(upper_fault(size, trial) for size in self.sizes), lambda fault: (section,)
+        )
 
     def _with_wide_ends(self, design: GarmentDesign) -> GarmentDesign:
         """The design with sleeves whose ends are wide enough for the arms."""
@@ -274,9 +270,6 @@ class _Fitting:
             if fault is not None:
                 return SewingFault(fault.rule, prefix + fault.part)
         return None
-
-    def _upper_fault(self, design: GarmentDesign) -> SewingFault | None:
-        return _first(upper_fault(size, design) for size in self.sizes)
 
     def _with_shoulders(self, design: GarmentDesign) -> GarmentDesign:
         """The design with an allowed shirt length, and with necklines that leave room for shoulder seams."""
@@ -325,18 +318,14 @@ class _Fitting:
                 fitting = self.redrawing.again(
                     fitting, "too_tight", "shirt.length", low=min(shorter, JOINED_SHIRT[0]), high=shorter
                 )
-            else:
-                fitting = self._with_wider_hem(fitting)
+            else:  # more flare in the half that has less
+                flares = [half[0].flare for half in fitting.halves()]
+                least = int(np.argmin(flares))
+                path, low = ("", LEFT)[least] + "shirt.flare", float(np.nextafter(flares[least], inf))
+                fitting = self.redrawing.again(fitting, "too_tight", path, low=low)
         if fitting is design:
             return design
         return self.redrawing.repaired(fitting, self._shirt_fault, _shirt_remedies, limited=self._with_shoulders)
-
-    def _with_wider_hem(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with more flare in the half that has less."""
-        flares = [half[0].flare for half in design.halves()]
-        least = int(np.argmin(flares))
-        path = ("shirt.flare", "left.shirt.flare")[least]
-        return self.redrawing.again(design, "too_tight", path, low=float(np.nextafter(flares[least], inf)))
 
     def _is_tight(self, design: GarmentDesign) -> bool:
         return any(is_too_tight(size, design) for size in self.sizes)
@@ -374,7 +363,10 @@ class _Fitting:
             return SewingFault("tight_cuff", "cuff")
         if any(has_tight_bottom(size, design) for size in self.sizes):
             return SewingFault("too_tight", "ring")
-        return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
+        assert design.meta.bottom is not None
+        garment = design.meta.bottom.garment
+        is_plain = garment.always_sewable(garment.section_design(design))
+        return None if is_plain else _first(bottom_fault(size, design) for size in self.sizes)
 
     def _below_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a bottom of its declared length: no skirt is drawn shorter than ``SHORTEST``."""
@@ -463,13 +455,6 @@ def _load_remedies(design: GarmentDesign) -> tuple[Remedy, ...]:
     full = (f"{top.section}.{top.fullness_parameter}-",) if top is not None and top.fullness_parameter else ()
     straps = ("shirt.strapless",) if design.meta.upper else ()
     return _remedies(*full, f"{_length_path(design)}-", *straps)
-
-
-def _is_plain(design: GarmentDesign) -> bool:
-    """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
-    assert design.meta.bottom is not None
-    garment = design.meta.bottom.garment
-    return garment.always_sewable(garment.section_design(design))
 
 
 def _length_path(design: GarmentDesign) -> str:
