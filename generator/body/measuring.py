@@ -13,7 +13,6 @@ from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, ArmPose, model_mes
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.landmarks import GivenLandmarks, Landmarks, levels_of, model_landmarks
-from gcd_dataset.generator.body.measures import sinking
 from gcd_dataset.generator.body.register import (
     Registration,
     UprightScan,
@@ -24,7 +23,7 @@ from gcd_dataset.generator.body.register import (
 )
 from gcd_dataset.generator.body.repair import Scan, VisibleSkin, kept_mesh
 from gcd_dataset.generator.body.section import contour_length, girth, loops, rough_girths, section, section_points
-from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.generator.body.surface import SkinSurface, near
 from gcd_dataset.generator.body.tailor import (
     GIRTHS,
     MeasureResult,
@@ -32,6 +31,7 @@ from gcd_dataset.generator.body.tailor import (
     measure_at,
     model_sites,
     relative_height,
+    sinking,
     sites_of,
 )
 from gcd_dataset.meshedges import mesh_edges
@@ -57,17 +57,17 @@ def find_landmarks(
     model = model_landmarks(registration.vertices)
     offsets = {name: model_height() * share for name, share in landmark_table().beside.items()}
     expected = {name: (at + offsets.get(name, 0.0))[None] for name, at in model.points.items()} | dict(model.rings)
-    near = {name: surface.nearest(at) for name, at in expected.items()}
+    nearest = {name: surface.nearest(at) for name, at in expected.items()}
     tree = cKDTree(registration.vertices)
     confidence = {}
-    for name, at in near.items():
+    for name, at in nearest.items():
         around = np.unique(np.concatenate([*tree.query_ball_point(at.points, CONFIDENCE_RADIUS), []])).astype(int)
         misfit = np.sqrt((registration.distances[around] ** 2).mean()) if len(around) else np.inf
         patched = scan.patched[at.faces].mean()
         confidence[name] = float((1 - patched) / (1 + (misfit / HALF_CONFIDENCE) ** 2))
-    points = {name: (near[name].points[0] - shift) / scale for name in model.points}
-    rings = {name: (near[name].points - shift) / scale for name in model.rings}
-    wrist = _near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
+    points = {name: (nearest[name].points[0] - shift) / scale for name in model.points}
+    rings = {name: (nearest[name].points - shift) / scale for name in model.rings}
+    wrist = near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
     rings["wrist_right"] = narrowest_ring(
         scan.vertices, scan.faces[wrist], rings["wrist_right"], WRIST_SEARCH / scale, scan.patched[wrist]
     )
@@ -103,10 +103,6 @@ def narrowest_ring(
     return hull @ np.stack([across, normal, along]) + middle
 
 
-def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
-
-
 def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
     """``BodyPart`` of each vertex, from the model's nearest skin vertex; internal if well behind the skin."""
     model = body_model()
@@ -115,8 +111,8 @@ def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -
     parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
     candidates = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
     closed = VisibleSkin.of(model.faces, model.parts)
-    near = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[candidates])
-    behind = np.einsum("vi,vi->v", vertices[candidates] - near.points, near.normals) < -BEHIND
+    skin_at = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[candidates])
+    behind = np.einsum("vi,vi->v", vertices[candidates] - skin_at.points, skin_at.normals) < -BEHIND
     parts[candidates[behind]] = BodyPart.INTERNAL.value
     return parts
 
@@ -191,15 +187,13 @@ def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResu
 
 
 def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
-    bridged = _longest_run(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
+    if not len(patches):
+        return
+    segments = section(scan.vertices, patches, axis, level)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    bridged = float(np.bincount(loops(segments), length).max(initial=0.0))  # the longest connected line
     if bridged > MAX_BRIDGED * relative_height(scan.vertices):
         raise BodyError(f"{name}: {measure} crosses {bridged:.0f} cm of a hole in the skin: close it")
-
-
-def _longest_run(segments: Float[np.ndarray, "s 2 3"]) -> float:
-    """Length of the longest connected line of a section's segments [cm]."""
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    return float(np.bincount(loops(segments), length).max(initial=0.0))
 
 
 def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:

@@ -329,15 +329,12 @@ def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
             "average: give one whole body with bare arms and legs, standing along y and facing +z"
         )
     registration = register(found.surface, found.alignment)
-    if leans or not _is_upright(registration.alignment):
+    pitch, yaw, roll = np.abs(registration.alignment.pose[3:6])
+    upright = max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * registration.alignment.misfit
+    if leans or not upright:
         found = _try(scan, registration.alignment.turn.T @ found.transform.turn)
         registration = register(found.surface, found.alignment)
     return found, registration
-
-
-def _is_upright(alignment: Alignment) -> bool:
-    pitch, yaw, roll = np.abs(alignment.pose[3:6])
-    return bool(max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * alignment.misfit)
 
 
 def _nearest_quarter_turn(scan: Scan) -> UprightScan:

@@ -33,6 +33,11 @@ def kept_per_body(compute: Callable[[Body], Derived]) -> Callable[[Body], Derive
     return found
 
 
+def near(vertices: Float[np.ndarray, "v 3"], points: Float[np.ndarray, "n 3"], radius: float) -> Bool[np.ndarray, " v"]:
+    """Whether each vertex is within a radius of one of the points [cm]."""
+    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
+
+
 LONGEST_EDGE = 6.0  # cm; longer edges are halved, so that the centroid of a near triangle is near
 MAX_TRIANGLES = 300_000  # after subdivision; slivers a metre long would give millions
 CANDIDATES = 8  # triangles with the nearest centroids, whose distances are computed exactly

@@ -12,9 +12,9 @@ from gcd_dataset.generator.captions import caption, captions, garment_facts, say
 from gcd_dataset.generator.captions.facts import AT_KNEE, KNEE_HEIGHT
 from gcd_dataset.generator.captions.sentences import MOST_SHORT_WORDS
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
 from gcd_dataset.generator.garments.description import RUFFLES
-from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
 from gcd_dataset.records import Panel, Pattern
 from tests.generator.garments.conftest import OUTFITS, WOMAN

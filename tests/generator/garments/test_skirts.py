@@ -14,10 +14,10 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
 from gcd_dataset.generator.garments import draw_garment
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, read_design
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign, pencil_skirt
 from gcd_dataset.generator.garments.space import draw
 from gcd_dataset.generator.garments.wardrobe import Bottom

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.garments import TAGS, design_from_dict, garment_tags, draw_garment
+from gcd_dataset.generator.garments import TAGS, design_from_dict, draw_garment, garment_tags
 from gcd_dataset.generator.garments.description import Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.records import Measurements, PanelRole, Pattern
