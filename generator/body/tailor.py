@@ -152,7 +152,7 @@ class _Tape:
 
 
 def sinking(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], *, axis: int = Y) -> float:
-    """Slope of the line from ``start`` to ``end`` below the plane normal to an axis, by default the horizontal [rad]."""
+    """Slope of the line from ``start`` to ``end`` to the plane normal to an axis, by default the horizontal [rad]."""
     return float(np.arcsin((start - end)[axis] / np.linalg.norm(start - end, axis=-1)))
 
 
