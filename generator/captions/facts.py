@@ -15,7 +15,7 @@ from gcd_dataset.generator.garments.description import (
     RUFFLES,
     Description,
     Detail,
-    Place,
+    Zone,
     Words,
 )
 from gcd_dataset.generator.garments.design import GarmentDesign
@@ -105,7 +105,7 @@ class GarmentFacts:
     lower: str
     """The name of the bottom in a sentence: skirt, trousers or shorts; empty without one."""
     details: tuple[Detail, ...]
-    """In the order of ``Place``."""
+    """In the order of ``Zone``."""
     is_symmetrical: bool
     """Whether left and right halves are drawn as mirror images."""
 
@@ -120,9 +120,9 @@ def garment_facts(size: Measurements, design: GarmentDesign, pattern: Pattern) -
     upper, bottom = described(size, design, pattern)
     facts = _kind(size, design, upper, bottom)
     found = [*facts.details, *_darts(pattern), *_waist(size, design, pattern)]
-    if not any(detail.place is Place.HEM for detail in found):
-        found.append(Detail(Place.HEM, PLAIN_LEGS if facts.lower in ("trousers", "shorts") else PLAIN_HEM))
-    order = list(Place)
+    if not any(detail.place is Zone.HEM for detail in found):
+        found.append(Detail(Zone.HEM, PLAIN_LEGS if facts.lower in ("trousers", "shorts") else PLAIN_HEM))
+    order = list(Zone)
     details = sorted(found, key=lambda detail: order.index(detail.place))
     symmetrical = sides_match(details, pattern)
     traits = facts.traits if symmetrical or len(design.halves()) < 2 else (*facts.traits, ASYMMETRIC)
@@ -174,11 +174,11 @@ def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     found = []
     if bust or below:
         words: Words = ("bust and waist darts", "darts at bust and waist") if bust and below else ("bust darts",)
-        found.append(Detail(Place.BODY, words if bust else ("waist darts",)))
+        found.append(Detail(Zone.BODY, words if bust else ("waist darts",)))
     if waist:
         in_front = any(panel.placement.translation[2] > 0 for panel in waist)
         words = ("waist darts", "darts at the waist") if in_front else ("darts at the back waist",)
-        found.append(Detail(Place.LOWER, words))
+        found.append(Detail(Zone.LOWER, words))
     return tuple(found)
 
 
@@ -188,7 +188,7 @@ def _waist(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple
     if meta.wb:
         found.append(_band(size, design, meta.wb))
         if meta.upper and gather(pattern, "band", "torso") >= RUFFLES:
-            found.append(Detail(Place.WAIST, ("a bodice gathered into the band",)))
+            found.append(Detail(Zone.WAIST, ("a bodice gathered into the band",)))
     if meta.bottom and meta.upper is None:
         top = (
             band_rise(design.waistband, bottom_rise(design)) + design.waistband.width
@@ -201,17 +201,17 @@ def _waist(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple
             words = ("a waistline just below the natural waist",)
         else:
             words = ("a low-slung waist", "a top edge low on the hips")
-        found.append(Detail(Place.WAIST, words))
+        found.append(Detail(Zone.WAIST, words))
         if not meta.wb:
-            found.append(Detail(Place.WAIST, ("no waistband",)))
+            found.append(Detail(Zone.WAIST, ("no waistband",)))
     elif meta.bottom and meta.upper:
         seam = meta.upper.garment.length(size, design) / size.waist_line
         if seam < SEAM_RAISED:
-            found.append(Detail(Place.WAIST, ("a raised waistline",), main=True))
+            found.append(Detail(Zone.WAIST, ("a raised waistline",), main=True))
         elif seam > SEAM_DROPPED:
-            found.append(Detail(Place.WAIST, ("a dropped waistline",), main=True))
+            found.append(Detail(Zone.WAIST, ("a dropped waistline",), main=True))
         else:
-            found.append(Detail(Place.WAIST, ("a seam at the natural waist",)))
+            found.append(Detail(Zone.WAIST, ("a seam at the natural waist",)))
     return tuple(found)
 
 
@@ -220,5 +220,5 @@ def _band(size: Measurements, design: GarmentDesign, kind: Waistband) -> Detail:
     high = "narrow " if height <= NARROW else "wide " if height >= WIDE else ""
     cut = "loose" if design.waistband.waist >= LOOSE else "fitted" if kind is Waistband.FITTED else "straight"
     if meta.bottom is None:
-        return Detail(Place.HEM, (f"a {high}{cut} band at the hem",), main=True)
-    return Detail(Place.WAIST, (f"a {high}{cut} waistband",), main=True)
+        return Detail(Zone.HEM, (f"a {high}{cut} band at the hem",), main=True)
+    return Detail(Zone.WAIST, (f"a {high}{cut} waistband",), main=True)

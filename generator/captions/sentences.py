@@ -8,12 +8,12 @@ import numpy as np
 
 from gcd_dataset.captions import LEVELS
 from gcd_dataset.generator.captions.facts import GarmentFacts
-from gcd_dataset.generator.garments.description import Place, Words, joined, with_article
+from gcd_dataset.generator.garments.description import Zone, Words, joined, with_article
 
 MOST_SHORT_WORDS = 12
 USUAL_SHORT_WORDS = 10
 MOST_LISTED = 4  # details in one sentence
-UPPER = (Place.NECK, Place.SLEEVES, Place.BODY)
+UPPER = (Zone.NECK, Zone.SLEEVES, Zone.BODY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class _Phrase:
     """The chosen wording of a detail."""
 
     text: str
-    place: Place
+    place: Zone
     main: bool
 
 
@@ -135,22 +135,28 @@ def _paragraph(garment: _Garment) -> list[tuple[str, list[str]]]:
     """Subject and details of each sentence after the first."""
     it = "They" if garment.is_plural else "It"
 
-    def at(*places: Place) -> list[str]:
+    def at(*places: Zone) -> list[str]:
         return [detail.text for detail in garment.details if detail.place in places]
 
     if garment.parts:
-        above = at(*UPPER, Place.WAIST)
+        above = at(*UPPER, Zone.WAIST)
         if len(above) > MOST_LISTED:
-            groups = [("It", at(Place.NECK, Place.SLEEVES)), ("It", at(Place.BODY, Place.WAIST))]
+            groups = [
+                ("It", at(Zone.NECK, Zone.SLEEVES)),
+                ("It", at(Zone.BODY, Zone.WAIST)),
+            ]
         else:
             groups = [("It", above)]
-        groups.append((f"The {garment.lower}", at(Place.LOWER, Place.HEM)))
+        groups.append((f"The {garment.lower}", at(Zone.LOWER, Zone.HEM)))
     elif garment.lower:
-        groups = [(it, at(Place.WAIST, Place.LOWER)), (it, at(Place.HEM))]
+        groups = [(it, at(Zone.WAIST, Zone.LOWER)), (it, at(Zone.HEM))]
     else:
-        groups = [(it, at(Place.NECK, Place.SLEEVES)), (it, at(Place.BODY, Place.WAIST, Place.HEM))]
+        groups = [
+            (it, at(Zone.NECK, Zone.SLEEVES)),
+            (it, at(Zone.BODY, Zone.WAIST, Zone.HEM)),
+        ]
         if len(garment.details) <= MOST_LISTED:
-            groups = [(it, at(*Place))]
+            groups = [(it, at(*Zone))]
     return [(subject, listed) for subject, listed in groups if listed]
 
 

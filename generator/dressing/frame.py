@@ -110,7 +110,9 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
 
     ``middle``: x of the garment's plane of symmetry [cm].
     """
-    panels, openings, roles = pattern.panels, openings_of(pattern), {p.name: _role(p) for p in pattern.panels}
+    panels, openings, roles = pattern.panels, openings_of(pattern), {}
+    for panel in panels:
+        roles[panel.name] = panel.label or role_by_name(panel.name)
     neck, armpit, waist = wearer.nape - UNDER_NAPE, wearer.armpit, wearer.waist
     hips, head = wearer.hips - UNDER_HIPS, float(wearer.body.vertices[:, 1].max())
     collar = _labelled(pattern, EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR)
@@ -180,10 +182,6 @@ def _labelled(pattern: Pattern, *labels: EdgeRole) -> float | None:
         (panel, index) for panel in pattern.panels for index, edge in enumerate(panel.edges) if edge.label in labels
     )
     return max((float(edge_points(panel, index)[:, 1].max()) for panel, index in edges), default=None)
-
-
-def _role(panel: Panel) -> PanelRole | str | None:
-    return panel.label or role_by_name(panel.name)
 
 
 def _has(panel: Panel, words: tuple[str, ...]) -> bool:

@@ -94,7 +94,7 @@ def _armhole(pattern: Pattern, sleeve: Sequence[Panel]) -> Float[np.ndarray, "3"
 
 
 def _middle(panel: Panel) -> Float[np.ndarray, "3"]:
-    return panel.placement.apply(panel_outline(panel)).mean(axis=0)
+    return placed_outline(panel).mean(axis=0)
 
 
 def _turned(panel: Panel, turn: Rotation, about: np.ndarray, by: np.ndarray) -> Panel:

@@ -57,27 +57,17 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
         _end_above_feet(np.unique(mesh.faces[skirts[mesh.panel_id]]), body, placed)
-    if bodice:
-        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
-            if part in limbs:
-                _fit_between_arms(mesh, roles, limbs[part], side, placed)
-    if sleeves:
-        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
-            if part in limbs:
-                _put_on_arm(mesh, roles, limbs[part], side, placed)
-    if trousers.any():
-        for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)):
-            leg = leg_of(body, part)
-            if leg is not None:
-                _put_on_leg(mesh, trousers, leg, side, placed)
+    arms = [(limbs[p], side) for p, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)) if p in limbs]
+    for arm, side in arms if bodice else ():
+        _fit_between_arms(mesh, roles, arm, side, placed)
+    for arm, side in arms if sleeves else ():
+        sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
+        if not roll_round_limb(mesh, sleeve, arm, placed):
+            put_on_limb(mesh, sleeve, arm, placed)
+    for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)) if trousers.any() else ():
+        if (leg := leg_of(body, part)) is not None:
+            _put_on_leg(mesh, trousers, leg, side, placed)
     return placed
-
-
-def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Put the sleeves of one side on the arm, in ``placed``; ``side``: 1 for the left side, -1 for the right."""
-    sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
-    if not roll_round_limb(mesh, sleeve, arm, placed):
-        put_on_limb(mesh, sleeve, arm, placed)
 
 
 def _put_on_leg(

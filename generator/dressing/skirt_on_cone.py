@@ -91,7 +91,9 @@ class Skirt:
         length = float(np.percentile(down, 95))
         if length <= 0.0:
             return
-        turn = self._turns()[rows]
+        # The angle of each vertex from the middle of front or back: π/2 on the left side seam, -π/2 on the right,
+        # harmonic in the flat cloth between them.
+        turn = self.cloth.harmonic(self.side, 0.5 * np.pi * self._aside)[rows]
         trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
         sine = self._sine(length)
         out = CLEARANCE + sine * down + WAVE * np.sin(WAVES * turn) * np.minimum(down / HIPS, 1.0)
@@ -125,13 +127,6 @@ class Skirt:
             if len(seams) > 1:
                 middle[seams] = x[seams].mean()
         return np.sign(x - middle)[seam]
-
-    def _turns(self) -> Float[np.ndarray, " v"]:
-        """(v) angle of each vertex from the middle of the front or back [rad].
-
-        π/2 on the left side seam, -π/2 on the right; harmonic in the flat cloth between the side seams.
-        """
-        return self.cloth.harmonic(self.side, 0.5 * np.pi * self._aside)
 
     def _sine(self, length: float) -> float:
         """Sine of the angle between cone and axis, for a skirt of the given length [cm].

@@ -228,7 +228,8 @@ class _Panel:
         rows = np.unique(mesh.corners[tube])
         vertex, uv = mesh.uv_vertex[rows], mesh.uv[rows]
         root = np.isin(vertex, mesh.faces[~tube])
-        own_seam = _repeated(vertex) & ~root
+        _, inverse, count = np.unique(vertex, return_inverse=True, return_counts=True)
+        own_seam = (count[inverse] > 1) & ~root
         if not own_seam.any() or not root.any():
             return None
         middle = uv[own_seam].mean(axis=0)
@@ -286,21 +287,11 @@ class _Panel:
         middles, radii = [0.0], [0.0]
         for section in np.unique(number):
             own = number == section
-            girth = _slope(self.around[own], self.across[own]) * 2.0  # ``around`` increases by 2 over the girth
+            centred = self.around[own] - self.around[own].mean()
+            slope = float(centred @ self.across[own] / max(float(centred @ centred), 1e-9))  # of the regression line
+            girth = slope * 2.0  # ``around`` increases by 2 over the girth
             limbs_own = reach[np.abs(skin_number - section) <= 1].max(initial=0.0)
             middles.append((section + 0.5) * ROLL_SECTION)
             radii.append(max(girth / (2.0 * np.pi), limbs_own + GAP))
         radii[0] = radii[1]
         return np.interp(self.distance, middles, radii)
-
-
-def _slope(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
-    """Slope of the regression line; 0 without variance."""
-    centred = x - x.mean()
-    return float(centred @ y / max(float(centred @ centred), 1e-9))
-
-
-def _repeated(values: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Marks the values that occur more than once."""
-    _, inverse, count = np.unique(values, return_inverse=True, return_counts=True)
-    return count[inverse] > 1

@@ -16,7 +16,7 @@ from math import cos, pi, sin, tan
 
 from gcd_dataset.curves import Arc, Point, Quadratic, to_frame
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Tag, Words
+from gcd_dataset.generator.garments.description import Description, Detail, Zone, Tag, Words
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, neckline_shape
 from gcd_dataset.generator.garments.space import Design, choice, real
@@ -156,7 +156,7 @@ def _describe_cape(design: CapeDesign) -> Description:
         front = ("a front that is open below the neck", "a front opening")
     else:
         front = ("a front that is open towards the hem",)
-    return Description((noun,), (), (Detail(Place.BODY, front, main=True),), tags=(Tag.CAPE, Tag.SLEEVELESS))
+    return Description((noun,), (), (Detail(Zone.BODY, front, main=True),), tags=(Tag.CAPE, Tag.SLEEVELESS))
 
 
 CAPE = SimpleUpper(
@@ -224,7 +224,7 @@ def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Out
 def _describe_poncho(design: PonchoDesign) -> Description:
     shape = "round" if design.shape is PonchoShape.CIRCLE else "rectangular"
     neck = "a V-neckline" if design.neckline is Neckline.V else "a round neckline"
-    detail = Detail(Place.NECK, (neck,), main=True)
+    detail = Detail(Zone.NECK, (neck,), main=True)
     return Description((f"{shape} poncho",), (), (detail,), tags=(Tag.PONCHO, Tag.SLEEVELESS))
 
 

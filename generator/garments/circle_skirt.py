@@ -6,7 +6,7 @@ from math import atan, atan2, cos, degrees, hypot, pi, sin, sqrt, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
+from gcd_dataset.generator.garments.description import Description, Detail, Zone, Setting, Tag, number_word
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.skirt import (
     SHORTEST,
@@ -198,7 +198,7 @@ def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Descript
     hem = ("a hem that is longer behind than in front", "a high-low hem")
     cut = _cut_details(setting, design)
     tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(cut))
-    return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *cut), tags=tags)
+    return Description(nouns, (), (Detail(Zone.HEM, hem, main=True), *cut), tags=tags)
 
 
 def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ...]:
@@ -212,7 +212,7 @@ def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ..
     deep = "deep " if design.cut.depth > 0.5 else ""
     at = f"in the middle of the {where} hem" if side == "middle" else f"on the {side} of the {where} hem"
     words = (f"a {deep}triangular notch {at}", f"a {deep}V-shaped cut {at}")
-    return (Detail(Place.HEM, words, main=True, sided=side != "middle"),)
+    return (Detail(Zone.HEM, words, main=True, sided=side != "middle"),)
 
 
 def _cut_tags(cut: tuple[Detail, ...]) -> tuple[Tag, ...]:
@@ -299,10 +299,10 @@ def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
 def _describe_panels(setting: Setting, design: FlareSkirtDesign) -> Description:
     count, curve = number_word(design.skirt_many_panels.n_panels), design.skirt_many_panels.panel_curve
     (noun,) = flare_nouns(design)
-    details = [Detail(Place.LOWER, ("seams from top to hem between the panels",))]
+    details = [Detail(Zone.LOWER, ("seams from top to hem between the panels",))]
     if curve:
         words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
-        details.append(Detail(Place.HEM, words, main=True))
+        details.append(Detail(Zone.HEM, words, main=True))
     nouns = (f"{count}-panel {noun}", f"{noun} of {count} panels")
     return Description(nouns, (), tuple(details), tags=(Tag.PANELLED, flare_tag(design)))
 

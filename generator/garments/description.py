@@ -87,8 +87,8 @@ SOUNDS_LIKE_A_CONSONANT = ("one", "U-")
 """Beginnings with a vowel's letter that are spoken with a consonant: a one-shoulder top, a U-shaped neckline."""
 
 
-class Place(Enum):
-    """The part of a garment that a detail belongs to, in the order of a full caption."""
+class Zone(Enum):
+    """The zone of a garment that a detail belongs to, in the order of a full caption."""
 
     NECK = "neck"
     SLEEVES = "sleeves"
@@ -102,7 +102,7 @@ class Place(Enum):
 class Detail:
     """A visible detail, as noun phrases that may follow "with": ``("a slit in the back", "a back slit")``."""
 
-    place: Place
+    place: Zone
     words: Words
     main: bool = False
     """Whether captions of medium length mention it."""

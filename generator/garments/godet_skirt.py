@@ -6,7 +6,7 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
+from gcd_dataset.generator.garments.description import Description, Detail, Zone, Setting, Tag, number_word
 from gcd_dataset.generator.garments.garment import (
     BottomGarment,
     Combined,
@@ -170,7 +170,7 @@ def _describe(setting: Setting, drawn: Combined[GodetSkirtDesign]) -> Descriptio
     (part,) = drawn.parts
     base, count = part.garment.description_of(setting, part.plain), number_word(drawn.design.num_inserts)
     words = (f"{count} godets in the hem", f"{count} triangular godets set into the hem")
-    return replace(base.adding(Detail(Place.HEM, words, main=True)), tags=(Tag.GODETS, *base.tags))
+    return replace(base.adding(Detail(Zone.HEM, words, main=True)), tags=(Tag.GODETS, *base.tags))
 
 
 GODET_SKIRT = BottomGarment(

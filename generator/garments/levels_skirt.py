@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.description import (
     RUFFLES,
     Description,
     Detail,
-    Place,
+    Zone,
     Setting,
     Tag,
     number_word,
@@ -148,11 +148,11 @@ def _describe(setting: Setting, drawn: Combined[LevelsSkirtDesign]) -> Descripti
     is_gathered = design.level_ruffle >= RUFFLES
     cut = ("gathered " if is_gathered else "") + ("flared " if is_flared else "")
     tiers = f"{number_word(design.num_levels)} {cut}{'tier' if design.num_levels == 1 else 'tiers'}"
-    details = [Detail(Place.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
+    details = [Detail(Zone.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
     tags = [Tag.TIERED, *base.tags, *([Tag.RUFFLED] if is_gathered else [])]
     if level.garment is ASYMMETRIC_CIRCLE_SKIRT and top.garment is not ASYMMETRIC_CIRCLE_SKIRT:
         words = ("tiers that are longer behind than in front", "high-low tiers")
-        details.append(Detail(Place.HEM, words))
+        details.append(Detail(Zone.HEM, words))
         tags.append(Tag.ASYMMETRIC)
     tiered = number_word(design.num_levels + 1)
     nouns = ("tiered skirt", f"{tiered}-tier skirt")

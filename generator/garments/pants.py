@@ -13,7 +13,7 @@ import numpy as np
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
-from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting, Tag
+from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Zone, Setting, Tag
 from gcd_dataset.generator.garments.garment import BottomGarment, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist
@@ -224,7 +224,7 @@ def _describe(setting: Setting, design: PantsDesign) -> Description:
         return Description(("trousers",), traits, tags=(Tag.TROUSERS,))
     gathers = setting.cuffs.get("right", UNGATHERED)
     words = cuff_words(design.cuff.type, _cuff_length(setting.size, design), gathers, limb="leg")
-    return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
+    return Description(("trousers",), traits, (Detail(Zone.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
 
 
 PANTS = BottomGarment(

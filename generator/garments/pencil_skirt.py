@@ -9,7 +9,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting, Tag
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Zone, Setting, Tag
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
@@ -202,14 +202,14 @@ def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
         "left": design.left_slit,
     }
     slits = {name: share for name, share in shares.items() if share * below >= VISIBLE_SLIT}
-    details = [Detail(Place.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
+    details = [Detail(Zone.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
     tags = [Tag.PENCIL if design.flare <= 1 else Tag.A_LINE, *([Tag.SLIT] if slits else [])]
     is_tilted = abs(design.low_angle) >= VISIBLE_TILT
     if is_tilted:
         tags.append(Tag.ASYMMETRIC)
         side, other = ("left", "right") if design.low_angle > 0 else ("right", "left")
         words = (f"a hem that slants down to the {side}", f"a slanted hem that is higher on the {other}")
-        details.append(Detail(Place.HEM, words, main=True, sided=True))
+        details.append(Detail(Zone.HEM, words, main=True, sided=True))
     if design.flare <= 1:
         nouns: tuple[str, ...] = ("pencil skirt",)
     else:

@@ -8,7 +8,7 @@ from gcd_dataset.generator.garments.description import (
     UNGATHERED,
     Description,
     Detail,
-    Place,
+    Zone,
     Setting,
     Tag,
     Words,
@@ -97,18 +97,18 @@ def _necks(size: Measurements, halves: tuple[UpperHalf, ...], *, fitted: bool) -
         near = neck.width <= NEAR_NECK[0] and neck.fc_depth <= NEAR_NECK[1]
         collar = collar_words(neck.component, near_neck=near)
         words = collar or tuple(with_article(noun) for noun in front)
-        details = [Detail(Place.NECK, words, main=True)]
+        details = [Detail(Zone.NECK, words, main=True)]
     else:
         necks = [_neck(size, shirt, neck, arm, fitted=fitted) for shirt, neck, arm in halves]
         (right, back), (left, left_back) = necks
         back = back if back == left_back else ()
         if right == left:
-            details = [Detail(Place.NECK, tuple(with_article(noun) for noun in right), main=True)]
+            details = [Detail(Zone.NECK, tuple(with_article(noun) for noun in right), main=True)]
         else:
             shapes = [words[0].removesuffix(" neckline").removesuffix("-neckline") for words in (right, left)]
             phrase = f"a neckline that is {_predicate(shapes[0])} on the right and {_predicate(shapes[1])} on the left"
-            details = [Detail(Place.NECK, (phrase,), main=True, sided=True)]
-    return (*details, Detail(Place.NECK, back)) if back else tuple(details)
+            details = [Detail(Zone.NECK, (phrase,), main=True, sided=True)]
+    return (*details, Detail(Zone.NECK, back)) if back else tuple(details)
 
 
 def _predicate(shape: str) -> str:
@@ -139,11 +139,11 @@ def _sleeves(setting: Setting, arms: list[SleeveDesign]) -> tuple[Detail, ...]:
     pairs, singles = worn[0].words(), [arm.words(pair=False)[0] for arm in worn]
     if len(worn) == 1 and len(arms) == 2:
         one = (f"one {singles[0]} on the {worn[0].side} only",)
-        return (Detail(Place.SLEEVES, one, main=True, sided=True), *_single_cuffs(worn, [""]))
+        return (Detail(Zone.SLEEVES, one, main=True, sided=True), *_single_cuffs(worn, [""]))
     if len(worn) == 2 and singles[0] != singles[1]:
         both = f"{with_article(singles[0])} on the right and {with_article(singles[1])} on the left"
-        return (Detail(Place.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(worn))
-    return (Detail(Place.SLEEVES, pairs, main=True), *_pair_of_cuffs(worn))
+        return (Detail(Zone.SLEEVES, (both,), main=True, sided=True), *_pair_of_cuffs(worn))
+    return (Detail(Zone.SLEEVES, pairs, main=True), *_pair_of_cuffs(worn))
 
 
 def _pair_of_cuffs(arms: list["_Arm"]) -> tuple[Detail, ...]:
@@ -152,14 +152,14 @@ def _pair_of_cuffs(arms: list["_Arm"]) -> tuple[Detail, ...]:
     if len(words) > 1:
         return _single_cuffs(arms, [f" on the {side} sleeve" for side in SIDES])
     found = words.pop()
-    return (Detail(Place.SLEEVES, found),) if found else ()
+    return (Detail(Zone.SLEEVES, found),) if found else ()
 
 
 def _single_cuffs(arms: list["_Arm"], where: list[str]) -> tuple[Detail, ...]:
     """Each cuff by itself; ``where``: words after it."""
     return tuple(
         Detail(
-            Place.SLEEVES,
+            Zone.SLEEVES,
             (single_cuff_words(arm.cuff, arm.cuff_length, arm.gathers) + place,),
             sided=bool(place),
         )
@@ -185,10 +185,10 @@ def _one_shoulder(setting: Setting, halves: tuple[UpperHalf, ...], *, side: int)
     """The half with a shoulder of a shirt that is strapless on the other side."""
     arm, name = halves[side][2], SIDES[side]
     if arm.sleeveless:
-        return (Detail(Place.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
+        return (Detail(Zone.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
     worn = _Arm(arm, setting, name)
     single = with_article(worn.words(pair=False)[0])
     return (
-        Detail(Place.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
+        Detail(Zone.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
         *_single_cuffs([worn], [""]),
     )

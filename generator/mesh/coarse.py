@@ -23,7 +23,7 @@ STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by 
 
 
 @dataclass(frozen=True)
-class Borders:
+class PanelBorders:
     """The border of every panel as a closed loop, with its panel on the same side of all segments."""
 
     rows: Int[np.ndarray, " b"]
@@ -34,7 +34,7 @@ class Borders:
     """The panel of each, ascending: one loop for each panel that has faces."""
 
     @staticmethod
-    def of(mesh: BoxMesh) -> "Borders":
+    def of(mesh: BoxMesh) -> "PanelBorders":
         """The borders of a mesh. Raises ``MeshError`` for a panel with a hole or one that touches itself at a point."""
         sides = _border_sides(mesh)
         start, end, panel = mesh.corners.ravel()[sides], _ends(mesh)[sides], mesh.panel_id[sides // 3]
@@ -43,7 +43,7 @@ class Borders:
         if (place[start] != np.arange(len(start))).any() or (place[end] < 0).any():
             raise MeshError("a panel touches itself at a point: it cannot be made coarser")
         order = np.array(list(_walk(mesh, panel, place[end])), int)
-        return Borders(start[order], end[order], panel[order])
+        return PanelBorders(start[order], end[order], panel[order])
 
 
 def _border_sides(mesh: BoxMesh) -> Int[np.ndarray, " b"]:
@@ -91,7 +91,7 @@ class Thinned:
     """Position of the dropped vertex between those two, 0 to 1."""
 
 
-def thin(mesh: BoxMesh, borders: Borders) -> Thinned:
+def thin(mesh: BoxMesh, borders: PanelBorders) -> Thinned:
     """Every second vertex between corners and ends of seams, and these."""
     graph = _Graph.of(mesh, borders)
     path, chain = graph.chains(_corners(mesh, borders))
@@ -113,7 +113,7 @@ def thin(mesh: BoxMesh, borders: Borders) -> Thinned:
     return Thinned(kept, path[np.stack([low, high], axis=1)], path[at], share)
 
 
-def _corners(mesh: BoxMesh, borders: Borders) -> Int[np.ndarray, " k"]:
+def _corners(mesh: BoxMesh, borders: PanelBorders) -> Int[np.ndarray, " k"]:
     """The vertices where an outline turns by more than ``STRAIGHT``."""
     step = mesh.uv[borders.after] - mesh.uv[borders.rows]
     step /= np.linalg.norm(step, axis=1, keepdims=True)
@@ -135,7 +135,7 @@ class _Graph:
     """Flat lengths [cm]."""
 
     @staticmethod
-    def of(mesh: BoxMesh, borders: Borders) -> "_Graph":
+    def of(mesh: BoxMesh, borders: PanelBorders) -> "_Graph":
         size = np.int64(len(mesh.vertices))
         start, end = mesh.uv_vertex[borders.rows], mesh.uv_vertex[borders.after]
         length = np.linalg.norm(mesh.uv[borders.after] - mesh.uv[borders.rows], axis=1)
@@ -215,7 +215,7 @@ def locate(
     found[point[beside]] = triangle[beside]  # assigned in order, so the greatest counts
     lost = np.flatnonzero(found < 0)
     if len(lost):
-        found[lost] = _nearest(points, faces, queries[lost])
+        found[lost] = cKDTree(points[faces].mean(axis=1)).query(queries[lost])[1]  # the nearest centroid
     return found
 
 
@@ -253,13 +253,6 @@ def _runs(first: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> tuple[n
     return run, np.arange(len(run)) + (first - np.cumsum(count) + count)[run]
 
 
-def _nearest(
-    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"]
-) -> Int[np.ndarray, " n"]:
-    """The triangles with the nearest centroid."""
-    return np.asarray(cKDTree(points[faces].mean(axis=1)).query(queries)[1])
-
-
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
 COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
@@ -295,7 +288,7 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
-    borders = Borders.of(mesh)
+    borders = PanelBorders.of(mesh)
     thinned = thin(mesh, borders)
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
@@ -323,7 +316,8 @@ class _Sheet:
         """The sheet of panels with these borders. Raises ``MeshError`` if it takes too many lattice points."""
         first = np.flatnonzero(np.diff(loops.number, prepend=-1))
         ahead = loops.points[loops.after]
-        clockwise = np.add.reduceat(_cross(loops.points, ahead), first) < 0.0
+        (x, y), (x_ahead, y_ahead) = loops.points.T, ahead.T
+        clockwise = np.add.reduceat(x * y_ahead - y * x_ahead, first) < 0.0
         length = np.linalg.norm(ahead - loops.points, axis=1)
         length = length[np.lexsort((length, loops.number))]
         spacing = length[first + np.rint(TYPICAL * (np.diff(first, append=len(length)) - 1)).astype(int)]
@@ -381,7 +375,7 @@ class _Filled:
         return found
 
 
-def _fill(mesh: BoxMesh, borders: Borders, thinned: Thinned) -> _Filled:
+def _fill(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned) -> _Filled:
     """The coarse panels. Raises ``MeshError`` where a panel is too narrow to lose half of its border points."""
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
@@ -413,7 +407,7 @@ def _require_outlines(loops: Loops, names: Sequence[str]) -> None:
 # ---------------------------------------------------------------------------------------------------------------- join
 
 
-def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
+def _join(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
     n, count = len(filled.rows), int(thinned.kept.sum())
@@ -422,6 +416,7 @@ def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) ->
     fine_panel = _panel_of_rows(mesh, filled.panels)
     faces = filled.faces[np.argsort(filled.panel[filled.faces[:, 0]], kind="stable")]
     faces = faces[proper_faces(vertex[faces])]
+    sewn = mesh.seams[thinned.kept[mesh.seams[:, 0]]]
     coarse = BoxMesh(
         vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, seed_panel)]),
         faces=vertex[faces],
@@ -431,17 +426,10 @@ def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) ->
         panel_id=filled.panels[filled.panel[faces[:, 0]]],
         panel_names=mesh.panel_names,
         panel_labels=mesh.panel_labels,
-        seams=_renumbered(mesh.seams, thinned.kept, number),
+        seams=np.stack([number[sewn[:, 0]], sewn[:, 1]], axis=1),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
     return CoarseMesh(coarse, *_interpolation(mesh, borders, thinned, filled, vertex, fine_panel))
-
-
-def _renumbered(
-    seams: Int[np.ndarray, "s 2"], kept: Bool[np.ndarray, " v"], number: Int[np.ndarray, " v"]
-) -> Int[np.ndarray, "k 2"]:
-    left = seams[kept[seams[:, 0]]]
-    return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
 
 
 def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarray, " c"]:
@@ -478,7 +466,7 @@ def _in_space(
 
 def _interpolation(
     mesh: BoxMesh,
-    borders: Borders,
+    borders: PanelBorders,
     thinned: Thinned,
     filled: _Filled,
     vertex: Int[np.ndarray, " q"],
@@ -504,7 +492,3 @@ def _interpolation(
     corners[thinned.dropped] = np.stack([low, high, low], axis=1)
     weights[thinned.dropped] = np.stack([1.0 - thinned.share, thinned.share, np.zeros_like(thinned.share)], axis=1)
     return corners, weights
-
-
-def _cross(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -204,7 +204,7 @@ class _Strip:
         fresh = _counter_clockwise(self.jittered, corners[Delaunay(self.jittered[corners]).simplices])
         fresh = fresh[fresh.max(axis=1) >= first_seed]
         updated = np.concatenate([old[~removed], fresh])
-        area, removed_area = _area(self.jittered[fresh]), _area(self.jittered[old[removed]])
+        area, removed_area = (flat_areas(self.jittered[faces]).sum() for faces in (fresh, old[removed]))
         if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, self.loops.after):
             return updated, fresh
         anew = self.faces()
@@ -236,15 +236,12 @@ class _Strip:
         poor = (longest > self.quality.longest * self.spacing) | sharp
         if not poor.any():
             return centres[:0]
-        for has_room in (self._holds, self._is_clear, self._is_empty):
-            poor[poor] = has_room(centres[poor], radii[poor])
+        poor[poor] = shapely.contains_xy(self.outline, *centres[poor].T)
+        poor[poor] = self._are_clear(centres[poor])
+        poor[poor] = self._are_empty(centres[poor], radii[poor])
         return centres[poor][_spaced_out(centres[poor], radii[poor])]
 
-    def _holds(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the centres inside the outline."""
-        return np.asarray(shapely.contains_xy(self.outline, *centres.T))
-
-    def _is_clear(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    def _are_clear(self, centres: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
         """Flags of the centres that encroach on no border segment.
 
         A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
@@ -253,7 +250,7 @@ class _Strip:
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
         return (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
 
-    def _is_empty(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    def _are_empty(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         """Flags of the circles without a point inside; over a slit, some circumcircles hold points."""
         if not len(centres):
             return np.zeros(0, bool)
@@ -279,15 +276,14 @@ def _jittered(points: Float[np.ndarray, "m 2"], by: float, *, first: int = 0) ->
 
 def _counter_clockwise(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     """The triangles with their corners in counter-clockwise order."""
-    a, b, c = points[faces].transpose(1, 2, 0)
-    turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    turn = _orientation(*points[faces].transpose(1, 2, 0))
     return np.where(turn[:, None] < 0, faces[:, ::-1], faces)
 
 
-def _area(corners: Float[np.ndarray, "f 3 2"]) -> float:
-    """The total area of the triangles [cm²]."""
-    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return 0.5 * float((bx * cy - by * cx).sum())
+def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
+    """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return np.asarray(0.5 * (ax * by - ay * bx))
 
 
 def _circumcircles(

@@ -59,7 +59,13 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
     _require_sewn_once(component, walks)
     divisions = _divisions(walks)
     outward = {piece.name: piece.faces_out for piece in component.pieces}
-    strokes = {piece.name: _divided(piece, divisions) for piece in component.pieces}
+    strokes = {
+        piece.name: [
+            stroke.split(shares) if (shares := divisions.get((piece.name, index))) else (stroke,)
+            for index, stroke in enumerate(piece.outline.strokes)
+        ]
+        for piece in component.pieces
+    }
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
     numbers = {panel: _edge_numbers(parts, outward[panel]) for panel, parts in strokes.items()}
     seams = [
@@ -125,12 +131,6 @@ def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]])
             in_drawing_order = [1 - share for share in reversed(shares)] if walked.backward else shares
             divisions[walked.panel, walked.stroke] = in_drawing_order
     return divisions
-
-
-def _divided(piece: Piece, divisions: Mapping[tuple[str, int], list[float]]) -> list[tuple[Stroke, ...]]:
-    """The parts of every stroke of the piece, in drawing order."""
-    shares = [divisions.get((piece.name, index)) for index in range(len(piece.outline.strokes))]
-    return [stroke.split(s) if s else (stroke,) for stroke, s in zip(piece.outline.strokes, shares, strict=True)]
 
 
 def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:

@@ -119,7 +119,8 @@ class _CubicFit:
         """Cost [chord⁻²] and excess length [chords]."""
         legs = [leg[:, None, :] for leg in self.controls(unknowns)]
         speed = _norm(_velocity(legs, AT_LENGTH_NODES))
-        velocity, change = _velocity(legs, AT_SAMPLES), _acceleration(legs, SAMPLES)
+        velocity = _velocity(legs, AT_SAMPLES)
+        change = 6 * ((1 - SAMPLES) * (legs[1] - legs[0]) + SAMPLES * (legs[2] - legs[1]))
         cross = velocity[..., 0] * change[..., 1] - velocity[..., 1] * change[..., 0]
         curvature = np.abs(cross) / _norm(velocity) ** 3
         peak = np.mean(curvature**self.norm, axis=1) ** (1 / self.norm)
@@ -183,10 +184,6 @@ def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], basis: Basis) -> Float[np.
 def _norm(vectors: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k"]:
     x, y = vectors[..., 0], vectors[..., 1]
     return np.sqrt(x * x + y * y)
-
-
-def _acceleration(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:
-    return 6 * ((1 - t) * (legs[1] - legs[0]) + t * (legs[2] - legs[1]))
 
 
 def _derivatives(values: Float[np.ndarray, "10"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
