@@ -107,7 +107,9 @@ def produce(
         return
     with ExitStack() as opened:
         if draper is None and config.stage == "drape":
-            draper = opened.enter_context(_local_draper(config))
+            from gcd_dataset.generator.drapers.local import LocalDraper
+
+            draper = opened.enter_context(LocalDraper(devices_of(config)[0]))
         at_once = 1 if draper is None else max(draper.at_once // config.wearers, 1)
         pending = _Pending(seed, config, finished, known, last or LastDesign(), pictured)
         for index in in_order(pending.work(indices), draper, ahead=ahead or at_once * config.wearers, at_once=at_once):
@@ -206,12 +208,6 @@ class _Pending(Generic[Made]):
 
 def _sample_of(design: DressedDesign, replies: Sequence[DrapeReply], config: MakeConfig, index: int) -> Sample:
     return finish(design, index, config, replies[index % config.wearers] if replies else None)
-
-
-def _local_draper(config: MakeConfig) -> Draper:
-    from gcd_dataset.generator.drapers.local import LocalDraper
-
-    return LocalDraper(devices_of(config)[0])
 
 
 def _unchanged(sample: Sample) -> Sample:

@@ -218,7 +218,10 @@ def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
-    shape = _with_arm_turn(seed, wearer, config)
+    shape = wearer.shape
+    if config.arms:
+        turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
+        shape = replace(shape, arm_angle=math.radians(turn))
     if design.meta.bottom and design.meta.bottom.garment.legs:  # measures: legs together; drape: legs apart
         shape = replace(shape, legs_apart=True)
     if shape is wearer.shape:
@@ -236,14 +239,6 @@ def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
     return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
-
-
-def _with_arm_turn(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
-    """The wearer's shape with a random arm angle within ± ``config.arms`` degrees, if that is not 0."""
-    if not config.arms:
-        return wearer.shape
-    turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
-    return replace(wearer.shape, arm_angle=math.radians(turn))
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
@@ -294,13 +289,10 @@ def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig
     if failed is None or config.on_fail == "keep" or last:
         return None
     drape = drapes[failed]
-    return Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), _drape_figures(drape))
-
-
-def _drape_figures(drape: Drape) -> dict[str, float]:
-    """The finite figures of a drape: the stretch of a diverged drape is NaN, which JSON lacks."""
     names = ("frames", "self_crossings", "body_crossings", "body_through", "stretch_median", "stretch_p99")
-    return {name: value for name in names if math.isfinite(value := getattr(drape, name))}
+    # The stretch of a diverged drape is NaN, which JSON lacks.
+    figures = {name: value for name in names if math.isfinite(value := getattr(drape, name))}
+    return Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), figures)
 
 
 def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeReply | None") -> Sample:
@@ -310,7 +302,12 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape = None if reply is None or mesh is None else _with_strain(reply.drape, mesh)
+    drape = (
+        None if reply is None or mesh is None else replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
+    )
+    caption = None
+    if config.captions:
+        caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -339,12 +336,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         tags=garment_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
-        caption=_caption(design, dressed) if config.captions else None,
+        caption=caption,
     )
-
-
-def _caption(design: DressedDesign, wearer: DressedWearer) -> str:
-    return captions_text(wearer.size, design.design, wearer.pattern, seed=design.seed, index=wearer.index)
 
 
 def _views(reply: "DrapeReply", config: MakeConfig) -> tuple[View, ...]:
@@ -352,10 +345,6 @@ def _views(reply: "DrapeReply", config: MakeConfig) -> tuple[View, ...]:
     if not reply.views and not np.isfinite(reply.drape.vertices).all():
         return config.views * (MISSING_VIEW,)
     return tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
-
-
-def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
-    return replace(drape, strain=strain_of(mesh, drape.vertices))
 
 
 def sample_fabric(seed: int, index: int, name: str) -> "Fabric":

@@ -8,7 +8,7 @@ import numpy as np
 
 from gcd_dataset.captions import LEVELS
 from gcd_dataset.generator.captions.facts import GarmentFacts
-from gcd_dataset.generator.garments.description import Zone, Words, joined, with_article
+from gcd_dataset.generator.garments.description import Words, Zone, joined, with_article
 
 MOST_SHORT_WORDS = 12
 USUAL_SHORT_WORDS = 10

@@ -176,13 +176,10 @@ def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
 def kernels_cached(*modules: ModuleType, device: str) -> bool:
     """Whether the cache holds the kernels of ``modules``, compiled for a device."""
     _init_warp()
-    return all(_is_cached(wp.get_module(module.__name__), wp.get_device(device)) for module in modules)
-
-
-def _is_cached(module: wp.Module, device: wp.Device) -> bool:
-    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim=1 if device.is_cpu else None)
-    endings = (".o",) if device.is_cpu else (".cubin", ".ptx")
-    return any(path.suffix in endings for path in folder.glob("*"))
+    on_cpu, cache_folder = wp.get_device(device).is_cpu, Path(wp.config.kernel_cache_dir)
+    endings, options = ((".o",), {"block_dim": 1}) if on_cpu else ((".cubin", ".ptx"), {})
+    names = (wp.get_module(module.__name__).get_module_identifier(**options) for module in modules)
+    return all(any(path.suffix in endings for path in (cache_folder / name).glob("*")) for name in names)
 
 
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING, flag of cuStreamCreate
@@ -227,16 +224,15 @@ class WorkStream:
         return bool(self._reached.is_complete)
 
 
-@cache
-def work_streams(device: str, count: int) -> tuple[WorkStream | None, ...]:
+_streams: dict[tuple[str, int], WorkStream] = {}
+
+
+def work_streams(device: str, count: int) -> list[WorkStream | None]:
     """Streams of a device, the same in every call; ``None`` for each on a CPU. Raises ``DrapeError`` if CUDA fails."""
     gpu = wp.get_device(device)
-    return tuple(_work_stream(device, number) if gpu.is_cuda else None for number in range(count))
-
-
-@cache
-def _work_stream(device: str, number: int) -> WorkStream:
-    return WorkStream(wp.get_device(device))
+    if not gpu.is_cuda:
+        return [None] * count
+    return [_streams.get((device, k)) or _streams.setdefault((device, k), WorkStream(gpu)) for k in range(count)]
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -79,16 +80,20 @@ def build_model(
     topology = build_topology(jobs, [each.keepers for each in constraints], device)
     bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
-    steps, lengths = _time_steps(topology), _median_lengths(topology)
+    stiffness, ends = to_host(topology.stiffness), topology.vertex_offset
+    ratios = _medians(to_host(topology.mass) / np.maximum(stiffness, 1e-9), ends)
+    # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
+    steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
+    lengths = _medians(to_host(topology.hinges.spring)[:, 1], topology.edge_offset)
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
-    for k, (world, stiffness) in enumerate(zip(worlds, _median_stiffness(topology), strict=True)):
-        world.stiffness = stiffness
+    for k, (world, median) in enumerate(zip(worlds, _medians(stiffness, ends), strict=True)):
+        world.stiffness = float(median)
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
     for world, step, length, start, end in zip(
         worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
-        _add_garment(world, config, float(step), length, int(start), int(end - start))
+        _add_garment(world, config, float(step), float(length), int(start), int(end - start))
     for world, body, offset, each in zip(worlds, bodies, offsets, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.holds = int(each.hold_normal.any(axis=1).sum()) if config.holds else 0
@@ -134,19 +139,9 @@ def _cloth(
     return cloth
 
 
-def _time_steps(topology: Topology) -> np.ndarray:
-    """The time step of each garment [s], stable at ``INERTIA_GAIN`` times the median mass per stiffness."""
-    ratio = to_host(topology.mass) / np.maximum(to_host(topology.stiffness), 1e-9)
-    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    median = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
-    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * median)
-
-
-def _median_stiffness(topology: Topology) -> list[float]:
-    """The median stiffness of each garment's vertices [g/s²]."""
-    stiffness = to_host(topology.stiffness)
-    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    return [float(np.median(stiffness[a:b:SAMPLE])) for a, b in spans]
+def _medians(values: np.ndarray, offsets: np.ndarray) -> list[np.floating]:
+    """The median of each garment's values."""
+    return [np.median(values[a:b:SAMPLE]) for a, b in pairwise(offsets)]
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
@@ -155,13 +150,6 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
     inputs = [topology.vertex_world, topology.mass, topology.stiffness, step_sq]
     wp.launch(add_inertia, dim=len(inertia), inputs=inputs, outputs=[inertia], device=device)
     return inertia
-
-
-def _median_lengths(topology: Topology) -> list[float]:
-    """The median flat length of each garment's edges [cm]."""
-    flat = to_host(topology.hinges.spring)[:, 1]
-    spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
-    return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
 def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: float) -> World:

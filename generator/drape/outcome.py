@@ -207,11 +207,11 @@ def best_of(drapes: Sequence[Drape]) -> Drape:
 
     Of drapes with equally many crossings the earliest.
     """
-    return min(drapes, key=lambda drape: (*_failure(drape), _crossings(drape)))
 
+    def order(drape: Drape) -> tuple[bool, bool, int]:
+        return drape.outcome not in KEEPS_CROSSINGS, drape.outcome is not Outcome.SETTLED, _crossings(drape)
 
-def _failure(drape: Drape) -> tuple[bool, bool]:
-    return drape.outcome not in KEEPS_CROSSINGS, drape.outcome is not Outcome.SETTLED
+    return min(drapes, key=order)
 
 
 def _crossings(drape: Drape) -> int:

@@ -7,7 +7,6 @@ import warp as wp
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import launch_lock, native_builds, to_host
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
@@ -151,9 +150,13 @@ class Solver:
 
     def _body_edges(self) -> tuple[wp.array, int]:
         """(w) the edges of each world's skin, and the largest number of them."""
-        bodies = self.model.bodies
-        edges = wp.array([_edges_of(body) for body in bodies], dtype=crossing.BodyEdges, device=self.model.device)
-        return edges, max(len(body.edges) for body in bodies)
+        skins = []
+        for body in self.model.bodies:
+            skin = crossing.BodyEdges()
+            skin.mesh, skin.ends = body.mesh.id, body.edges
+            skins.append(skin)
+        longest = max(len(body.edges) for body in self.model.bodies)
+        return wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
 
     def stretches(self) -> np.ndarray:
         """(e) length over flat length of every edge."""
@@ -329,9 +332,3 @@ class Solver:
         """Launch a kernel on the model's device, in blocks that suit the batch."""
         block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks spread a small batch over the GPU
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)
-
-
-def _edges_of(body: BodyField) -> crossing.BodyEdges:
-    edges = crossing.BodyEdges()
-    edges.mesh, edges.ends = body.mesh.id, body.edges
-    return edges

@@ -1,6 +1,6 @@
 """Topology of a batch on its device: edges, hinges and rows of elastic weights, from the box meshes."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,8 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
     batch = _MeshBatch(
-        device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_counted_arrays, meshes), strict=True))
+        device,
+        *(np.cumsum([0, *(len(getattr(mesh, name)) for mesh in meshes)]) for name in ("vertices", "uv", "faces")),
     )
     start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     sizes = np.diff(batch.vertices)
@@ -180,12 +181,3 @@ class _MeshBatch:
 
     def empty(self, size: int | tuple[int, ...], dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
-
-
-def _counted_arrays(mesh: BoxMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return mesh.vertices, mesh.uv, mesh.faces
-
-
-def _offsets(sizes: Iterable[int]) -> np.ndarray:
-    """Offsets of consecutive blocks, ending with the total: sizes 2, 3 give 0, 2, 5."""
-    return np.cumsum([0, *sizes])

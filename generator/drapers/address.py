@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 from gcd_dataset.errors import ConfigError, DrapeError
-from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 
 ALIGNMENT = 64  # bytes
 
@@ -233,7 +233,7 @@ class SharedDraper:
         self._connection: Connection = address.connect()
 
     def send(self, request: DrapeRequest) -> None:
-        require_faces(request)
+        request.job.require_drapeable()
         try:
             send_object(self._connection, request)
         except OSError as error:

@@ -98,8 +98,3 @@ def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedVi
     views = requested_views(asked, scene)
     pictures = render([scene], views, size=asked.size, device=device)
     return tuple(finished_view(view, picture, scene) for view, picture in zip(views, pictures, strict=True))
-
-
-def require_faces(request: DrapeRequest) -> None:
-    """Raise ``DrapeError`` for a mesh without faces, or other input that cannot be draped."""
-    request.job.require_drapeable()

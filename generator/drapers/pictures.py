@@ -43,8 +43,10 @@ class PictureQueue:
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
         self._pending.append(_PendingRequest(request, drape, reply))
-        if len(self._pending) >= self._batch_size(_pixels(request)):
-            self._render()
+        views = request.views
+        pixels = len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)
+        if len(self._pending) >= (1 if self._device == "cpu" else max(1, PIXELS // pixels)):
+            self._render()  # a CPU renders one garment at a time
 
     def advance(self) -> None:
         """Start rendering pending garments, or reply with a finished rendering, without waiting."""
@@ -59,10 +61,6 @@ class PictureQueue:
             self._render()
         while self._in_flight:
             self._reply_first()
-
-    def _batch_size(self, pixels: int) -> int:
-        """Garments of ``pixels`` each in one rendering; a CPU renders one at a time."""
-        return 1 if self._device == "cpu" else max(1, PIXELS // pixels)
 
     def _render(self) -> None:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
@@ -124,9 +122,3 @@ class _Renderings:
 def _sizes(request: DrapeRequest) -> tuple[int, int]:
     """Sizes of the pictures that a request asks for; requests of the same sizes are rendered together."""
     return request.picture, 0 if request.views is None else request.views.size
-
-
-def _pixels(request: DrapeRequest) -> int:
-    """Pixels of all pictures that a request asks for."""
-    views = request.views
-    return len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)

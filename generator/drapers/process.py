@@ -125,7 +125,9 @@ class RequestQueue:
 
     def put(self, client: Client, request: DrapeRequest) -> None:
         """Prepare the job in the calling thread, and add the request; a retry goes first."""
-        job = _prepared(request.job)
+        job: DrapeJob | PreparedJob = request.job
+        with contextlib.suppress(Exception):  # raised again in the drape
+            job = PreparedJob.of(request.job)
         with self._arrived:
             if request.retry:
                 self._waiting.appendleft((client, request, job))
@@ -174,7 +176,10 @@ class RequestQueue:
         """The jobs of waiting requests, without end; ``None`` whenever no request waits."""
         number = 0
         while True:
-            entry = self._pop()
+            with self._arrived:
+                while self._waiting and not self._waiting[0][0].connected:
+                    self._waiting.popleft()
+                entry = self._waiting.popleft() if self._waiting else None
             if entry is None:
                 yield None
             else:
@@ -182,23 +187,6 @@ class RequestQueue:
                 self._draping[number] = client, request
                 number += 1
                 yield job
-
-    def _pop(self) -> tuple[Client, DrapeRequest, DrapeJob | PreparedJob] | None:
-        """The next request of a connected client."""
-        with self._arrived:
-            while self._waiting:
-                entry = self._waiting.popleft()
-                if entry[0].connected:
-                    return entry
-        return None
-
-
-def _prepared(job: DrapeJob) -> DrapeJob | PreparedJob:
-    """The prepared job. On failure the job itself: the drape reports the error."""
-    try:
-        return PreparedJob.of(job)
-    except Exception:  # noqa: BLE001 - raised again in the drape
-        return job
 
 
 def _raise_file_limit() -> None:

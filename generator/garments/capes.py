@@ -16,7 +16,7 @@ from math import cos, pi, sin, tan
 
 from gcd_dataset.curves import Arc, Point, Quadratic, to_frame
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Zone, Tag, Words
+from gcd_dataset.generator.garments.description import Description, Detail, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, neckline_shape
 from gcd_dataset.generator.garments.space import Design, choice, real

@@ -6,7 +6,7 @@ from math import atan, atan2, cos, degrees, hypot, pi, sin, sqrt, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Zone, Setting, Tag, number_word
+from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Zone, number_word
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.skirt import (
     SHORTEST,

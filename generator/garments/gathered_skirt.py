@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Zone, Setting, Tag
+from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Setting, Tag, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, skirt_panel, waist_ring

@@ -6,7 +6,7 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Zone, Setting, Tag, number_word
+from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Zone, number_word
 from gcd_dataset.generator.garments.garment import (
     BottomGarment,
     Combined,

@@ -12,9 +12,9 @@ from gcd_dataset.generator.garments.description import (
     RUFFLES,
     Description,
     Detail,
-    Zone,
     Setting,
     Tag,
+    Zone,
     number_word,
     with_article,
 )

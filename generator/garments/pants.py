@@ -13,7 +13,7 @@ import numpy as np
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
-from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Zone, Setting, Tag
+from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Setting, Tag, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist

@@ -9,7 +9,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Zone, Setting, Tag
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Setting, Tag, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring

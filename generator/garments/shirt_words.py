@@ -8,10 +8,10 @@ from gcd_dataset.generator.garments.description import (
     UNGATHERED,
     Description,
     Detail,
-    Zone,
     Setting,
     Tag,
     Words,
+    Zone,
     with_article,
 )
 from gcd_dataset.generator.garments.neckline import (
