@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar, overload
 from gcd_dataset.devicenames import devices_name
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.address import AT_ONCE
-from gcd_dataset.generator.drapers.in_order import Work, in_order
+from gcd_dataset.generator.drapers.in_order import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
     NO_REDRAWS,
     DressedDesign,
@@ -156,13 +156,13 @@ class _Pending(Generic[Made]):
     done: dict[int, Made] = field(default_factory=dict)
     """Results by index, until all its requests are served."""
 
-    def work(self, indices: Iterable[int]) -> Iterator[Work[int]]:
-        """One ``Work`` for each index, with the index as its result; without jobs if the design is in work or done."""
+    def work(self, indices: Iterable[int]) -> Iterator[DrapeWork[int]]:
+        """Work for each index, with the index as its result; without jobs if the design is in work or done."""
         for index in indices:
             self.count[index] += 1
             number = index // self.config.wearers
             if number in self.under_way or index in self.done or self._is_known(index):
-                yield Work((), lambda _, index=index: index)  # type: ignore[misc]
+                yield DrapeWork((), lambda _, index=index: index)  # type: ignore[misc]
             else:
                 self.under_way.add(number)
                 yield self._attempt(index)
@@ -185,13 +185,13 @@ class _Pending(Generic[Made]):
 
     def _attempt(
         self, index: int, rejects: tuple[Rejected, ...] = (), redraws: Mapping[str, int] = NO_REDRAWS
-    ) -> Work[int]:
+    ) -> DrapeWork[int]:
         """The next accepted design for an index, as drape jobs."""
         design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
         picture, views = (self.config.picture, view_requests(design, self.config)) if self.pictured else (0, ())
-        return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
+        return DrapeWork(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
 
-    def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | Work[int]:
+    def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:

@@ -302,10 +302,9 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape = (
-        None if reply is None or mesh is None else replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
-    )
-    caption = None
+    drape, caption = None, None
+    if reply is not None and mesh is not None:
+        drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
     if config.captions:
         caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)

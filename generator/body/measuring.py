@@ -21,7 +21,7 @@ from gcd_dataset.generator.body.register import (
     registration_at,
     unit_of,
 )
-from gcd_dataset.generator.body.repair import Scan, VisibleSkin, kept_mesh
+from gcd_dataset.generator.body.repair import BodyScan, VisibleSkin, kept_mesh
 from gcd_dataset.generator.body.section import contour_length, girth, loops, rough_girths, section, section_points
 from gcd_dataset.generator.body.surface import SkinSurface, near
 from gcd_dataset.generator.body.tailor import (
@@ -46,7 +46,7 @@ HALF_CONFIDENCE = 1.5  # cm of misfit at which the confidence is 0.5
 
 
 def find_landmarks(
-    scan: Scan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
+    scan: BodyScan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
 ) -> Landmarks:
     """The model's landmarks projected to the nearest skin.
 
@@ -140,7 +140,7 @@ CHECKED_POINTS = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right
 X, Y, Z = 0, 1, 2
 
 
-def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
+def require_body_alone(scan: BodyScan, surface: SkinSurface, registration: Registration, name: str) -> None:
     """Raise ``BodyError`` if a body part is missing, or the mesh holds other objects.
 
     ``surface`` is the scan's surface, scaled to the model's height.
@@ -170,7 +170,7 @@ def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registrat
             raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave only the body in the mesh")
 
 
-def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
+def require_skin(scan: BodyScan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` if a landmark or a tape lies on a patch over a hole."""
     patches = scan.faces[scan.patched]
     if not len(patches):
@@ -186,7 +186,7 @@ def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResu
     _require_bridgeable(scan, _common(patches, sites.breast), X, over_bust, "waist_over_bust_line", name)
 
 
-def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
+def _require_bridgeable(scan: BodyScan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
     if not len(patches):
         return
     segments = section(scan.vertices, patches, axis, level)
@@ -203,7 +203,7 @@ def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> In
     return np.array(common, int).reshape(-1, 3)
 
 
-def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
+def require_free_limbs(scan: BodyScan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` if an arm is merged with the trunk at a girth's level, as in scans with lowered arms."""
     arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
     for key in GIRTHS:
@@ -214,7 +214,7 @@ def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: Measu
             )
 
 
-def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfit: float) -> float:
+def underbust_uncertainty(scan: BodyScan, sites: Sites, result: MeasureResult, misfit: float) -> float:
     """Change of the underbust over the possible error of its level [cm]; infinite off the skin.
 
     Other girths are extrema over their levels; the underbust level is the lower end of the breast on the registered
@@ -227,7 +227,7 @@ def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfi
     return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
 
 
-def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
+def joined_arm_contour(scan: BodyScan, arms: np.ndarray, level: float) -> float:
     """Length of the arms' contour in the loops of a level section that also contain trunk [cm]."""
     heights = scan.vertices[scan.faces, Y]
     cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]
@@ -312,7 +312,7 @@ def find_body(
     another pose are moved to the A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError``
     if no body is found, or if a measure could not be trusted.
     """
-    upright, registration = find_upright(Scan.of(vertices, faces, name), name)
+    upright, registration = find_upright(BodyScan.of(vertices, faces, name), name)
     if not in_cm:
         upright = upright.in_cm(unit_of(float(np.ptp(upright.scan.vertices[:, 1])), name, height))
     scan, scale, shift, misfit = upright.scan, upright.scale, upright.shift, registration.alignment.misfit
@@ -374,7 +374,7 @@ class _InAPose(Record):
     upright: UprightScan
     arms: ArmPose | None
     """The arms' original pose; ``None``: not moved."""
-    scan: Scan
+    scan: BodyScan
     surface: SkinSurface
     registration: Registration
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.bodyfiles import OTHER_UNITS
 from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.repair import Scan
+from gcd_dataset.generator.body.repair import BodyScan
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.measurements import ADULT, is_adult_height
 from gcd_dataset.records import BodyPart, Record
@@ -275,7 +275,7 @@ class StandingTransform(Record):
 class UprightScan(Record):
     """A scan in upright orientation, with the body model coarsely aligned to it."""
 
-    scan: Scan
+    scan: BodyScan
     """In upright coordinates."""
     transform: StandingTransform
     """From the input to upright coordinates."""
@@ -315,7 +315,7 @@ def unit_of(tall: float, name: str, height: float | None = None) -> float:
     )
 
 
-def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
+def find_upright(scan: BodyScan, name: str) -> tuple[UprightScan, Registration]:
     """The scan upright and facing +z, turned if necessary, in its own unit; and the body model registered to it.
 
     Raises ``BodyError`` if it holds no body.
@@ -337,7 +337,7 @@ def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
     return found, registration
 
 
-def _nearest_quarter_turn(scan: Scan) -> UprightScan:
+def _nearest_quarter_turn(scan: BodyScan) -> UprightScan:
     """The scan as it is, unless the model fits it clearly better after one of ``QUARTER_TURNS``."""
     found, backward = _try(scan, np.eye(3)), _try(scan, BACK_TO_FRONT)
     if found.alignment.misfit > MAX_MISFIT or backward.alignment.misfit < found.alignment.misfit:
@@ -351,7 +351,7 @@ def _nearest_quarter_turn(scan: Scan) -> UprightScan:
 
 
 def _try(
-    scan: Scan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
+    scan: BodyScan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
 ) -> UprightScan:
     """The scan in one orientation, with the model aligned to it."""
     transform = StandingTransform.standing(scan.vertices, turn)

@@ -1,7 +1,7 @@
 """Repairs meshes of bodies: welds, closes holes, orients faces, and removes folds and self-intersections.
 
-A ``Scan`` is any mesh prepared for measuring, a ``ClosedSkin`` one prepared for cloth, and ``SkinMesh`` removes folds
-from drawn bodies.
+``BodyScan`` is any mesh prepared for measuring, ``ClosedSkin`` one prepared for cloth; ``SkinMesh`` removes folds from
+drawn bodies.
 
 A body far from the mean may have inverted patches of skin: a nipple pushed in, the fold between the thighs, an armpit
 under a lowered arm. Such patches, whose normals oppose those of the mean body, are smoothed until the normals agree.
@@ -111,7 +111,7 @@ WELD = 1e-5  # grid of coinciding positions, as a fraction of the mesh's size
 
 
 @dataclass(frozen=True, eq=False)
-class Scan(Record):
+class BodyScan(Record):
     """A closed skin made from any mesh, with its patches over holes marked."""
 
     vertices: Float[np.ndarray, "v 3"]

@@ -17,7 +17,14 @@ from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
-from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, CrossingWatch, FrameCounts, SearchState, World
+from gcd_dataset.generator.drape.kernels.world import (
+    ClothArrays,
+    Contacts,
+    CrossingWatch,
+    FrameCounts,
+    SearchState,
+    World,
+)
 from gcd_dataset.generator.drape.topology import Topology, build_topology
 
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # stability limit of (omega h)², see kernels/elastic.py
@@ -37,7 +44,7 @@ class ClothModel:
     device: str
     worlds: wp.array
     """(w) ``World``: parameters of each garment."""
-    cloth: Cloth
+    cloth: ClothArrays
     rows: Rows
     topology: Topology
     face_world: wp.array
@@ -119,13 +126,13 @@ def build_model(
 
 def _cloth(
     constraints: Sequence[BodyConstraints], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str
-) -> Cloth:
-    """The ``Cloth`` struct without the body fields and meshes, which the caller adds."""
+) -> ClothArrays:
+    """The ``ClothArrays`` struct without the body fields and meshes, which the caller adds."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
-    cloth = Cloth()
+    cloth = ClothArrays()
     cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
     surface = topology.surface
     cloth.faces, cloth.edges, cloth.edge_opposite = surface.faces, surface.edges, surface.opposite

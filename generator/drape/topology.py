@@ -26,7 +26,7 @@ class Topology:
     """(v) world of each vertex."""
     start: wp.array
     """(v) positions before sewing [cm]."""
-    surface: kernels.Surface
+    surface: kernels.ClothSurface
     hinges: kernels.Hinges
     mass: wp.array
     """(v) mass [g]."""
@@ -87,12 +87,12 @@ class _MeshBatch:
     corners: np.ndarray
     faces: np.ndarray
 
-    def surface(self, meshes: Sequence[BoxMesh]) -> kernels.Surface:
+    def surface(self, meshes: Sequence[BoxMesh]) -> kernels.ClothSurface:
         """Faces with their flat corner coordinates; ``describe_edges`` adds the edges."""
         count = int(self.faces[-1])
         corner = self.joined([mesh.corners for mesh in meshes], np.int32, wp.vec3i, self.corners)
         uv = self.joined([mesh.uv for mesh in meshes], np.float64, wp.vec2d)
-        surface = kernels.Surface()
+        surface = kernels.ClothSurface()
         surface.faces = self.joined([mesh.faces for mesh in meshes], np.int32, wp.vec3i, self.vertices)
         surface.flat = self.empty((count, 3), wp.vec2d)
         surface.side_edge = self.empty(3 * count, int)
@@ -100,7 +100,7 @@ class _MeshBatch:
         return surface
 
     def describe_edges(
-        self, surface: kernels.Surface, start: wp.array, world: wp.array, sheets: wp.array
+        self, surface: kernels.ClothSurface, start: wp.array, world: wp.array, sheets: wp.array
     ) -> tuple[kernels.Hinges, np.ndarray]:
         """Fills the edges of ``surface``; returns springs and hinges, and the first edge of each garment."""
         sides = 3 * int(self.faces[-1])
@@ -123,7 +123,7 @@ class _MeshBatch:
         self.launch(kernels.describe_edges, sides, inputs, [surface, hinges])
         return hinges, offsets
 
-    def find_neighbours(self, surface: kernels.Surface) -> None:
+    def find_neighbours(self, surface: kernels.ClothSurface) -> None:
         """Fill the faces and edges round each vertex in ``surface`` (compressed sparse rows)."""
         sides, ends = 3 * int(self.faces[-1]), 2 * len(surface.edges)
         surface.vertex_faces, surface.first_face = self._by_vertex(kernels.key_corners, surface.faces, sides)
@@ -141,7 +141,7 @@ class _MeshBatch:
         self.launch(kernels.find_firsts, size + 1, [keys, size], [first])
         return owner[:size], first
 
-    def rows(self, surface: kernels.Surface, *, coupled: bool) -> Rows:
+    def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
         n = int(self.vertices[-1])
         widest = max(USUAL, int(np.diff(to_host(surface.first_edge)).max()))

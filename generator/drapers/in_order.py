@@ -16,11 +16,11 @@ Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
-class Work(Generic[Made]):
+class DrapeWork(Generic[Made]):
     """Garments to drape, and the function that makes the result from their drapes."""
 
     jobs: Sequence["DrapeJob"]
-    finish: Callable[[Sequence[DrapeReply]], Union[Made, "Work[Made]"]]
+    finish: Callable[[Sequence[DrapeReply]], Union[Made, "DrapeWork[Made]"]]
     """Makes the result, or the work of another attempt, from the replies in the order of ``jobs``."""
     picture: int = 0
     """Side of front and back [pixels]; 0 for none."""
@@ -28,7 +28,7 @@ class Work(Generic[Made]):
     """The drawn views of each job; empty for none."""
 
 
-def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
+def in_order(work: Iterable[DrapeWork[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
     """The results in the order of ``work``, which may be infinite.
 
     Begins up to ``ahead`` pieces before it yields the first, and drapes up to ``at_once`` pieces at a time. A piece
@@ -66,7 +66,7 @@ def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, a
 class _Task(Generic[Made]):
     """A piece of work that has begun, and the replies of its present attempt."""
 
-    work: Work[Made]
+    work: DrapeWork[Made]
     replies: dict[int, DrapeReply] = field(default_factory=dict)
     """Replies by index of the job."""
     results: list[Made] = field(default_factory=list)
@@ -85,7 +85,7 @@ class _Dispatcher:
         self.busy = 0
         """Tasks that are neither finished nor failed."""
 
-    def begin(self, work: Work[Made]) -> _Task[Made]:
+    def begin(self, work: DrapeWork[Made]) -> _Task[Made]:
         """Send the jobs of a new task."""
         task = _Task(work)
         self.busy += 1
@@ -126,7 +126,7 @@ class _Dispatcher:
         if len(task.replies) < count:
             return
         result = task.work.finish([task.replies[job] for job in range(count)])
-        if isinstance(result, Work):
+        if isinstance(result, DrapeWork):
             task.work = result
             self._send(task, retry=True)
         else:

@@ -2,14 +2,14 @@
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.world import Cloth
+from gcd_dataset.generator.drape.kernels.world import ClothArrays
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
 def bound_faces(
-    cloth: Cloth,
+    cloth: ClothArrays,
     x: wp.array(dtype=wp.vec3),
     # out
     lower: wp.array(dtype=wp.vec3),

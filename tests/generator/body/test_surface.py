@@ -11,7 +11,7 @@ import trimesh
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.measuring import narrowest_ring
-from gcd_dataset.generator.body.repair import Scan
+from gcd_dataset.generator.body.repair import BodyScan
 from gcd_dataset.generator.body.section import contour_length, girth, loops, section
 from gcd_dataset.generator.body.surface import SkinSurface, kept_per_body, refine
 from gcd_dataset.generator.body.tailor import larger_thigh, over_back
@@ -98,7 +98,7 @@ def test_a_flat_limb_has_no_ring() -> None:
 def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
     open_faces = ball.faces[ball.vertices[ball.faces][:, :, 1].max(axis=1) < 45.0]
-    scan = Scan.of(ball.vertices[open_faces].reshape(-1, 3), np.arange(open_faces.size).reshape(-1, 3), "ball")
+    scan = BodyScan.of(ball.vertices[open_faces].reshape(-1, 3), np.arange(open_faces.size).reshape(-1, 3), "ball")
     mesh = trimesh.Trimesh(scan.vertices, scan.faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -110,9 +110,9 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
 
 def test_an_empty_scan_is_an_error() -> None:
     with pytest.raises(BodyError, match="0 triangles with an area"):
-        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
+        BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
     with pytest.raises(BodyError, match="names vertex 3 of 3"):
-        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
+        BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
 
 
 def ball(radius: float) -> Body:
