@@ -333,7 +333,7 @@ def find_body(
     try:
         marks = find_landmarks(posed.scan, posed.surface, posed.registration, scale, shift)
         if given is not None:
-            marks = given.override(marks, posed)
+            marks = given.override(marks, posed.apply)
         arm, extended = graph_between(
             posed.scan.vertices, scan.faces, marks.points["shoulder_right"], marks.points["wrist_right"]
         )

@@ -20,7 +20,7 @@ from gcd_dataset.generator.garments.description import (
 )
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
-from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
+from gcd_dataset.generator.garments.upper import ONE_SHOULDER
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
 

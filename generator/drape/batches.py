@@ -19,8 +19,7 @@ from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.holds import BodyConstraints
-from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts
-from gcd_dataset.generator.drape.kernels.refine import refine
+from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts, refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds

@@ -21,7 +21,6 @@ from functools import partial
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Protocol
 
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, resolve_device
@@ -62,16 +61,6 @@ def main(folder: Path, device: str) -> None:
         raise
 
 
-class Client(Protocol):
-    """The sender of a request."""
-
-    connected: bool
-    """Whether the client still waits for replies."""
-
-    def reply(self, reply: DrapeReply) -> None:
-        """Send a reply, without waiting."""
-
-
 class ClientConnection:
     """A connection with a reader and a writer thread, so that a client that does not read delays no other."""
 
@@ -79,6 +68,7 @@ class ClientConnection:
         self._connection, self._requests = connection, requests
         self._replies: SimpleQueue[DrapeReply | str | None] = SimpleQueue()
         self.connected = True
+        """Whether the client still waits for replies."""
         self._writer = threading.Thread(target=self._write, daemon=True)
         self._writer.start()
         threading.Thread(target=self._read, daemon=True).start()
@@ -116,14 +106,14 @@ class RequestQueue:
     """Waiting requests, and the requests of the garments in the batch."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Client, DrapeRequest, DrapeJob | PreparedJob]] = deque()
+        self._waiting: deque[tuple[ClientConnection, DrapeRequest, DrapeJob | PreparedJob]] = deque()
         self._arrived = threading.Condition()
         self._connections: set[ClientConnection] = set()
-        self._draping: dict[int, tuple[Client, DrapeRequest]] = {}
+        self._draping: dict[int, tuple[ClientConnection, DrapeRequest]] = {}
         """Client and request of each garment in the batch, by the number of its job."""
         self._clock = WaitClock()
 
-    def put(self, client: Client, request: DrapeRequest) -> None:
+    def put(self, client: ClientConnection, request: DrapeRequest) -> None:
         """Prepare the job in the calling thread, and add the request; a retry goes first."""
         job: DrapeJob | PreparedJob = request.job
         with contextlib.suppress(Exception):  # raised again in the drape
@@ -168,7 +158,7 @@ class RequestQueue:
                 pictures.add(request, drape, partial(self._reply, client, device))
         pictures.flush()
 
-    def _reply(self, client: Client, device: str, reply: DrapeReply) -> None:
+    def _reply(self, client: ClientConnection, device: str, reply: DrapeReply) -> None:
         """Send a reply, with the time that this process has waited since the last one."""
         client.reply(replace(reply, waits={device: self._clock.lap()}))
 

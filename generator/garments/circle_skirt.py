@@ -190,14 +190,14 @@ def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
 
 def _describe_circle(setting: Setting, design: FlareSkirtDesign) -> Description:
     cut = _cut_details(setting, design)
-    return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *_cut_tags(cut)))
+    return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *([Tag.SLIT] if cut else [])))
 
 
 def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Description:
     nouns = ("off-centre circle skirt", "circle skirt cut off centre")
     hem = ("a hem that is longer behind than in front", "a high-low hem")
     cut = _cut_details(setting, design)
-    tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(cut))
+    tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *([Tag.SLIT] if cut else []))
     return Description(nouns, (), (Detail(Zone.HEM, hem, main=True), *cut), tags=tags)
 
 
@@ -215,10 +215,6 @@ def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ..
     return (Detail(Zone.HEM, words, main=True, sided=side != "middle"),)
 
 
-def _cut_tags(cut: tuple[Detail, ...]) -> tuple[Tag, ...]:
-    return (Tag.SLIT,) if cut else ()
-
-
 CIRCLE_SKIRT = BottomGarment(
     name="SkirtCircle",
     section="flare-skirt",
@@ -233,16 +229,13 @@ CIRCLE_SKIRT = BottomGarment(
     remedies=CUT_REMEDIES,
 )
 
-ASYMMETRIC_CIRCLE_SKIRT = BottomGarment(
+ASYMMETRIC_CIRCLE_SKIRT = replace(
+    CIRCLE_SKIRT,
     name="AsymmSkirtCircle",
-    section="flare-skirt",
-    design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
-    length_of=flare_skirt_length,
     description_of=_describe_asymmetric,
-    without_slits=_uncut,
-    flared=True,
-    remedies=CUT_REMEDIES,
+    fullness_parameter="",
+    always_sewable=lambda design: False,
 )
 
 

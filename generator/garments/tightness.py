@@ -31,13 +31,6 @@ WIDER_WAIST = "lower waistband.width, or widen the part below"
 WIDER_HEM = "raise waistband.waist or shirt.flare, or shorten shirt.length"
 
 
-class _Hung(NamedTuple):
-    """A part of a garment, and the depth of its lower end below the waist [cm]."""
-
-    part: Component
-    bottom: float
-
-
 def tightest_ring(size: Measurements, design: GarmentDesign) -> Ring | None:
     """The ring that has to stretch most; ``None`` for a garment without rings. Raises ``PatternError`` as ``parts``."""
     return max(rings(size, design), key=lambda ring: ring.stretch, default=None)
@@ -53,13 +46,13 @@ def rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
 def trunk_rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
     """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom."""
     hung = _hung(size, design)
-    for above, below in pairwise(hung):
-        cloth = min(above.part.length("bottom"), below.part.length("top"))
-        yield Ring("a waist seam", cloth, girth_below_waist(size, above.bottom), WIDER_WAIST)
-    yield from _shirt_over_hips(size, design, hung[0].bottom)
-    last = hung[-1]
-    if design.meta.bottom is None and "bottom" in last.part.interfaces:
-        yield Ring("a hem", last.part.length("bottom"), girth_below_waist(size, last.bottom), WIDER_HEM)
+    for (above, hem), (below, _) in pairwise(hung):
+        cloth = min(above.length("bottom"), below.length("top"))
+        yield Ring("a waist seam", cloth, girth_below_waist(size, hem), WIDER_WAIST)
+    yield from _shirt_over_hips(size, design, hung[0][1])
+    last, hem = hung[-1]
+    if design.meta.bottom is None and "bottom" in last.interfaces:
+        yield Ring("a hem", last.length("bottom"), girth_below_waist(size, hem), WIDER_HEM)
 
 
 def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float) -> Iterator[Ring]:
@@ -74,9 +67,10 @@ def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float) -> I
     yield Ring("a shirt", cloth, size.hips, WIDER_HEM)
 
 
-def _hung(size: Measurements, design: GarmentDesign) -> tuple[_Hung, ...]:
-    """The parts from the top down, each hung under the part above it; the first hangs where it is drawn.
+def _hung(size: Measurements, design: GarmentDesign) -> list[tuple[Component, float]]:
+    """The parts from the top down, with the depth of their lower ends below the waist [cm].
 
+    Each part is hung under the part above it; the first hangs where it is drawn.
     A bottom has depth NaN: no ring depends on the depth of its hem.
     """
     meta, rise = design.meta, bottom_rise(design)
@@ -90,7 +84,7 @@ def _hung(size: Measurements, design: GarmentDesign) -> tuple[_Hung, ...]:
         depths.append(depths[-1] + design.waistband.width * size.hips_line)
     if meta.bottom:
         depths.append(nan)
-    return tuple(_Hung(part, bottom) for part, bottom in zip(parts(size, design), depths[1:], strict=True))
+    return list(zip(parts(size, design), depths[1:], strict=True))
 
 
 GRAVITY = 9.81  # m/s²

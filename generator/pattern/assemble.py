@@ -27,17 +27,6 @@ class _WalkedStroke:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """One part of a divided stroke."""
-
-    panel: str
-    stroke: int
-    part: int
-    """Its number in drawing order."""
-    backward: bool
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredJoin:
     """A join with the projected lengths of its two sides."""
 
@@ -133,13 +122,15 @@ def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]])
     return divisions
 
 
-def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
-    """The parts of an interface's divided strokes, in the order of its walk."""
+def _parts(
+    walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]
+) -> list[tuple[_WalkedStroke, int]]:
+    """The parts of an interface's divided strokes in the order of its walk: stroke, and number in drawing order."""
     parts = []
     for walked in walk:
         count = len(divisions[walked.panel, walked.stroke]) + 1
         order = reversed(range(count)) if walked.backward else range(count)
-        parts += [_Part(walked.panel, walked.stroke, part, walked.backward) for part in order]
+        parts += [(walked, part) for part in order]
     return parts
 
 
@@ -150,14 +141,14 @@ def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tu
 
 
 def _seam(
-    left: _Part,
-    right: _Part,
+    left: tuple[_WalkedStroke, int],
+    right: tuple[_WalkedStroke, int],
     numbers: Mapping[str, Mapping[tuple[int, int], int]],
     outward: Mapping[str, bool],
 ) -> Seam:
     """The seam of two parts; the walks and the directions of the loops decide which ends meet."""
-    refs = [EdgeRef(part.panel, numbers[part.panel][part.stroke, part.part]) for part in (left, right)]
-    with_loop = [outward[part.panel] != part.backward for part in (left, right)]
+    refs = [EdgeRef(walked.panel, numbers[walked.panel][walked.stroke, part]) for walked, part in (left, right)]
+    with_loop = [outward[walked.panel] != walked.backward for walked, _ in (left, right)]
     return Seam(refs[0], refs[1], right_wrong=with_loop[0] == with_loop[1])
 
 

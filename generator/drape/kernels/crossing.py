@@ -260,3 +260,23 @@ def count_body_crossings(
         return
     if crosses_skin(cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
         wp.atomic_add(crossings, w, 1)
+
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def bound_faces(
+    cloth: ClothArrays,
+    x: wp.array(dtype=wp.vec3),
+    # out
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+):
+    """The axis-aligned bounding box of every face [cm]."""
+    f = wp.tid()
+    a = x[cloth.faces[f][0]]
+    b = x[cloth.faces[f][1]]
+    c = x[cloth.faces[f][2]]
+    lower[f] = wp.min(wp.min(a, b), c)
+    upper[f] = wp.max(wp.max(a, b), c)

@@ -23,7 +23,6 @@ from gcd_dataset.generator.drape import (
     seconds_to_drape,
 )
 from gcd_dataset.generator.drape import device as devices
-from gcd_dataset.generator.drape.kernels import refine
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch
 
