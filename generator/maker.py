@@ -149,12 +149,9 @@ class _Pending(Generic[Made]):
     known: Callable[[int], Made | None]
     last: LastDesign
     pictured: bool
-    count: Counter[int] = field(default_factory=Counter)
-    """Open requests of each index."""
-    under_way: set[int] = field(default_factory=set)
-    """Numbers of the designs in work."""
-    done: dict[int, Made] = field(default_factory=dict)
-    """Results by index, until all its requests are served."""
+    count: Counter[int] = field(default_factory=Counter)  # open requests of each index
+    under_way: set[int] = field(default_factory=set)  # numbers of the designs in work
+    done: dict[int, Made] = field(default_factory=dict)  # results by index, until all its requests are served
 
     def work(self, indices: Iterable[int]) -> Iterator[DrapeWork[int]]:
         """Work for each index, with the index as its result; without jobs if the design is in work or done."""
@@ -224,8 +221,7 @@ class _WorkerShare:
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
-    address: DraperAddress | None
-    """The draping process; ``None``: the worker drapes on the CPU."""
+    address: DraperAddress | None  # the draping process; ``None``: the worker drapes on the CPU
     finished: Callable[[Sample], Any]
     pictured: bool
 

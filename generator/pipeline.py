@@ -20,14 +20,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.garments import (
-    GarmentDesign,
-    Reject,
-    attempted_design,
-    design_to_dict,
-    garment_tags,
-    try_on,
-)
+from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_design, design_to_dict, garment_tags, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions

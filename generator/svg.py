@@ -81,9 +81,6 @@ def _panel(piece: SheetPanel, height: float) -> Node:
     return group
 
 
-# --------------------------------------------------------------------------------------------------------------- paths
-
-
 def _command(start: Point, end: Point, curve: Curve) -> str:
     """The path command for an edge, from the current point ``start`` to ``end``."""
     match curve:
@@ -112,9 +109,6 @@ def _grain_line(piece: SheetPanel) -> Node:
 def _arrow_head(x: float, tip: float, length: float) -> str:
     barb = 0.4 * length
     return f"M{_point((x - barb, tip - length))} L{_point((x, tip))} L{_point((x + barb, tip - length))}"
-
-
-# --------------------------------------------------------------------------------------------------------------- texts
 
 
 def _seam_number(piece: SheetPanel, index: int, seam: int) -> Node:

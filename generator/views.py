@@ -83,9 +83,6 @@ def stored_scene(
     return scene_of(mesh, vertices, body, pattern=pattern, hair=hair)
 
 
-# ------------------------------------------------------------------------------------------------------ while draping
-
-
 def requested_scene(request: ViewRequest, mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Scene | None:
     """The scene of a request; ``None`` for a diverged drape, which cannot be rendered."""
     if not np.isfinite(vertices).all():
@@ -107,9 +104,6 @@ def requested_views(request: ViewRequest, scene: Scene | None, *, row: int = 0) 
 def finished_view(view: "View", picture: "Picture", scene: Scene) -> RenderedView:
     """The picture of a view with its facts."""
     return RenderedView(picture.rgb, view_facts(view, picture, scene))
-
-
-# -------------------------------------------------------------------------------------------------------------- facts
 
 
 def view_facts(view: "View", picture: "Picture", scene: Scene) -> dict[str, Any]:

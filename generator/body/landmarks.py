@@ -61,9 +61,6 @@ def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> d
     return {name: float(rings[name][:, 1].mean()) + above.get(name, 0.0) * height for name in LEVEL_RINGS}
 
 
-# ------------------------------------------------------------------------------------------------------- given by hand
-
-
 @dataclass(frozen=True, eq=False)
 class GivenLandmarks(Record):
     """Landmarks given by a user, in the mesh file's coordinates."""

@@ -372,8 +372,7 @@ class _InAPose(Record):
     """An upright scan with its arms moved to the A-pose, unless they are within ``A_POSE_TOLERANCE`` of it."""
 
     upright: UprightScan
-    arms: ArmPose | None
-    """The arms' original pose; ``None``: not moved."""
+    arms: ArmPose | None  # the arms' original pose; ``None``: not moved
     scan: BodyScan
     surface: SkinSurface
     registration: Registration

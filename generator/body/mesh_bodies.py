@@ -231,8 +231,7 @@ class _MeshFile(Record):
     path: Path
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    parts: UInt8[np.ndarray, " v"] | None
-    """Of the segmentation file."""
+    parts: UInt8[np.ndarray, " v"] | None  # of the segmentation file
 
     @classmethod
     def read(cls, path: Path, segmentation: Path | str | None) -> Self:

@@ -69,9 +69,6 @@ def fit_shape(measures: Measurements) -> FittedShape:
     return FittedShape(_shape(found), Measurements(**dict(zip(MEASURES, residual.tolist(), strict=True))))
 
 
-# -------------------------------------------------------------------------------------------------------------- checks
-
-
 def _require_plausible(wanted: Float[np.ndarray, " m"]) -> None:
     if np.isnan(wanted).all():
         raise BodyError("no measure is given: give at least one, such as the height")

@@ -94,8 +94,7 @@ def measure_at(vertices: Float[np.ndarray, "v 3"], marks: Landmarks, sites: "Sit
 class _Tape:
     """Implements ``measurements.Tape`` for one body."""
 
-    upright: Float[np.ndarray, "2 3"]
-    """The lowest and the highest vertex."""
+    upright: Float[np.ndarray, "2 3"]  # the lowest and the highest vertex
     points: Mapping[str, Float[np.ndarray, "3"]]
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
     sections: Mapping[str, Float[np.ndarray, "n 3"]]

@@ -162,9 +162,6 @@ def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
     return tuple(f"{before} {noun}".strip() for noun in nouns)
 
 
-# ------------------------------------------------------------------------------------------------------- drawn pattern
-
-
 def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     """The darts: seams between two edges of one panel."""
     legs = [seam.left for seam in pattern.seams if seam.left.panel == seam.right.panel]

@@ -37,8 +37,7 @@ class _Phrase:
 class _Garment:
     """The facts of a garment, each in its chosen wording."""
 
-    adjectives: tuple[str, ...]
-    """In their order before the noun."""
+    adjectives: tuple[str, ...]  # in their order before the noun
     noun: str
     parts: tuple[str, ...]
     lower: str
@@ -80,9 +79,6 @@ def _chosen(facts: GarmentFacts, rng: np.random.Generator) -> _Garment:
         details=tuple(_Phrase(pick(detail.words), detail.place, detail.main) for detail in facts.details),
         is_plural=facts.is_plural,
     )
-
-
-# --------------------------------------------------------------------------------------------------------------- levels
 
 
 def _short(garment: _Garment) -> Said:

@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 from jaxtyping import UInt8
 
-from gcd_dataset.generator.views import (
-    RenderedView,
-    ViewRequest,
-    finished_view,
-    requested_scene,
-    requested_views,
-)
+from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
 from gcd_dataset.waits import Waits
 

@@ -67,10 +67,8 @@ class _Task(Generic[Made]):
     """A piece of work that has begun, and the replies of its present attempt."""
 
     work: DrapeWork[Made]
-    replies: dict[int, DrapeReply] = field(default_factory=dict)
-    """Replies by index of the job."""
-    results: list[Made] = field(default_factory=list)
-    """The result in a list of one; empty before the piece is finished."""
+    replies: dict[int, DrapeReply] = field(default_factory=dict)  # replies by index of the job
+    results: list[Made] = field(default_factory=list)  # the result in a list of one; empty before the piece is finished
     error: Exception | None = None
 
 

@@ -112,8 +112,7 @@ class _FlatPanel:
 
     panel: Panel
     back: bool
-    mirrored: bool
-    """Drawn as seen from behind, and so turned over on the table."""
+    mirrored: bool  # drawn as seen from behind, and so turned over on the table
     turn: complex = 1.0
     shift: complex = 0.0
 

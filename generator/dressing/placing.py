@@ -58,10 +58,8 @@ class _Sleeve(NamedTuple):
     """The panels of one sleeve."""
 
     panels: Sequence[Panel]
-    armhole: Float[np.ndarray, "3"]
-    """Middle of the edges sewn to the bodice [cm]."""
-    direction: Float[np.ndarray, "3"]
-    """Unit vector from the armhole down the sleeve."""
+    armhole: Float[np.ndarray, "3"]  # middle of the edges sewn to the bodice [cm]
+    direction: Float[np.ndarray, "3"]  # unit vector from the armhole down the sleeve
 
     @classmethod
     def of(cls, pattern: Pattern, side: float) -> Self | None:

@@ -59,17 +59,14 @@ class _Tube:
     """The vertices of a sleeve or trouser leg, at the positions in the box mesh."""
 
     rows: Int[np.ndarray, " n"]
-    points: Float[np.ndarray, "n 3"]
-    """Positions [cm]."""
+    points: Float[np.ndarray, "n 3"]  # positions [cm]
     distance: Float[np.ndarray, " n"]
     """Distance from the root [cm], averaged over each level set of a harmonic function, such as the open end."""
     piece: Int[np.ndarray, " n"]
     """Number of the piece of each vertex, from the root: sleeve, cuff, cuff's skirt; on their seam the piece nearer to
     the root."""
-    section: float
-    """Length of a cross section along the tube [cm]."""
-    frame: Float[np.ndarray, "3 3"]
-    """Unit vectors across the tube, along it away from the root, and to the front."""
+    section: float  # length of a cross section along the tube [cm]
+    frame: Float[np.ndarray, "3 3"]  # unit vectors across the tube, along it away from the root, and to the front
 
     @staticmethod
     def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
@@ -208,16 +205,12 @@ def roll_round_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, pla
 class _Panel:
     """A panel sewn to itself; rows are its seam-split vertices."""
 
-    vertex: Int[np.ndarray, " n"]
-    """Vertex of the box mesh of each row."""
+    vertex: Int[np.ndarray, " n"]  # vertex of the box mesh of each row
     around: Float[np.ndarray, " n"]
     """-1 on the left edge of the panel's own seam, 1 on the right edge, harmonic between them."""
-    distance: Float[np.ndarray, " n"]
-    """Distance from the panel's root along its axis [cm]."""
-    across: Float[np.ndarray, " n"]
-    """Flat coordinate at right angles to its axis [cm]."""
-    right: Float[np.ndarray, "2"]
-    """Unit vector of ``across`` in the panel's plane."""
+    distance: Float[np.ndarray, " n"]  # distance from the panel's root along its axis [cm]
+    across: Float[np.ndarray, " n"]  # flat coordinate at right angles to its axis [cm]
+    right: Float[np.ndarray, "2"]  # unit vector of ``across`` in the panel's plane
 
     @staticmethod
     def of(mesh: BoxMesh, tube: Bool[np.ndarray, " f"]) -> "_Panel | None":

@@ -18,9 +18,6 @@ ON_LIMBS = ("sleeve", "cuff")
 OTHER = "other"
 
 
-# ------------------------------------------------------------------------------------------------------------- gathers
-
-
 def part_of(panel: Panel) -> str:
     """The part of a garment that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
     if any(name in panel.name for name in ON_LIMBS):
@@ -75,9 +72,6 @@ def _boundaries(pattern: Pattern) -> dict[tuple[str, str], tuple[float, float]]:
                 own, others = found[pair]
                 found[pair] = own + lengths[one.panel][one.edge], others + lengths[other.panel][other.edge]
     return dict(found)
-
-
-# ------------------------------------------------------------------------------------------------------------ symmetry
 
 
 def sides_match(details: Iterable[Detail], pattern: Pattern) -> bool:

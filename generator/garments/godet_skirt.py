@@ -7,13 +7,7 @@ from typing import Any
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Zone, number_word
-from gcd_dataset.generator.garments.garment import (
-    BottomGarment,
-    Combined,
-    Cutting,
-    GarmentChoice,
-    Ring,
-)
+from gcd_dataset.generator.garments.garment import BottomGarment, Combined, Cutting, GarmentChoice, Ring
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -60,8 +54,7 @@ class _Cut:
 
     width: float
     depth: float
-    distance: float
-    """Length of hem between two cuts; half of this length lies before the first cut."""
+    distance: float  # length of hem between two cuts; half of this length lies before the first cut
 
 
 def with_godets(skirt: Component, design: GodetSkirtDesign) -> Component:

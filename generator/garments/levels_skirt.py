@@ -18,13 +18,7 @@ from gcd_dataset.generator.garments.description import (
     number_word,
     with_article,
 )
-from gcd_dataset.generator.garments.garment import (
-    BottomGarment,
-    Combined,
-    Cutting,
-    GarmentChoice,
-    Ring,
-)
+from gcd_dataset.generator.garments.garment import BottomGarment, Combined, Cutting, GarmentChoice, Ring
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT

@@ -131,9 +131,6 @@ def attempted_design(
     return drawn if not redraws else replace(drawn, redraws={**redraws, **drawn.redraws})
 
 
-# ---------------------------------------------------------------------------------------------------------------- parts
-
-
 def _meta(
     rng: np.random.Generator,
     kind: Kind,

@@ -8,10 +8,7 @@ from gcd_dataset.generator.garments.description import Description, Setting
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.shirt import ShirtDesign, UpperHalf, right_half
-from gcd_dataset.generator.pattern import (
-    Component,
-    backwards,
-)
+from gcd_dataset.generator.pattern import Component, backwards
 from gcd_dataset.records import Measurements
 
 if TYPE_CHECKING:
@@ -20,14 +17,7 @@ from collections.abc import Iterator
 
 from gcd_dataset.generator.garments.collar import collar_words
 from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
-from gcd_dataset.generator.garments.description import (
-    UNGATHERED,
-    Detail,
-    Tag,
-    Words,
-    Zone,
-    with_article,
-)
+from gcd_dataset.generator.garments.description import UNGATHERED, Detail, Tag, Words, Zone, with_article
 from gcd_dataset.generator.garments.neckline import (
     NecklineDesign,
     back_neckline_words,

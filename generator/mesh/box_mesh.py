@@ -140,15 +140,12 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
 class _MeshedPanels:
     """All panels triangulated but not yet sewn; ``c`` counts the points of all panels."""
 
-    uv: Float[np.ndarray, "c 2"]
-    """Positions in the plane of each panel [cm]."""
-    positions: Float[np.ndarray, "c 3"]
-    """Positions round the body [cm]."""
+    uv: Float[np.ndarray, "c 2"]  # positions in the plane of each panel [cm]
+    positions: Float[np.ndarray, "c 3"]  # positions round the body [cm]
     corners: Int[np.ndarray, "f 3"]
     panel_of_point: Int[np.ndarray, " c"]
     borders: tuple[Border, ...]
-    first: Int[np.ndarray, " p"]
-    """The first point of each panel."""
+    first: Int[np.ndarray, " p"]  # the first point of each panel
 
     def edges(self, pattern: Pattern) -> dict[EdgeRef, Int[np.ndarray, " n"]]:
         """The points of every edge, from start to end."""

@@ -127,12 +127,9 @@ def _corners(mesh: BoxMesh, borders: PanelBorders) -> Int[np.ndarray, " k"]:
 class _Graph:
     """The vertices on borders, and the segments between them, each once for both panels of a seam."""
 
-    size: int
-    """Number of vertices of the mesh."""
-    key: Int[np.ndarray, " h"]
-    """``start * size + end`` of each segment in both directions, ascending."""
-    length: Float[np.ndarray, " h"]
-    """Flat lengths [cm]."""
+    size: int  # number of vertices of the mesh
+    key: Int[np.ndarray, " h"]  # ``start * size + end`` of each segment in both directions, ascending
+    length: Float[np.ndarray, " h"]  # flat lengths [cm]
 
     @staticmethod
     def of(mesh: BoxMesh, borders: PanelBorders) -> "_Graph":
@@ -300,16 +297,12 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
 class _Sheet:
     """The panels laid side by side on one lattice, with a spacing of 1; ``p`` counts the panels that have faces."""
 
-    centre: Float[np.ndarray, "p 2"]
-    """Middle of each panel's bounding box [cm]."""
+    centre: Float[np.ndarray, "p 2"]  # middle of each panel's bounding box [cm]
     scale: Float[np.ndarray, "p 2"]
     """The factors that lay a panel [1/cm]: one over its spacing, and negative along x if its border is clockwise."""
-    place: Float[np.ndarray, "p 2"]
-    """The lattice point that each centre is laid on."""
-    grid: Grid
-    """Origin, rows and columns of the lattice."""
-    left: Float[np.ndarray, " p"]
-    """Where each panel's part of the lattice begins along x, ascending."""
+    place: Float[np.ndarray, "p 2"]  # the lattice point that each centre is laid on
+    grid: Grid  # origin, rows and columns of the lattice
+    left: Float[np.ndarray, " p"]  # where each panel's part of the lattice begins along x, ascending
 
     @staticmethod
     def of(loops: Loops) -> "_Sheet":
@@ -352,17 +345,12 @@ class _Sheet:
 class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
 
-    panels: Int[np.ndarray, " p"]
-    """Rows of ``panel_names``."""
-    rows: Int[np.ndarray, " b"]
-    """The rows of the borders' points in the fine mesh."""
+    panels: Int[np.ndarray, " p"]  # rows of ``panel_names``
+    rows: Int[np.ndarray, " b"]  # the rows of the borders' points in the fine mesh
     sheet: _Sheet
-    laid: Float[np.ndarray, "q 2"]
-    """Positions on the sheet."""
-    panel: Int[np.ndarray, " q"]
-    """Row of ``panels``."""
-    faces: Int[np.ndarray, "f 3"]
-    """The triangles: of the strip, then of the lattice."""
+    laid: Float[np.ndarray, "q 2"]  # positions on the sheet
+    panel: Int[np.ndarray, " q"]  # row of ``panels``
+    faces: Int[np.ndarray, "f 3"]  # the triangles: of the strip, then of the lattice
     lattice: Lattice
 
     def holding(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:

@@ -145,12 +145,9 @@ class _Strip:
     spacing: float
     lattice: Lattice
     quality: Quality
-    points: Float[np.ndarray, "m 2"]
-    """Border, lattice and seeds that refinement has added, in this order [cm]."""
-    jittered: Float[np.ndarray, "m 2"]
-    """The points as Qhull sees them; all orientation tests use these."""
-    rim: Int[np.ndarray, " r"]
-    """The points on the rim of the lattice's filled triangles."""
+    points: Float[np.ndarray, "m 2"]  # border, lattice and seeds that refinement has added, in this order [cm]
+    jittered: Float[np.ndarray, "m 2"]  # the points as Qhull sees them; all orientation tests use these
+    rim: Int[np.ndarray, " r"]  # the points on the rim of the lattice's filled triangles
 
     @classmethod
     def of(cls, loops: Loops, spacing: float, lattice: Lattice, quality: Quality) -> Self:

@@ -18,12 +18,9 @@ class _WalkedStroke:
     """A stroke of a piece in the walk of an interface."""
 
     panel: str
-    stroke: int
-    """Its number in the piece's outline."""
-    backward: bool
-    """Whether it is walked against its drawing direction."""
-    length: float
-    """Projected length: without the gathers [cm]."""
+    stroke: int  # its number in the piece's outline
+    backward: bool  # whether it is walked against its drawing direction
+    length: float  # projected length: without the gathers [cm]
 
 
 @dataclass(frozen=True, slots=True)

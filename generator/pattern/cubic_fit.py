@@ -99,8 +99,7 @@ class _CubicFit:
     start_tangent: Point
     end_tangent: Point
     length: float
-    least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, SHORTEST_ARM, -np.inf)
-    """Lower bounds of the unknowns."""
+    least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, SHORTEST_ARM, -np.inf)  # lower bounds of the unknowns
     norm: ClassVar[int] = CURVATURE_NORM
     slide_weight: ClassVar[float] = EXACT_TANGENT_SLIDE_WEIGHT
 
