@@ -131,12 +131,16 @@ def prepare(
     wearers = _wearers(seed, number, config)
     sizes, counts = [wearer.size for wearer in wearers], Counter(redraws)
     while len(rejects) < config.max_attempts:
-        drawn = attempted_design(seed, number, len(rejects), sizes, config.design)
+        drawn, dressed = attempted_design(seed, number, len(rejects), sizes, config.design), []
         counts += drawn.by_rule()
-        dressed = _dress_all(seed, wearers, drawn.design, config)
-        if not isinstance(dressed, Rejected):
-            return DressedDesign(seed, number, rejects, counts, drawn.design, dressed)
-        rejects += (dressed,)
+        for wearer in wearers:
+            result = _dress(seed, wearer, drawn.design, config)
+            if isinstance(result, Reject):
+                rejects += (Rejected(wearer.index, result.rule, result.figures, result.numbers),)
+                break
+            dressed.append(result)
+        else:
+            return DressedDesign(seed, number, rejects, counts, drawn.design, tuple(dressed))
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were rejected, the last for: "
         f"{rejects[-1]}: raise max_attempts"
@@ -192,19 +196,6 @@ def _measured_neutral() -> tuple[Body, Measurements]:
 @cache  # likewise, every design with trousers
 def _neutral_with_legs_apart() -> Body:
     return build_body(neutral_shape(legs_apart=True))
-
-
-def _dress_all(
-    seed: int, wearers: Iterable[_Wearer], design: GarmentDesign, config: MakeConfig
-) -> tuple[DressedWearer, ...] | Rejected:
-    """All wearers dressed in the design, or the rejection for the first wearer who cannot wear it."""
-    dressed = []
-    for wearer in wearers:
-        result = _dress(seed, wearer, design, config)
-        if isinstance(result, Reject):
-            return Rejected(wearer.index, result.rule, result.figures, result.numbers)
-        dressed.append(result)
-    return tuple(dressed)
 
 
 def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
@@ -295,7 +286,11 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape, caption = None, None
+    drape, caption, views = None, None, ()
+    if reply is not None:
+        views = tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
+        if not views and not np.isfinite(reply.drape.vertices).all():
+            views = config.views * (MISSING_VIEW,)  # every sample has the same members
     if reply is not None and mesh is not None:
         drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
     if config.captions:
@@ -323,20 +318,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
-        views=() if reply is None else _views(reply, config),
+        views=views,
         gathers=dressed.pattern.gather_ratios(),
         tags=garment_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
         caption=caption,
     )
-
-
-def _views(reply: "DrapeReply", config: MakeConfig) -> tuple[View, ...]:
-    """The encoded views; those of a diverged drape are empty, since every sample has the same members."""
-    if not reply.views and not np.isfinite(reply.drape.vertices).all():
-        return config.views * (MISSING_VIEW,)
-    return tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
 
 
 def sample_fabric(seed: int, index: int, name: str) -> "Fabric":

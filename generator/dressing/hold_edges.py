@@ -27,7 +27,9 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     """
     labels = {edge.label for panel in pattern.panels for edge in panel.edges}
     openings = openings_of(pattern)
-    if _hangs_from_shoulders(pattern, openings, wearer):
+    # Arms go through a garment with sleeves, or with an opening beside the trunk above the waist.
+    aside = any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
+    if aside or any(panel.label == PanelRole.ARM for panel in pattern.panels):
         if labels & set(COLLARS):
             return pattern, ()
         found = _collars(pattern, openings, wearer)
@@ -52,13 +54,6 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
         f"{_named(top.edges)} labelled {label}: the highest opening round the trunk, {top.length:.0f} cm long, "
         f"{top.centre[1] - level:+.0f} cm from the {landmark}",
     )
-
-
-def _hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
-    """Whether arms go through the garment: it has sleeves, or an opening beside the trunk above the waist."""
-    if any(panel.label == PanelRole.ARM for panel in pattern.panels):
-        return True
-    return any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
 
 
 def has_legs(pattern: Pattern) -> bool:

@@ -77,7 +77,12 @@ class _Sleeve(NamedTuple):
         turn = Rotation.align_vectors([arm.axis], [self.direction])[0]
         aside = arm.origin - self.armhole
         aside -= (aside @ arm.axis) * arm.axis
-        return [_turned(panel, turn, self.armhole, aside) for panel in self.panels]
+        panels = []
+        for panel in self.panels:
+            angles = Rotation.from_matrix(turn.as_matrix() @ panel.placement.matrix).as_euler("xyz")
+            translation = turn.apply(panel.placement.translation - self.armhole) + self.armhole + aside
+            panels.append(replace(panel, placement=Placement(translation, angles)))
+        return panels
 
 
 def _armhole(pattern: Pattern, sleeve: Sequence[Panel]) -> Float[np.ndarray, "3"] | None:
@@ -93,14 +98,6 @@ def _armhole(pattern: Pattern, sleeve: Sequence[Panel]) -> Float[np.ndarray, "3"
 
 def _middle(panel: Panel) -> Float[np.ndarray, "3"]:
     return placed_outline(panel).mean(axis=0)
-
-
-def _turned(panel: Panel, turn: Rotation, about: np.ndarray, by: np.ndarray) -> Panel:
-    """The panel turned about a point, then moved."""
-    matrix = turn.as_matrix() @ panel.placement.matrix
-    angles = Rotation.from_matrix(matrix).as_euler("xyz")
-    translation = turn.apply(panel.placement.translation - about) + about + by
-    return replace(panel, placement=Placement(translation, angles))
 
 
 LEVEL = 1.0  # cm: largest distance of panels from the plane in which they lie

@@ -120,8 +120,12 @@ def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.nd
     x, height = placed[rows, 0], placed[rows, 1]
     top, hem = float(height.max()), float(height.min())
     below = x[height < ankle]
-    if top <= ankle or not len(below) or _is_sewn_round(below, both[both[:, 1] < ankle]):
+    if top <= ankle or not len(below):
         return
+    feet = both[both[:, 1] < ankle]
+    around = below.min() < feet[:, 0].min() - SKIRT_GAP and below.max() > feet[:, 0].max() + SKIRT_GAP
+    if around and 2.0 * np.ptp(below) >= FEET_ROOM * ConvexHull(feet[:, [0, 2]]).area:
+        return  # it surrounds the feet, with room to spare
     middle = 0.5 * float(both[:, 0].min() + both[:, 0].max())
     at_top = x[height > top - SLICE]
     aside = x - 0.5 * float(at_top.min() + at_top.max())
@@ -143,12 +147,6 @@ def _ankle_height(legs: Float[np.ndarray, "n 3"], body: Body) -> float:
     low = [number for number in np.unique(slices) if (number + 1) * SLICE < ANKLES_BELOW * (top - floor)]
     depths = [np.ptp(legs[slices == number, 2]) for number in low]
     return floor + (low[int(np.argmin(depths))] + 1) * SLICE if low else floor
-
-
-def _is_sewn_round(hem: Float[np.ndarray, " n"], feet: Float[np.ndarray, "m 3"]) -> bool:
-    """Whether flat cloth with its vertices at x ``hem`` [cm] surrounds the feet, with room to spare."""
-    around = hem.min() < feet[:, 0].min() - SKIRT_GAP and hem.max() > feet[:, 0].max() + SKIRT_GAP
-    return bool(around and 2.0 * np.ptp(hem) >= FEET_ROOM * ConvexHull(feet[:, [0, 2]]).area)
 
 
 def _fit_between_arms(

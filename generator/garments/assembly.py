@@ -9,7 +9,7 @@ from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import band_rise, waistband
-from gcd_dataset.generator.pattern import Component, Piece, assemble
+from gcd_dataset.generator.pattern import Component, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
 GAP = 5.0  # cm between the parts of a garment before sewing, GarmentCode
@@ -42,7 +42,11 @@ def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] 
     for above, below in pairwise(placed):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
-        whole = replace(whole, pieces=tuple(_with_export_pivot(piece) for piece in whole.pieces))
+        # GarmentCode moves each piece in its plane by the fractional part of its first corner's coordinates.
+        corners = ([fmod(coordinate, 1.0) for coordinate in piece.outline.origin] for piece in whole.pieces)
+        shifts = (piece.placement.matrix[:, :2] @ at for piece, at in zip(whole.pieces, corners, strict=True))
+        moved = (piece.moved(tuple(by.tolist())) for piece, by in zip(whole.pieces, shifts, strict=True))
+        whole = replace(whole, pieces=tuple(moved))
     tops = [part.interface("top") for part in placed if "top" in part.interfaces]
     return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
@@ -89,12 +93,6 @@ def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = AL
     if meta.bottom is not None:
         found.append(bottom(size, design, mends))
     return tuple(found)
-
-
-def _with_export_pivot(piece: Piece) -> Piece:
-    """The piece moved in its plane by the fractional part of its first corner's coordinates, as in GarmentCode."""
-    x, y, z = piece.placement.matrix[:, :2] @ [fmod(coordinate, 1.0) for coordinate in piece.outline.origin]
-    return piece.moved((float(x), float(y), float(z)))
 
 
 def _checked(size: Measurements) -> Measurements:

@@ -139,13 +139,9 @@ def _to_hem(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
     """An open half outline: from the right side of the neck down the shoulder, and along the hem to the middle."""
     low, fall = hole.back + design.length * size.waist_line, 0.5 * pi * (1 - design.circle)
     drawn = with_shoulder(Outline.start(-hole.half_width, 0), size, fall=fall, length=low)
-    return drawn.curve(0, -low, _level_arc(drawn.pen, low), name="hem")
-
-
-def _level_arc(side: Point, low: float) -> Arc:
-    """The hem from the side seam to the middle, ``low`` cm under the origin, where it is level."""
-    wide, deep = -side[0], low + side[1]
-    return Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)
+    wide, deep = -drawn.pen[0], low + drawn.pen[1]
+    arc = Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)  # level in the middle
+    return drawn.curve(0, -low, arc, name="hem")
 
 
 def _describe_cape(design: CapeDesign) -> Description:

@@ -127,7 +127,11 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
     front = replace(front, name=f"skirt_front{suffix}").at(0, size.waist_level, FRONT)
     back = replace(back, name=f"skirt_back{suffix}").at(0, size.waist_level, BACK)
     if cut.add:
-        front, back = _with_hem_cut(front, back, cut, length)
+        shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
+        if cut.place > 0:
+            front = _with_cut(front, shape, cut.width * length, cut.place)
+        else:
+            back = _with_cut(back, shape, cut.width * length, 1 + cut.place)
     return (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -165,16 +169,11 @@ def _require_uncut_waist(piece: Piece, hole: float) -> None:
             )
 
 
-def _with_hem_cut(front: Piece, back: Piece, cut: HemCutDesign, length: float) -> tuple[Piece, Piece]:
-    """Front and back with the cut in one of them, moved inwards if it would run over the end of the hem."""
-    shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
-    if cut.place > 0:
-        return _with_cut(front, shape, cut.width * length, cut.place), back
-    return front, _with_cut(back, shape, cut.width * length, 1 + cut.place)
-
-
 def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a share of the hem's length from the wearer's right."""
+    """The piece with a shape cut into its hem, centred at a share of the hem from the wearer's right.
+
+    A cut that would run over the end of the hem is moved inwards.
+    """
     hem = piece.outline.length("bottom")
     at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
@@ -182,10 +181,6 @@ def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: floa
     if at > hem - least:
         return replace(piece, outline=cut_end(piece.outline, "bottom", shape, last=True))
     return replace(piece, outline=cut_into(piece.outline, "bottom", shape, at=at))
-
-
-def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
-    return replace(design, cut=replace(design.cut, add=False))
 
 
 def _describe_circle(setting: Setting, design: FlareSkirtDesign) -> Description:
@@ -222,7 +217,7 @@ CIRCLE_SKIRT = BottomGarment(
     cut=circle_skirt,
     length_of=flare_skirt_length,
     description_of=_describe_circle,
-    without_slits=_uncut,
+    without_slits=lambda design: replace(design, cut=replace(design.cut, add=False)),
     flared=True,
     fullness_parameter="suns",
     always_sewable=lambda design: not design.cut.add,

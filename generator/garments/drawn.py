@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from math import hypot
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +89,9 @@ def _is_symmetrical(pattern: Pattern) -> bool:
         if name.startswith(("ins_", "wb_", "skirt_panel_")):
             continue
         other = _mirror_name(name, panels)
-        if not _mirrored_alike(panel, panels[other]):
+        # The corners of one panel are the mirror images of the other's, wherever they lie.
+        mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(panels[other].vertices)
+        if len(mine) != len(theirs) or np.linalg.norm(mine[:, None] - theirs, axis=2).min(axis=1).max() >= SAME:
             return False
     return True
 
@@ -102,14 +103,6 @@ def _mirror_name(name: str, panels: dict[str, Panel]) -> str:
         ("pant_f_r", "pant_f_l"), ("pant_f_l", "pant_f_r"), ("pant_b_r", "pant_b_l"), ("pant_b_l", "pant_b_r"),
     )  # fmt: skip
     return next((other for a, b in swapped if a in name and (other := name.replace(a, b)) in panels), name)
-
-
-def _mirrored_alike(panel: Panel, other: Panel) -> bool:
-    """Whether the corners of one panel are the mirror images of the other's, wherever they lie."""
-    mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(other.vertices)
-    if len(mine) != len(theirs):
-        return False
-    return all(min(hypot(x - a, y - b) for a, b in theirs.tolist()) < SAME for x, y in mine.tolist())
 
 
 def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:

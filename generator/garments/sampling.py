@@ -124,7 +124,9 @@ def attempted_design(
     """
     draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
-        draft = _with_new_numbers(draft, rng, overlay)
+        spaces = {name: space for name, space in _sections(overlay).items() if name in draft.sections_used()}
+        redrawn = {name: with_new_numbers(space, getattr(draft, name), rng) for name, space in spaces.items()}
+        draft = replace(draft, **redrawn)
     sizes = tuple(wearers)
     draft, redraws = _held_up(draft, sizes, rng, overlay)
     drawn = wearable(draft, sizes, rng, overlay.space)
@@ -191,12 +193,6 @@ def _with_sections(
 ) -> GarmentDesign:
     """The design with some of its sections drawn, in the order of the fields."""
     return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
-
-
-def _with_new_numbers(design: GarmentDesign, rng: np.random.Generator, overlay: Overlay) -> GarmentDesign:
-    """The design with the numbers of the sections that it uses drawn again."""
-    spaces = {name: space for name, space in _sections(overlay).items() if name in design.sections_used()}
-    return replace(design, **{name: with_new_numbers(spaces[name], getattr(design, name), rng) for name in spaces})
 
 
 @cache

@@ -175,13 +175,9 @@ def has_narrow_strap(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> bool:
         return False
     neck, armhole = (hulls[[name == wanted for name in names]].ravel() for wanted in ("neck", "armhole"))
     # Each edge lies within its hull: hulls this far apart need no sampling.
-    return _gap(neck, armhole) <= NARROWEST_STRAP + ROUNDING and strap_width(panel) < NARROWEST_STRAP
-
-
-def _gap(one: Complex[np.ndarray, " n"], other: Complex[np.ndarray, " m"]) -> float:
-    """Lower bound of the distance between the convex hulls of two sets of points [cm]: the widest separating strip."""
-    a, b = ((DIRECTIONS * points).real for points in (one, other))
-    return float(np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1)).max())
+    a, b = ((DIRECTIONS * points).real for points in (neck, armhole))
+    strip = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1)).max()  # the widest that separates
+    return bool(strip <= NARROWEST_STRAP + ROUNDING) and strap_width(panel) < NARROWEST_STRAP
 
 
 def strap_width(panel: Panel) -> float:

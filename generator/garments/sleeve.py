@@ -206,20 +206,17 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     front_under, back_under = front.start, _turned_over(back).start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
     tilt = atan2(span[0], span[1])
-    crease = _crease(front, back_under, span)
+    # The curve parameter of the front that is equally far from both underarm points: the root of a cubic.
+    middle = (0.5 * (front_under[0] + back_under[0]), 0.5 * (front_under[1] + back_under[1]))
+    p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
+    roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
+    between = (float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0 < root.real < 1)
+    crease = max(between, default=None)
     even = EVEN / front.length
     if crease is None or not even < crease < 1 - even or hypot(*front.at(crease)) < shortest:
         return (front.rotated(tilt),), (back.rotated(-tilt),)
     kept, surplus = front.split_at([crease])
     return (kept.rotated(tilt),), (back.rotated(-tilt), _turned_over(surplus.reversed()).rotated(-tilt))
-
-
-def _crease(front: Stroke, back_under: Point, span: Point) -> float | None:
-    """Curve parameter of the front opening that is equally far from both underarm points: the root of a cubic."""
-    middle = (0.5 * (front.start[0] + back_under[0]), 0.5 * (front.start[1] + back_under[1]))
-    p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
-    roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
-    return max((float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0 < root.real < 1), default=None)
 
 
 def _turned_over(stroke: Stroke) -> Stroke:

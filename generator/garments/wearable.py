@@ -105,7 +105,9 @@ class Redrawing:
         A part keeps its choices of garments, such as the base of a levels skirt: another garment has another section.
         """
         for path in paths:
-            garments = _garments(value_at(self.space, design, path))
+            values = value_at(self.space, design, path)
+            values = vars(values) if isinstance(values, Design) else {}
+            garments = {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
             design = redrawn(self.space, design, path, self.rng, low, high)
             if garments:
                 design = with_value(self.space, design, path, replace(value_at(self.space, design, path), **garments))
@@ -155,12 +157,6 @@ class Redrawing:
                 break
             fault = left
         return design
-
-
-def _garments(part: object) -> dict[str, GarmentChoice]:
-    """Parameter name to garment, for the parameters of a part that choose a garment; empty for a single parameter."""
-    values = vars(part) if isinstance(part, Design) else {}
-    return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
 
 
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
@@ -356,7 +352,19 @@ class _Fitting:
         )
 
     def _hanging_in_place(self, design: GarmentDesign) -> GarmentDesign:
-        return self._without_heavy_flare(self._above_floor(self._below_band(self._with_snug_band(design))))
+        """The design with a bottom that suits its band, as long as declared, above the floor, light if it flares."""
+        design = self._with_snug_band(design)
+        path, rise = _length_path(design), bottom_rise(design)
+        # No skirt is drawn shorter than ``SHORTEST``, its waistband left out; lengths are fractions of hips to floor.
+        least = max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
+        design = self.redrawing.within(design, "short_skirt", path, least, inf)
+        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
+        if excess > 0:
+            design = self.redrawing.within(design, "reaches_floor", path, least, bottom_length(design) - excess)
+        if design.meta.upper or not is_flared(design) or has_firm_band(design):
+            return design
+        design = self.redrawing.within(design, "too_heavy", path, least, LIGHT_LENGTH)
+        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
 
     def _bottom_fault(self, design: GarmentDesign) -> SewingFault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
@@ -367,23 +375,6 @@ class _Fitting:
         garment = design.meta.bottom.garment
         is_plain = garment.always_sewable(garment.section_design(design))
         return None if is_plain else _first(bottom_fault(size, design) for size in self.sizes)
-
-    def _below_band(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a bottom of its declared length: no skirt is drawn shorter than ``SHORTEST``."""
-        return self.redrawing.within(design, "short_skirt", _length_path(design), self._least_length(design), inf)
-
-    def _least_length(self, design: GarmentDesign) -> float:
-        """The ``length`` at which a skirt is ``SHORTEST``, its waistband left out."""
-        rise = bottom_rise(design)
-        return max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
-
-    def _above_floor(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a bottom that ends above the floor; lengths are fractions of hips to floor."""
-        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
-        if excess <= 0:
-            return design
-        longest = bottom_length(design) - excess
-        return self.redrawing.within(design, "reaches_floor", _length_path(design), self._least_length(design), longest)
 
     def _with_snug_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""
@@ -400,14 +391,6 @@ class _Fitting:
             design = replace(design, meta=replace(design.meta, wb=band))
             design = self.redrawing.again(design, "loose_gathers", "waistband")
         return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
-
-    def _without_heavy_flare(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a shorter and narrower bottom, if it is flared and has neither an upper nor a firm band."""
-        if design.meta.upper or not is_flared(design) or has_firm_band(design):
-            return design
-        least = self._least_length(design)
-        design = self.redrawing.within(design, "too_heavy", _length_path(design), least, LIGHT_LENGTH)
-        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
 
     def _with_top_within(
         self,

@@ -234,25 +234,14 @@ class _Strip:
         if not poor.any():
             return centres[:0]
         poor[poor] = shapely.contains_xy(self.outline, *centres[poor].T)
-        poor[poor] = self._are_clear(centres[poor])
-        poor[poor] = self._are_empty(centres[poor], radii[poor])
-        return centres[poor][_spaced_out(centres[poor], radii[poor])]
-
-    def _are_clear(self, centres: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the centres that encroach on no border segment.
-
-        A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
-        """
+        # A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
         ahead = self.border[self.loops.after]
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
-        return (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
-
-    def _are_empty(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the circles without a point inside; over a slit, some circumcircles hold points."""
-        if not len(centres):
-            return np.zeros(0, bool)
-        nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres)
-        return np.asarray(nearest > EMPTY * radii)
+        poor[poor] = (cdist(centres[poor], 0.5 * (self.border + ahead)) >= half).all(axis=1)
+        if poor.any():  # over a slit, some circumcircles hold points
+            nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres[poor])
+            poor[poor] = nearest > EMPTY * radii[poor]
+        return centres[poor][_spaced_out(centres[poor], radii[poor])]
 
 
 def _centroids(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 2"]:

@@ -53,12 +53,18 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
         for piece in component.pieces
     }
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
-    numbers = {panel: _edge_numbers(parts, outward[panel]) for panel, parts in strokes.items()}
-    seams = [
-        _seam(left, right, numbers, outward)
-        for walk_left, walk_right in walks
-        for left, right in zip(_parts(walk_left, divisions), _parts(walk_right, divisions), strict=True)
-    ]
+    numbers: dict[str, dict[tuple[int, int], int]] = {}
+    """Number of the edge in the panel's loop, by (stroke, part)."""
+    for panel, divided in strokes.items():
+        keys = [(stroke, part) for stroke, own_parts in enumerate(divided) for part in range(len(own_parts))]
+        numbers[panel] = dict(zip(keys if outward[panel] else reversed(keys), range(len(keys)), strict=True))
+    seams = []
+    for walk in walks:
+        for sides in zip(*(_parts(side, divisions) for side in walk), strict=True):
+            left, right = (EdgeRef(walked.panel, numbers[walked.panel][walked.stroke, part]) for walked, part in sides)
+            # The walks and the directions of the loops decide which ends meet.
+            with_loop = [outward[walked.panel] != walked.backward for walked, _ in sides]
+            seams.append(Seam(left, right, right_wrong=with_loop[0] == with_loop[1]))
     order = panel_order(tuple(panels.values()))
     return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _measured(component, walks)
 
@@ -129,24 +135,6 @@ def _parts(
         order = reversed(range(count)) if walked.backward else range(count)
         parts += [(walked, part) for part in order]
     return parts
-
-
-def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
-    """Number of the edge in the panel's loop, by (stroke, part)."""
-    keys = [(stroke, part) for stroke, own_parts in enumerate(parts) for part in range(len(own_parts))]
-    return {key: number if outward else len(keys) - 1 - number for number, key in enumerate(keys)}
-
-
-def _seam(
-    left: tuple[_WalkedStroke, int],
-    right: tuple[_WalkedStroke, int],
-    numbers: Mapping[str, Mapping[tuple[int, int], int]],
-    outward: Mapping[str, bool],
-) -> Seam:
-    """The seam of two parts; the walks and the directions of the loops decide which ends meet."""
-    refs = [EdgeRef(walked.panel, numbers[walked.panel][walked.stroke, part]) for walked, part in (left, right)]
-    with_loop = [outward[walked.panel] != walked.backward for walked, _ in (left, right)]
-    return Seam(refs[0], refs[1], right_wrong=with_loop[0] == with_loop[1])
 
 
 def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> Panel:
