@@ -45,8 +45,8 @@ class PictureQueue:
         self._pending.append(_PendingRequest(request, drape, reply))
         views = request.views
         pixels = len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)
-        if len(self._pending) >= (1 if self._device == "cpu" else max(1, PIXELS // pixels)):
-            self._render()  # a CPU renders one garment at a time
+        if len(self._pending) >= self._batch_size(pixels):
+            self._render()
 
     def advance(self) -> None:
         """Start rendering pending garments, or reply with a finished rendering, without waiting."""
@@ -61,6 +61,10 @@ class PictureQueue:
             self._render()
         while self._in_flight:
             self._reply_first()
+
+    def _batch_size(self, pixels: int) -> int:
+        """Garments of ``pixels`` each in one rendering; a CPU renders one at a time."""
+        return 1 if self._device == "cpu" else max(1, PIXELS // pixels)
 
     def _render(self) -> None:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
