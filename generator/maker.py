@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar, overload
 from gcd_dataset.devicenames import devices_name
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.address import AT_ONCE
-from gcd_dataset.generator.drapers.in_order import DrapeWork, in_order
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
     NO_REDRAWS,
     DressedDesign,

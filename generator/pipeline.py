@@ -286,7 +286,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape, caption, views = None, None, ()
+    drape, caption = None, None
+    views: tuple[View, ...] = ()
     if reply is not None:
         views = tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
         if not views and not np.isfinite(reply.drape.vertices).all():

@@ -212,12 +212,14 @@ def _changes(path: str, node: Any, used: set[str]) -> Iterator[tuple[str, bool]]
 
 
 def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    tree = {}
+    tree: dict[str, Any] = {}
     for entry in space.entries:
-        if entry.key in values and isinstance(entry.space, DesignSpace):
-            tree[entry.key] = _leaves(entry.space, values[entry.key])
-        elif entry.key in values:
-            inner, value = entry.space, values[entry.key]
+        if entry.key not in values:
+            continue
+        inner, value = entry.space, values[entry.key]
+        if isinstance(inner, DesignSpace):
+            tree[entry.key] = _leaves(inner, value)
+        else:
             keep = {} if inner.keep is None else {"default_prob": inner.keep}
             tree[entry.key] = {"v": plain(inner.read(value)), "range": inner.range, "type": inner.kind} | keep
     return tree

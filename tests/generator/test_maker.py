@@ -12,7 +12,7 @@ import pytest
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
-from gcd_dataset.generator.drapers.in_order import DrapeWork, in_order
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import sample_key
